@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).resolve().parent
-VERDICTS = "cli/test_hostile.py::test_the_verdict_on_a_file"
+VERDICTS = "cli/test_hostile.py::test_hostile_files_give_the_expected_result"
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ ROWS = {
     "V8": Row(
         "diffusion that is not stable",
         "an error with the largest value",
-        ("fields/test_fields.py::test_the_limit_of_stability_depends_on_the_cell_alone", "program/test_program_cases.py"),
+        ("fields/test_fields.py::test_the_stability_limit_depends_only_on_the_cell_size", "program/test_program_cases.py"),
     ),
     "V9": Row(
         "digging without limits",

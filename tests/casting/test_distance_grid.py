@@ -11,7 +11,7 @@ from antdsl.casting.faces import find_nearest_on_triangle
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 @pytest.mark.parametrize("threads", [1, 2])
-def test_bounds_are_those_of_the_nearest_cell_and_the_way_to_it(kind: type, threads: int) -> None:
+def test_lower_bounds_equal_those_of_the_nearest_cell(kind: type, threads: int) -> None:
     rng = np.random.default_rng(3)
     corners = rng.normal(0, 100, (60, 1, 3)) * [1, 0.5, 0.3] + rng.normal(0, 3, (60, 3, 3))
     grid, points = DistanceGrid(corners, 20_000), (rng.normal(0, 110, (9000, 3)) * [1.3, 0.6, 0.4]).astype(kind)

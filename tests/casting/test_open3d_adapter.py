@@ -36,5 +36,5 @@ def test_loading_open3d_binds_no_socket_and_starts_no_program() -> None:
 
 
 @pytest.mark.slow
-def test_plots_of_open3d_are_loaded_when_they_are_called() -> None:
+def test_plots_of_open3d_load_on_demand() -> None:
     assert printed(LOAD + PLOT).splitlines()[-1] == "Figure True True"

@@ -42,7 +42,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     return counter
 
 
-def test_open3d_places_agents_on_ground_and_clear_of_obstacles(calls: Counter[str]) -> None:
+def test_open3d_queries_place_agents_on_ground_outside_obstacles(calls: Counter[str]) -> None:
     shot, report = open_scene(FORAGING)
     assert shot is not None, report.sort_by_place()
     world = bind(shot.plan, shot.setting, Options(feet=False))
@@ -53,7 +53,7 @@ def test_open3d_places_agents_on_ground_and_clear_of_obstacles(calls: Counter[st
     assert calls["cast_rays"] == placed, "walking agents have footings, and feelers are short"
 
 
-def test_long_rays_go_to_open3d_and_short_ones_to_the_grid(calls: Counter[str]) -> None:
+def test_long_rays_use_open3d_and_short_rays_use_the_grid(calls: Counter[str]) -> None:
     scene = RayScene(*terrain(400.0, 40))
     origin = np.array([[0.0, 500.0, 0.0], [5.0, 500.0, 5.0]])
     down = np.array([[0.0, -1.0, 0.0], [0.0, -1.0, 0.0]])

@@ -55,7 +55,7 @@ def named(triangles: Floats, **how: float) -> list[set[Cell]]:
     return cells_by_triangle
 
 
-def test_of_thin_triangles_the_cells_are_those_that_no_axis_separates():
+def test_cells_of_thin_triangles_equal_the_separating_axis_test():
     triangles = np.stack(needles(24))
     assert rasterise._find_thin_triangles(triangles).sum() >= 16
     exact, around, wider = named(triangles), named(triangles, exact=False), named(triangles, margin=0.25)
@@ -70,14 +70,14 @@ def test_of_thin_triangles_the_cells_are_those_that_no_axis_separates():
         assert reached <= {tuple(cell) for cell in cells[distances < 0.25 * 3**0.5 + HAIR].tolist()}
 
 
-def test_wide_triangles_are_quartered_as_ever(monkeypatch: pytest.MonkeyPatch):
+def test_wide_triangles_are_quartered(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(rasterise, "_slice_triangles", lambda tri: pytest.fail("a triangle that is not thin was sliced"))
     wide = np.array([[[0.0, 0, 0], [200, 0, 0], [0, 1, 200]], [[0, 0, 0], [60, 0, 0], [60, 0, 1e-3]]])
     assert [len(cells) > 60 for cells in named(wide)] == [True, True]
 
 
 @pytest.mark.parametrize("direction", [(1, 0, 0), (1, 0, 1), (3, 2, 4)])
-def test_a_needle_is_cut_into_no_more_parts_than_it_touches_cells(direction: tuple[float, ...], monkeypatch: pytest.MonkeyPatch):
+def test_slices_of_a_needle_do_not_exceed_its_cells(direction: tuple[float, ...], monkeypatch: pytest.MonkeyPatch):
     parts = counted(monkeypatch)
     long, side = 50_000.0 * np.array(direction, float), np.array([0, 0.5, 0.0])
     cells = sum(len(cells) for cells, _ in iterate_triangle_cells(np.array([[[0.3, 0.2, 0.1], long, long + side]])))

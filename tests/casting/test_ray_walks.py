@@ -148,7 +148,7 @@ def test_walks_hit_what_a_loop_over_all_faces_hits(name: str) -> None:
     assert (t[both] == other_t[both]).all() and (face[both] == other[both]).all()
 
 
-def test_balls_hold_no_face_but_the_ring() -> None:
+def test_balls_contain_only_faces_of_the_ring() -> None:
     """Links lead to the face with the same side, and no face that has no corner in common is in a ball. Rims have no rings."""
     scene = RayScene(*rough(0.3, 10))
     corners, rings = scene._faces.corners, scene.get_ring_tables()

@@ -110,7 +110,7 @@ def test_rays_at_edges_and_corners_give_the_same_bits_whatever_open3d_rounds(bri
             assert np.array_equal(value, again[name]), f"{name} {(value != again[name]).sum()} of {len(value)}"
 
 
-def test_a_ray_meets_what_float64_says_it_meets():
+def test_rays_hit_the_face_that_float64_computes():
     """All triangles tested in float64, at edges too: the least distance, then the first face."""
     scene = RayScene.from_meshes(meshes())
     origin, displacement = (v[::41] for v in rays_at_edges())
@@ -128,7 +128,7 @@ def test_a_ray_meets_what_float64_says_it_meets():
             assert firsts[hits.mesh[k]] + hits.face[k] == int(np.argmin(t))
 
 
-def test_open3d_is_shown_triangles_that_miss_none_of_a_face():
+def test_widened_triangles_cover_their_faces():
     corners = np.concatenate([v[f] for v, f in meshes()])
     faces = Faces(corners)
     wide = faces.compute_widened_corners().reshape(-1, 3, 3).astype(np.float64)
@@ -141,7 +141,7 @@ def test_open3d_is_shown_triangles_that_miss_none_of_a_face():
         assert (weights.min(axis=1) * high > 0).all()
 
 
-def test_two_sheets_in_one_place_are_distinguished_by_their_number():
+def test_coincident_faces_are_ordered_by_number():
     sheet = terrain(R, 12)
     scene = RayScene.from_meshes([sheet, sheet, sheet])
     origin = np.random.default_rng(3).uniform(-100, 100, (500, 3)) + np.array([0, 200, 0])
@@ -151,13 +151,13 @@ def test_two_sheets_in_one_place_are_distinguished_by_their_number():
     assert (among.mesh == 0).all() and (scene.find_closest(origin)[0] == 0).all()
 
 
-def test_a_brief_scene_says_the_same():
+def test_short_lived_scenes_give_the_same_results():
     results = [answers(make_scene(brief)) for brief in (True, False)]
     for name, value in results[0].items():
         assert np.array_equal(value, results[1][name]), name
 
 
-def test_the_nearest_place_of_a_face_is_the_same_for_one_and_for_many():
+def test_nearest_points_of_scalars_and_arrays_are_equal():
     rng = np.random.default_rng(8)
     corners, points = rng.normal(size=(3000, 3, 3)), rng.normal(size=(3000, 3))
     corners[::7, 2] = corners[::7, 0]
@@ -170,5 +170,5 @@ def test_the_nearest_place_of_a_face_is_the_same_for_one_and_for_many():
     "weights",
     [(1, 2, 3), (3, 2, 1), (2, 3, 1), (2, 2, 1), (1, 2, 2), (2, 1, 2), (np.nan, 1, 2), (1, np.nan, np.nan), (1, 2, np.nan)],
 )
-def test_the_heaviest_corner_is_the_same_one(weights: tuple[float, float, float]):
+def test_greatest_weights_select_the_same_corner(weights: tuple[float, float, float]):
     assert _greatest_index(*map(float, weights)) == int(np.argmax(weights))

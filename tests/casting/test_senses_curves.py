@@ -13,7 +13,7 @@ def spiral(n: int = 60) -> np.ndarray:
     return np.stack([10 * t * np.cos(t), 3 * t, 10 * t * np.sin(t)], axis=1)
 
 
-def test_samples_are_even_and_keep_the_ends():
+def test_samples_are_evenly_spaced_and_include_both_ends():
     line = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 9], [4, 0, 9]], np.float64)
     even = resample(line, 0.5)
     assert len(even) == 27 and np.array_equal(even[[0, -1]], line[[0, -1]])
@@ -43,7 +43,7 @@ def test_nearest_point_and_tangent_against_all_segments(reach):
     assert np.arccos((tangent * unit[best]).sum(axis=1).clip(-1, 1)).max() <= bend / 2 + 1e-3
 
 
-def test_the_tangent_turns_steadily():
+def test_tangents_rotate_evenly():
     curve = SampledCurve(np.array([[0, 0, 0], [10, 0, 0], [10, 0, 10]], np.float64), 1.0)
     s = np.linspace(8.0, 12.0, 400)
     closest = curve.find_closest(np.minimum(s, 10), np.zeros(400), np.maximum(s - 10, 0))
@@ -51,7 +51,7 @@ def test_the_tangent_turns_steadily():
     assert angle[0] == 0 and angle[-1] == 90 and np.diff(angle).min() >= 0 and np.diff(angle).max() < 1.5
 
 
-def test_it_points_as_drawn_and_reverse_turns_it_round():
+def test_tangents_follow_the_drawing_direction_and_reverse_flips_them():
     line = np.array([[0, 0, 0], [10, 0, 0]], np.float64)
     one = np.array([5.2], np.float32), np.array([1.0], np.float32), np.array([0.0], np.float32)
     assert (
@@ -60,7 +60,7 @@ def test_it_points_as_drawn_and_reverse_turns_it_round():
     )
 
 
-def test_a_tie_falls_to_the_first_along_the_curve_whatever_the_batch():
+def test_ties_select_the_first_point_along_the_curve():
     hairpin = np.array([[0, 0, -1], [10, 0, -1], [10, 0, 1], [0, 0, 1]], np.float64)
     curve = SampledCurve(hairpin, 0.5)
     x = np.linspace(0.1, 8.9, 50)
@@ -71,7 +71,7 @@ def test_a_tie_falls_to_the_first_along_the_curve_whatever_the_batch():
     assert alone.px[0] == closest.px[7]
 
 
-def test_one_point_no_number_and_no_curve():
+def test_curves_of_one_point_and_invalid_curves():
     dot = SampledCurve(np.array([[1.0, 2, 3]]), 1.0)
     closest = dot.find_closest(np.array([1.0, np.nan]), np.array([2.0, 0]), np.array([7.0, 0]))
     assert closest.distance.tolist() == [4.0, np.inf] and closest.tx.tolist() == [0, 0]

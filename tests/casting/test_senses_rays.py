@@ -20,7 +20,7 @@ def random_rays(n: int, extent: float, seed: int = 0) -> tuple[np.ndarray, np.nd
     return rng.uniform(-extent, extent, (n, 3)), direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
-def test_the_meshes_of_the_tests_are_closed_and_seen_from_outside():
+def test_test_meshes_are_closed_with_outward_normals():
     assert outward(box((0, 0, 0), (1, 2, 3))) and outward(ball(5.0))
 
 
@@ -49,7 +49,7 @@ def test_mesh_and_face_of_several_meshes():
     assert mesh[0] == 2 and distance[0] == pytest.approx(2.0, abs=0.02) and 0 <= face[0] < len(f)
 
 
-def test_a_scene_far_from_the_origin_is_as_sharp():
+def test_scenes_far_from_the_origin_have_the_same_precision():
     vertices, faces = terrain(400, 40)
     origin, direction = random_rays(2000, 180.0)
     near_hits = RayScene(vertices, faces).find_first_hits(origin, direction)
@@ -59,7 +59,7 @@ def test_a_scene_far_from_the_origin_is_as_sharp():
     assert np.allclose(near_hits.t[near_hits.is_hit], far_hits.t[near_hits.is_hit], atol=1e-3)
 
 
-def test_same_bits_alone_or_in_a_batch_and_for_any_thread_count():
+def test_results_do_not_depend_on_batches_and_threads():
     scene = RayScene(*terrain(400, 50))
     origin, direction = random_rays(3000, 190.0)
     one = scene.find_first_hits(origin, direction, threads=1)
@@ -74,7 +74,7 @@ def test_same_bits_alone_or_in_a_batch_and_for_any_thread_count():
         assert alone.t[0] == one.t[k] and alone.face[0] == one.face[k] and alone.u[0] == one.u[k]
 
 
-def test_nothing_to_hit():
+def test_empty_scenes_have_no_hits():
     scene = RayScene(np.empty((0, 3)), np.empty((0, 3), np.int32))
     hits = scene.find_first_hits(np.zeros((2, 3)), np.ones((2, 3)))
     assert np.isinf(hits.t).all() and not scene.find_occluded(np.zeros((2, 3)), np.ones((2, 3))).any()
@@ -83,7 +83,7 @@ def test_nothing_to_hit():
     assert np.isinf(scene.find_closest(np.zeros((2, 3)))[3]).all()
 
 
-def test_feelers_find_what_rays_without_culling_find():
+def test_feelers_equal_uncut_rays():
     stones = [ball(9.0, (x, 0, z), 8) for x, z in ((-60, 20), (40, 50), (90, -80), (0, 0))]
     scene = RayScene.from_meshes([*stones, box((-150, -5, 100), (150, 20, 103))])
     n = 20_000
@@ -105,7 +105,7 @@ def test_feelers_find_what_rays_without_culling_find():
 
 
 @pytest.mark.parametrize("mesh", [ball(20.0, (5, 1, 2)), grid(300, 1), box((-80, -1, -80), (80, 60, -79))])
-def test_the_distance_grid_never_promises_too_much_and_promises_something(mesh):
+def test_distance_bounds_are_valid_and_above_zero(mesh):
     grid_of = DistanceGrid(mesh[0][mesh[1]], target_cells=20_000)
     points = np.random.default_rng(2).uniform(-250, 250, (4000, 3))
     true = RayScene(*mesh).find_closest(points)[3]
@@ -114,7 +114,7 @@ def test_the_distance_grid_never_promises_too_much_and_promises_something(mesh):
     assert np.mean(least > 0.5 * true) > 0.8
 
 
-def test_places_that_are_none_and_places_without_measure_are_answered():
+def test_non_finite_positions_have_no_hits():
     mesh = ball(20.0, (5, 1, 2))
     odd = np.array([[np.nan, 0, 0], [np.nan] * 3, [np.inf, -np.inf, 0], [1e30, 1e38, -1e30], [0, 0, 0]])
     with np.errstate(all="ignore"):
@@ -138,7 +138,7 @@ def test_nearest_point_of_a_triangle_against_many_samples():
     assert np.allclose(find_nearest_on_triangle(np.array([[1.5, 1, 0]]), line), [[1.5, 0, 0]])
 
 
-def test_a_missing_library_is_named_with_what_to_install():
+def test_a_missing_library_is_an_error_with_its_package():
     code = (
         "import sys; sys.modules['open3d'] = None\n"
         "from antdsl.casting import rays\nfrom antdsl.ground.mesh import surface\n"
@@ -150,7 +150,7 @@ def test_a_missing_library_is_named_with_what_to_install():
         assert word in output
 
 
-def test_few_feelers_touch_what_many_do(monkeypatch: pytest.MonkeyPatch):
+def test_few_and_many_feelers_have_equal_hits(monkeypatch: pytest.MonkeyPatch):
     """Few rays go on beyond their reach, many are tested first for a hit within it."""
     from antdsl.casting import rays
 

@@ -138,7 +138,7 @@ def make_grid(name: str) -> tuple[RayScene, TriangleGrid]:
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_a_short_ray_meets_what_it_meets_by_open3d(name: str):
+def test_short_rays_equal_open3d(name: str):
     scene, grid = make_grid(name)
     count = 4000
     assert same_rays(scene, grid, *rays(scene, grid, count)) <= 1
@@ -147,7 +147,7 @@ def test_a_short_ray_meets_what_it_meets_by_open3d(name: str):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MESHES)
-def test_a_million_short_rays_meet_what_they_meet_by_open3d(name: str):
+def test_a_million_short_rays_equal_open3d(name: str):
     scene, grid = make_grid(name)
     count = 125_000
     assert same_rays(scene, grid, *rays(scene, grid, count)) <= EXCEPTIONS * count
@@ -155,7 +155,7 @@ def test_a_million_short_rays_meet_what_they_meet_by_open3d(name: str):
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
+def test_short_rays_equal_a_test_of_all_faces(name: str):
     scene, grid = make_grid(name)
     origin, displacement = rays(scene, grid, 150)
     displacement[[5, 7]] = grid.tables[0][3]
@@ -187,7 +187,7 @@ def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", MESHES)
-def test_normals_of_first_faces_are_those_named(name: str, threads: int):
+def test_hit_normals_are_those_of_the_first_face(name: str, threads: int):
     scene, _ = make_grid(name)
     grid = scene._get_triangle_grid()
     assert grid is not None
@@ -204,7 +204,7 @@ def test_normals_of_first_faces_are_those_named(name: str, threads: int):
     assert grid.find_hit_normals(origin[short], displacement[short], normals, named, threads)[1] == 0
 
 
-def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
+def test_feelers_and_distances_are_equal_with_and_without_a_grid():
     scene, grid = make_grid("a few of them")
     far = RayScene.from_meshes(MESHES["a few of them"]())
     far._has_built_grid = True
@@ -241,7 +241,7 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
             assert np.array_equal(one, two)
 
 
-def test_a_grid_is_made_only_where_it_is_small_and_of_use(monkeypatch: pytest.MonkeyPatch):
+def test_grids_are_built_only_if_small_and_useful(monkeypatch: pytest.MonkeyPatch):
     vertices, faces = terrain(100, 20)
     assert RayScene(vertices, faces, is_short_lived=True)._get_triangle_grid() is None
     assert TriangleGrid.from_faces(Faces(np.empty((0, 3, 3))), np.zeros(3)) is None

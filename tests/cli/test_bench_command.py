@@ -20,7 +20,7 @@ def test_cases_are_listed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_backends_are_measured_each_and_in_turn(tmp_path: Path) -> None:
+def test_backends_are_measured_separately_and_alternately(tmp_path: Path) -> None:
     words = ["node", "--agents", "40", "--backend", "numpy", "--backend", "reference", "--pairs", "2", "--steps", "1"]
     process = commands.run("bench", *words, "--json", "found.json", cwd=tmp_path, env={"COLUMNS": "100"})
     assert process.returncode == 0, process.stderr
@@ -77,7 +77,7 @@ def test_a_full_run_of_a_scene_is_measured(tmp_path: Path) -> None:
         (["node", "--pairs", "0"], 2, "--pairs"),
     ],
 )
-def test_what_cannot_be_measured_is_reported(tmp_path: Path, words: list[str], code: int, said: str) -> None:
+def test_unmeasurable_cases_are_errors(tmp_path: Path, words: list[str], code: int, said: str) -> None:
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
     (tmp_path / "bad.yaml").write_text("antdsl: 1\n")
     process = commands.run("bench", *words, cwd=tmp_path, env={"COLUMNS": "250"})

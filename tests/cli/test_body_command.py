@@ -33,7 +33,7 @@ def left(*words: str) -> tuple[ExitCode, str]:
     return result.exception.code, result.stdout
 
 
-def test_it_tells_joints_as_a_tree_shapes_layers_and_clips(arm: Path) -> None:
+def test_body_prints_joints_shapes_layers_and_clips(arm: Path) -> None:
     assert printed(str(arm)).splitlines() == [
         "body         arm: 1 m long, front +z, up +y",
         "joints       2",
@@ -53,7 +53,7 @@ def test_it_tells_joints_as_a_tree_shapes_layers_and_clips(arm: Path) -> None:
     assert printed(str(arm), "--quiet") == ""
 
 
-def test_a_word_is_a_body_of_the_library() -> None:
+def test_body_accepts_names_of_the_library() -> None:
     lines = printed("spider").splitlines()
     assert lines[0] == "body         spider: 1 × 12 mm long, front +x, up +y"
     assert "layer        close: spider_close by linearskinning" in lines
@@ -77,7 +77,7 @@ def test_metadata_groups_and_marks_are_printed(arm: Path) -> None:
     assert 'metadata     by: {"type": "string", "value": "me"}' in lines
 
 
-def test_programs_get_json(arm: Path) -> None:
+def test_body_writes_json(arm: Path) -> None:
     document = json.loads(printed(str(arm), "--json"))
     assert document["valid"] and document["findings"] is None
     assert document["body"]["joints"] == {"root": None, "elbow": "root"}

@@ -43,7 +43,7 @@ def check_files(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) 
 
 
 @pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
-def test_processes_find_what_one_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_several_processes_report_the_same_findings(monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = find_files(FOLDERS)
     assert len(files) > checking.MIN_FILES_FOR_PROCESSES
     one = check_files(files, monkeypatch, 1)
@@ -52,7 +52,7 @@ def test_processes_find_what_one_finds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
-def test_what_a_dead_process_leaves_is_checked_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_a_dead_process_are_checked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = find_files(FOLDERS[1:])
     one = check_files(files, monkeypatch, 1)
 
@@ -65,7 +65,7 @@ def test_what_a_dead_process_leaves_is_checked_all_the_same(monkeypatch: pytest.
 
 
 @pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
-def test_half_an_answer_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_incomplete_answers_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = find_files(FOLDERS[1:])
     one = check_files(files, monkeypatch, 1)
     encode = checking.encode_reports
@@ -89,12 +89,12 @@ def test_reports_come_back_complete_and_share_their_texts() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"{", b"[]", b"{}", b'{"table": [], "sources": [0], "reports": []}', b"\xff"])
-def test_what_is_no_report_is_an_error(data: bytes) -> None:
+def test_invalid_reports_are_errors(data: bytes) -> None:
     with pytest.raises(ValueError):
         decode_reports(data)
 
 
-def test_files_that_may_use_each_other_stay_together(tmp_path: Path) -> None:
+def test_files_that_use_each_other_are_checked_in_one_process(tmp_path: Path) -> None:
     for name in ("a/one.ant", "a/deep/two.ant", "b/three.ant", "ab/four.ant"):
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -104,7 +104,7 @@ def test_files_that_may_use_each_other_stay_together(tmp_path: Path) -> None:
     assert groups == {frozenset({"one.ant", "two.ant"}), frozenset({"three.ant"}), frozenset({"four.ant"})}
 
 
-def test_a_file_that_takes_too_long_is_reported_and_the_others_are_checked(tmp_path: Path) -> None:
+def test_slow_files_are_reported_and_others_are_checked(tmp_path: Path) -> None:
     slow, fine = tmp_path / "slow.ant", tmp_path / "fine.ant"
     for file in (slow, fine):
         file.write_text("ant 1\nspecies moth { state a { }\nlayers { state } }\n")

@@ -107,7 +107,7 @@ def test_strict_makes_warnings_errors_and_explain_says_what_a_code_means(folder:
         (["export", "out/scene", "--to", "x\udcff\x1b.csv"], 2, "`x\\xff\ufffd.csv` is not UTF-8"),
     ],
 )  # fmt: skip
-def test_mistakes_end_in_words_and_their_exit_code(
+def test_mistakes_give_a_message_and_an_exit_code(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: list[str], code: int, said: str
 ) -> None:
     monkeypatch.chdir(folder)
@@ -118,7 +118,7 @@ def test_mistakes_end_in_words_and_their_exit_code(
     assert said in printed and "Traceback" not in printed
 
 
-def test_a_run_says_how_far_it_is_and_info_what_is_in_it(folder: Path) -> None:
+def test_run_prints_progress_and_info_prints_contents(folder: Path) -> None:
     result = antdsl("run", "scene.yaml", "--seed", "5", "--frames", "11..13", cwd=folder)
     assert result.returncode == 0, result.stderr
     assert re.search(r"frame 13 of 13, [0-9.]+ fps, stroll 5", result.stdout) and "the cache is in" in result.stdout
@@ -139,7 +139,7 @@ def test_new_makes_a_project_that_runs_and_does_not_overwrite(tmp_path: Path) ->
     assert again.returncode == 3 and "not empty" in again.stderr
 
 
-def test_a_reader_that_has_had_enough_causes_no_complaint(folder: Path) -> None:
+def test_a_closed_pipe_is_no_error(folder: Path) -> None:
     for n in range(40):
         (folder / f"bad{n}.ant").write_text(GOOD.replace("wander", "wonder"))
     command = f"{sys.executable} -m antdsl check . | head -1"
@@ -148,7 +148,7 @@ def test_a_reader_that_has_had_enough_causes_no_complaint(folder: Path) -> None:
     assert result.stdout.startswith("error") and result.stderr == ""
 
 
-def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
+def test_unprintable_characters_are_replaced(folder: Path) -> None:
     (folder / "walker.ant").write_text(GOOD.replace("wander", "wänder"))
     command = [sys.executable, "-m", "antdsl", "check", "walker.ant"]
     environment = child_environment(PYTHONIOENCODING="ascii")
@@ -211,7 +211,7 @@ def test_a_mistake_is_reported_once_however_the_file_is_named(folder: Path) -> N
     assert result.returncode == 1 and result.stdout.count("unknown-behaviour") == 1
 
 
-def test_strict_tells_what_depends_on_the_frame_rate(folder: Path) -> None:
+def test_strict_reports_dependence_on_the_frame_rate(folder: Path) -> None:
     porting = GOOD.replace("wander()", "wander(); size += 0.1 mm/step").replace("  start", "  size 4 mm\n  start")
     (folder / "walker.ant").write_text(porting)
     assert antdsl("check", "walker.ant", cwd=folder).returncode == 0
@@ -240,7 +240,7 @@ def test_params_are_listed_once(tmp_path: Path) -> None:
     assert antdsl("check", "ants", "--params", "--format", "json", cwd=tmp_path).returncode == 2
 
 
-def test_what_cannot_be_read_is_input_and_output_not_a_finding(folder: Path) -> None:
+def test_unreadable_files_have_the_exit_code_of_io_errors(folder: Path) -> None:
     for words in (("check", "none.ant"), ("check", "none.yaml"), ("run", "none.yaml"), ("plan", "none.ant")):
         result = antdsl(*words, cwd=folder)
         assert result.returncode == 3 and "error[" in result.stdout + result.stderr, words
@@ -257,13 +257,13 @@ def test_wrong_use_is_reported_before_anything_is_simulated(folder: Path) -> Non
     assert result.returncode == 2 and "no folder `none`" in result.stderr and not (folder / "out").exists()
 
 
-def test_the_set_up_tells_wrong_words_and_what_failed(tmp_path: Path) -> None:
+def test_set_up_reports_wrong_values_and_failures(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "antdsl.bootstrap", "example", "--ouz", "x"]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert result.returncode == 2 and "--ouz" in result.stderr
 
 
-def test_the_command_that_goes_on_names_all_that_results_depend_on() -> None:
+def test_the_resume_command_contains_all_options_of_results() -> None:
     from antdsl.cli.commands.run import _build_resume_command
 
     command = _build_resume_command(

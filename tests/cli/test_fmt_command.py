@@ -55,7 +55,7 @@ def test_diff_shows_what_would_change(folder: Path) -> None:
     assert antdsl("fmt", "--diff", "ends.ant", cwd=folder).stdout == "ends.ant: only line ends differ\n"
 
 
-def test_broken_files_are_reported_and_left_alone(folder: Path) -> None:
+def test_files_with_errors_are_reported_and_unchanged(folder: Path) -> None:
     (folder / "broken.ant").write_bytes(BROKEN)
     (folder / "binary.ant").write_bytes(b"\x89PNG\r\n")
     result = antdsl("fmt", ".", cwd=folder)
@@ -64,7 +64,7 @@ def test_broken_files_are_reported_and_left_alone(folder: Path) -> None:
     assert (folder / "broken.ant").read_bytes() == BROKEN and (folder / "ugly.ant").read_bytes() == NEAT
 
 
-def test_standard_input_comes_out_laid_out() -> None:
+def test_standard_input_is_formatted() -> None:
     assert (piped(UGLY).returncode, piped(UGLY).stdout) == (0, NEAT)
     checked = piped(UGLY, "--check")
     assert (checked.returncode, checked.stdout) == (1, b"<stdin>\n")
@@ -96,7 +96,7 @@ def test_wrong_use_is_reported(folder: Path, words: tuple[str, ...], code: int, 
     assert result.returncode == code and said in " ".join(result.stderr.split())
 
 
-def test_links_and_rights_stay(folder: Path) -> None:
+def test_links_and_permissions_are_preserved(folder: Path) -> None:
     (folder / "ugly.ant").chmod(0o640)
     (folder / "link.ant").symlink_to("ugly.ant")
     assert antdsl("fmt", "link.ant", cwd=folder).returncode == 0
@@ -105,7 +105,7 @@ def test_links_and_rights_stay(folder: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["link.ant", "neat.ant", "ugly.ant"]
 
 
-def test_a_file_that_cannot_be_written_stays_whole(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_preserves_the_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl import syntax
 
     def full(*_: object) -> None:
@@ -117,7 +117,7 @@ def test_a_file_that_cannot_be_written_stays_whole(folder: Path, monkeypatch: py
     assert (folder / "ugly.ant").read_bytes() == UGLY and len(list(folder.iterdir())) == 2
 
 
-def test_who_may_not_write_a_file_does_not_replace_it(
+def test_read_only_files_are_not_replaced(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from antdsl.cli import _run_without_warnings
@@ -128,7 +128,7 @@ def test_who_may_not_write_a_file_does_not_replace_it(
     assert "cannot write" in capsys.readouterr().err and (folder / "ugly.ant").read_bytes() == UGLY
 
 
-def test_formatting_loads_nothing_heavy(folder: Path) -> None:
+def test_formatting_imports_no_heavy_package(folder: Path) -> None:
     code = (
         "import sys; sys.argv = ['antdsl', 'fmt', '.']\nfrom antdsl.cli import _run_without_warnings\n_run_without_warnings()\n"
     )
@@ -137,7 +137,7 @@ def test_formatting_loads_nothing_heavy(folder: Path) -> None:
     assert result.stdout.splitlines()[-1] == "[]", result.stdout + result.stderr
 
 
-def test_what_a_new_project_begins_with_is_neat_already(folder: Path) -> None:
+def test_files_of_a_new_project_are_formatted(folder: Path) -> None:
     (folder / "good.ant").write_text(GOOD)
     antdsl("new", "walkers", cwd=folder)
     result = antdsl("fmt", "--check", "good.ant", "walkers", cwd=folder)

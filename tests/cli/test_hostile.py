@@ -52,7 +52,7 @@ def rows(tables: Mapping[str, Sequence[Row]]) -> list[Any]:
 
 
 @pytest.mark.parametrize("row", rows(TABLES))
-def test_the_verdict_on_a_file(row: Row, tmp_path: Path) -> None:
+def test_hostile_files_give_the_expected_result(row: Row, tmp_path: Path) -> None:
     scene, began = project(tmp_path, row), process_time()
     _, report = check_path(scene)
     matches = [d for d in report.sort_by_place() if d.code == row.verdict]
@@ -82,19 +82,19 @@ def test_the_verdict_on_a_file(row: Row, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", rows({"usd": usd.SLOW}))
-def test_what_takes_usd_too_long_is_stopped(row: Row, tmp_path: Path) -> None:
-    test_the_verdict_on_a_file(row, tmp_path)
+def test_slow_usd_files_are_stopped(row: Row, tmp_path: Path) -> None:
+    test_hostile_files_give_the_expected_result(row, tmp_path)
 
 
-def test_what_takes_usd_too_long_is_stopped_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_usd_files_are_stopped_at_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same with less CPU time, of which starting the reader takes a part."""
     monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 1)
     monkeypatch.setattr(client, "_file_reader", client.FileReader())
     row = next(each for each in usd.SLOW if "2^23" in each.name)
-    test_the_verdict_on_a_file(row, tmp_path)
+    test_hostile_files_give_the_expected_result(row, tmp_path)
 
 
-def test_every_bad_input_of_the_list_has_tests() -> None:
+def test_every_listed_bad_input_has_a_test() -> None:
     """The list finds its tests by their names: who renames a test renames it there too."""
     named = {row.name.split()[0] for table in TABLES.values() for row in table}
     assert len(ROWS) == 117

@@ -17,11 +17,11 @@ def run_without_llvmlite(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("scene", ["minimal/scene.yaml", "worth/scene.yaml"])
-def test_a_run_names_the_package(scene: str, tmp_path: Path) -> None:
+def test_run_names_the_missing_package(scene: str, tmp_path: Path) -> None:
     result = run_without_llvmlite("run", str(EXAMPLES / scene), "--frames", "1..2", "--out", str(tmp_path / "out"))
     assert result.returncode == 3 and "llvmlite is not installed: pip install" in result.stderr, result.stderr[-2000:]
     assert "Traceback" not in result.stderr
 
 
-def test_a_check_works(tmp_path: Path) -> None:
+def test_check_needs_no_machine_code(tmp_path: Path) -> None:
     assert run_without_llvmlite("check", str(EXAMPLES / "minimal" / "scene.yaml")).returncode == 0

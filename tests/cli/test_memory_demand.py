@@ -26,7 +26,7 @@ def shot_of(folder: Path, *change: str) -> Shot:
 
 
 @pytest.mark.parametrize("thing", SCENES)
-def test_the_largest_thing_is_named_at_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thing: str) -> None:
+def test_the_largest_demand_is_named_with_its_location(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thing: str) -> None:
     shot = shot_of(tmp_path / "project", *SCENES[thing])
     needed = sum(work.bytes for work in estimate_work(shot))
     monkeypatch.setattr(available, "measure_available_memory", lambda: int(needed / 0.8) + 1)
@@ -41,7 +41,7 @@ def test_the_largest_thing_is_named_at_its_place(tmp_path: Path, monkeypatch: py
     assert place.rsplit(":", 2)[0].endswith("scene.yaml") and words.partition(": ")[2].startswith(thing)
 
 
-def test_scenes_at_once_count_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_of_parallel_scenes_is_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shot = shot_of(tmp_path / "project", "", "")
     needed = sum(work.bytes for work in estimate_work(shot))
     monkeypatch.setattr(available, "measure_available_memory", lambda: int(needed / 0.8) + 1)
@@ -54,7 +54,7 @@ def test_scenes_at_once_count_together(tmp_path: Path, monkeypatch: pytest.Monke
     assert "--jobs" in stop.value.hint
 
 
-def test_any_memory_starts_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_memory_ignores_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shot_of(tmp_path / "project", "count: 200", "count: 2")
     monkeypatch.setattr(available, "measure_available_memory", lambda: 1)
     words = ("run", "project/scene.yaml", "--frames", "1..1", "--backend", "numpy")

@@ -61,7 +61,7 @@ def project(tmp_path_factory: pytest.TempPathFactory, shell: dict[str, str]) -> 
     return folder / "walkers"
 
 
-def test_all_the_files_are_there_and_no_other(project: Path) -> None:
+def test_a_new_project_has_exactly_the_listed_files(project: Path) -> None:
     file_names = {str(path.relative_to(project)) for path in project.rglob("*") if path.is_file()}
     assert {*FILE, "ground.ply"} == file_names - {"antdsl.sarif", "antdsl-junit.xml", "walker.svg"} - {
         f for f in file_names if "out/" in f
@@ -79,7 +79,7 @@ def test_the_workflow_passes_in_the_new_project(project: Path, shell: dict[str, 
     assert int(junit.get("tests", "0")) >= 1 and junit.get("failures") == "0"
 
 
-def test_the_workflow_fails_where_it_should(project: Path, tmp_path: Path) -> None:
+def test_the_workflow_fails_on_errors(project: Path, tmp_path: Path) -> None:
     """A mistake and a spec that does not hold each fail the step that looks for them, and SARIF is written all the same."""
     for name, old, new, failing in (
         ("typo", "-> rest", "-> resst", {"check", "test"}),
@@ -119,7 +119,7 @@ def test_a_step_after_a_failed_one_runs_and_files_are_those_that_are_written() -
 
 
 @pytest.mark.slow
-def test_the_hooks_pass_in_the_new_project_and_look_at_what_matters(project: Path, shell: dict[str, str]) -> None:
+def test_the_hooks_pass_and_check_the_right_files(project: Path, shell: dict[str, str]) -> None:
     for hook in HOOKS:
         files = [] if hook.get("pass_filenames", True) is False else [f for f in FILE if re.search(hook["files"], f)]
         result = run(" ".join([hook["entry"], *files]), project, shell)

@@ -37,7 +37,7 @@ def walkers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_run_tells(walkers: Path) -> None:
+def test_run_prints_notes(walkers: Path) -> None:
     for words in ((), ("--quiet",)):
         result = commands.run("run", "walkers/scene.yaml", "--frames", "1..4", "--force", *words, cwd=walkers)
         assert result.returncode == 0 and result.stderr.count(NOTE) == 1
@@ -45,12 +45,12 @@ def test_a_run_tells(walkers: Path) -> None:
     assert "NumPy runs" not in result.stderr
 
 
-def test_specs_tell_once_for_all_runs(walkers: Path) -> None:
+def test_specs_print_notes_once(walkers: Path) -> None:
     result = commands.run("test", "walkers", "--seeds", "2", "--quiet", "--no-keep", cwd=walkers)
     assert result.returncode == 0 and result.stderr.count(NOTE) == 1
 
 
-def test_sweeps_tell_once_for_all_runs(walkers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sweeps_print_notes_once(walkers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("antdsl.executors.ProcessEngine", InThisProcess)
     words = ("sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "2", "--no-plots")
     for extra_words in ((), ("--quiet", "--again")):
@@ -58,7 +58,7 @@ def test_sweeps_tell_once_for_all_runs(walkers: Path, monkeypatch: pytest.Monkey
         assert result.returncode == 0 and result.stderr.count(NOTE) == 1, result.stderr
 
 
-def test_the_preview_tells_once_and_as_it_comes(walkers: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_preview_prints_notes_once_immediately(walkers: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("websockets")
     from antdsl.preview import Session
 

@@ -35,26 +35,26 @@ PROBLEMS = (
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda each: f"{type(each).__name__} {each}")
-def test_no_memory_is_exit_code_3_and_no_bug(tmp_path: Path, problem: Exception) -> None:
+def test_out_of_memory_has_exit_code_3(tmp_path: Path, problem: Exception) -> None:
     with patch.object(type(app), "__call__", side_effect=problem):
         result = commands.run("doctor", cwd=tmp_path)
     assert result.returncode == 3 and result.stderr.startswith("error: out of memory")
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda each: f"{type(each).__name__} {each}")
-def test_no_memory_while_writing_says_how_to_continue(problem: Exception) -> None:
+def test_out_of_memory_while_writing_names_the_resume_command(problem: Exception) -> None:
     with pytest.raises(CommandError) as stop, report_failures("the export stopped", "continue with: antdsl run"):
         raise problem
     assert stop.value.code == 3 and stop.value.message.startswith("error: out of memory")
     assert stop.value.hint.endswith("continue with: antdsl run")
 
 
-def test_errors_that_are_bugs_stay_errors_while_writing() -> None:
+def test_bugs_while_writing_stay_bugs() -> None:
     with pytest.raises(KeyError), report_failures("the export stopped"):
         raise KeyError("x")
 
 
-def test_an_error_that_follows_is_out_of_memory_too() -> None:
+def test_consequences_of_out_of_memory_are_out_of_memory() -> None:
     try:
         try:
             raise MemoryError
@@ -64,7 +64,7 @@ def test_an_error_that_follows_is_out_of_memory_too() -> None:
         assert is_out_of_memory(problem)
 
 
-def test_an_error_that_was_handled_is_not() -> None:
+def test_handled_out_of_memory_errors_do_not_count() -> None:
     try:
         try:
             raise MemoryError
@@ -74,7 +74,7 @@ def test_an_error_that_was_handled_is_not() -> None:
         assert not is_out_of_memory(problem)
 
 
-def test_only_a_process_that_is_not_started_is_out_of_memory_for_a_lack_of_resources() -> None:
+def test_a_lack_of_resources_counts_only_for_process_starts() -> None:
     def start() -> None:
         raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
@@ -93,7 +93,7 @@ def test_only_a_process_that_is_not_started_is_out_of_memory_for_a_lack_of_resou
 
 
 @pytest.mark.parametrize("problem", [RuntimeError("wrong"), ValueError("std::bad_alloc is a word"), KeyError("x"), None])
-def test_other_errors_are_not(problem: Exception | None) -> None:
+def test_other_errors_are_not_out_of_memory(problem: Exception | None) -> None:
     assert not is_out_of_memory(problem)
 
 
@@ -120,7 +120,7 @@ def test_too_little_address_space_is_refused_before_libraries_end_the_process(tm
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mebibytes", [256, 390, 680, 1200])
-def test_a_sound_usd_file_is_never_damaged_for_want_of_memory(tmp_path: Path, mebibytes: int) -> None:
+def test_out_of_memory_does_not_report_a_damaged_usd_file(tmp_path: Path, mebibytes: int) -> None:
     pytest.importorskip("pxr")
     assert commands.run("new", "project", cwd=tmp_path).returncode == 0
     scene = tmp_path / "project" / "scene.yaml"

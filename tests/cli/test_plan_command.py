@@ -33,7 +33,7 @@ def test_a_scene_has_the_plan_that_runs() -> None:
     assert raw is not None and plan("minimal/scene.yaml", "--raw") == show(raw.plan) + "\n" != show(shot.plan) + "\n"
 
 
-def test_machine_code_is_that_of_the_scene_that_runs_it_and_lines_have_their_file(tmp_path: Path) -> None:
+def test_listed_machine_code_is_that_of_the_scene(tmp_path: Path) -> None:
     """With level of detail another function asks rays, so that the code is another one."""
     need_llvmlite()
     shutil.copytree(EXAMPLES / "foraging", tmp_path / "far", ignore=shutil.ignore_patterns("out"))
@@ -58,7 +58,7 @@ def test_machine_code_is_that_of_the_scene_that_runs_it_and_lines_have_their_fil
     assert "asks for claim, forager.ant:51\n" in still
 
 
-def test_the_code_itself_is_printed_with_and_without_the_other_word() -> None:
+def test_the_code_option_works_alone_and_with_native() -> None:
     need_llvmlite()
     code = plan("minimal/scene.yaml", "--ir")
     assert code == plan("minimal/scene.yaml", "--native", "--ir") and "define void @" in code

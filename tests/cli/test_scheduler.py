@@ -65,7 +65,7 @@ def test_without_the_extra_the_message_says_how_to_install_it(monkeypatch: pytes
     assert isinstance(result.exception, CommandError) and "pip install 'antdsl[cluster]'" in result.exception.hint
 
 
-def test_processes_are_what_runs_without_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_run_tasks_without_a_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
     executor_calls = []
 
     def run_all(todo: object, executors: object, report: object, noted: object) -> list[object]:

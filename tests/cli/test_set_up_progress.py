@@ -28,7 +28,7 @@ def stage_twice(clock: list[float] | None = None) -> None:
             clock[0] += 4.0
 
 
-def test_a_terminal_shows_each_stage_and_takes_it_away(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_displays_and_clears_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
     monkeypatch.setenv("TERM", "xterm")
@@ -38,7 +38,7 @@ def test_a_terminal_shows_each_stage_and_takes_it_away(monkeypatch: pytest.Monke
     assert "set up: feet" in text and text.endswith("\x1b[2K"), "the line is cleared"
 
 
-def test_a_pipe_has_a_line_after_five_seconds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pipe_gets_a_line_after_five_seconds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     clock = [100.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
     with show_set_up(quiet=False):

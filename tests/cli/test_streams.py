@@ -246,7 +246,7 @@ class Failing(io.RawIOBase):
 
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG])
-def test_a_lost_result_is_recorded_and_a_lost_note_is_not(error: int) -> None:
+def test_lost_results_change_the_exit_code_and_lost_notes_do_not(error: int) -> None:
     terminal = TerminalWriter(Failing(None, error))
     assert terminal.write(b"result\n") == 7
     assert terminal.loss_reason is not None and terminal.loss_reason.errno == error
@@ -256,7 +256,7 @@ def test_a_lost_result_is_recorded_and_a_lost_note_is_not(error: int) -> None:
 
 
 @pytest.mark.parametrize("error", [errno.EPIPE, errno.EBADF, errno.EIO])
-def test_nothing_more_is_written_to_a_stream_that_nothing_reads(error: int) -> None:
+def test_closed_streams_get_no_more_writes(error: int) -> None:
     raw = Failing(None, error)
     terminal = TerminalWriter(raw)
     terminal.write(b"result\n")
@@ -264,7 +264,7 @@ def test_nothing_more_is_written_to_a_stream_that_nothing_reads(error: int) -> N
     assert raw.written == b"res" and terminal.loss_reason is None
 
 
-def test_a_stream_that_does_not_block_gets_everything() -> None:
+def test_nonblocking_streams_get_all_output() -> None:
     raw = Failing(errno.EAGAIN, None, errno.EAGAIN, errno.EAGAIN)
     TerminalWriter(raw).write(b"result\n")
     assert raw.written == b"result\n"

@@ -42,7 +42,7 @@ def test_every_code_has_a_page_and_every_page_a_code(pages: dict[str, Page]) -> 
         )
 
 
-def test_a_page_says_why_in_a_few_words_and_shows_little(pages: dict[str, Page]) -> None:
+def test_code_pages_are_short(pages: dict[str, Page]) -> None:
     for name, page in pages.items():
         assert 40 < len(page.why) < 400 and page.why.endswith((".", "?")) and "\n" not in page.why, name
         blocks = re.findall(r"^```\w*\n(.*?)^```", (PAGES / f"{name}.md").read_text(encoding="utf-8"), flags=re.M | re.S)
@@ -52,7 +52,7 @@ def test_a_page_says_why_in_a_few_words_and_shows_little(pages: dict[str, Page])
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_the_examples_do_what_the_page_says(path: Path, tmp_path: Path) -> None:
+def test_examples_on_code_pages_give_the_shown_output(path: Path, tmp_path: Path) -> None:
     needed = NEEDS.get(path.stem)
     if needed is not None and importlib.util.find_spec(needed) is None:
         pytest.skip(f"needs {needed}")
@@ -87,7 +87,7 @@ def test_explain_shows_the_page() -> None:
     assert result.stdout == (PAGES / "unknown-state.md").read_text(encoding="utf-8")
 
 
-def test_check_leads_to_the_page_once_and_for_people_only(tmp_path: Path) -> None:
+def test_check_names_the_page_once_in_text_output(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
     from antdsl.cli import app
@@ -161,7 +161,7 @@ def test_words_and_behaviours_are_explained_too(word: str, said: tuple[str, ...]
     ("word", "meant"),
     [("wandr", "wander"), ("unknown-stat", "unknown-state"), ("touchin", "touching"), ("halflife", "half_life")],
 )
-def test_a_word_that_is_not_known_has_one_that_is_like_it(word: str, meant: str) -> None:
+def test_unknown_words_suggest_a_similar_one(word: str, meant: str) -> None:
     assert f"did you mean `{meant}`?" in explained(word)[1]
 
 
@@ -235,7 +235,7 @@ def test_every_unit_of_the_documents_is_explained() -> None:
         ("position", ("position(nearest(food))", "let mine = position", "nearest(food).position")),
     ],
 )
-def test_each_meaning_of_a_word_stands_apart_with_a_sample(word: str, meanings: tuple[str, ...]) -> None:
+def test_each_meaning_of_a_word_has_a_section_and_a_sample(word: str, meanings: tuple[str, ...]) -> None:
     _, text = explained(word)
     assert all(each in text for each in meanings), text
     parts = text.split("\n## ")[1:]

@@ -31,7 +31,7 @@ def one(**fields: object) -> Report:
     return Report([Diagnostic(**parts)])  # type: ignore[arg-type]
 
 
-def test_full_is_the_house_sample() -> None:
+def test_the_full_format_equals_the_sample() -> None:
     assert render(one()) == (
         "error[unknown-state]: no state `forage`\n"
         " --> dir/worker.ant:3:18\n"
@@ -66,7 +66,7 @@ def test_full_shows_a_window_of_a_long_line() -> None:
 
 
 @pytest.mark.parametrize("format", ["full", "concise", "github"])
-def test_nothing_moves_the_cursor(format: str) -> None:
+def test_messages_contain_no_control_characters(format: str) -> None:
     source = Source("e\x1bvil.ant", "a \x1b[31m \u202e b\x07\n")
     text = render(one(span=Span(source, 2, 3), message="name `\x1b[2J\x85`", help="write `\u2028\x00`"), format)
     assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e]", text)
@@ -157,7 +157,7 @@ def test_no_more_than_fifty_are_shown_and_errors_first(format: str) -> None:
     assert re.search(r"1,?950", text)
 
 
-def test_order_is_by_place_and_the_same_is_said_once() -> None:
+def test_findings_are_sorted_and_unique() -> None:
     report = Report()
     for part in ("forage", "worker", "forage"):
         report.error("bad-name", part, span(part))

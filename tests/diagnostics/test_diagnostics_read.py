@@ -115,7 +115,7 @@ def findings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
     return report
 
 
-def test_sarif_keeps_to_the_standard(findings: Report) -> None:
+def test_sarif_follows_the_standard(findings: Report) -> None:
     for report in (findings, Report()):
         log = json.loads(render(report, "sarif"))
         jsonschema.validate(log, LOG)
@@ -156,7 +156,7 @@ def check_path_of(lines: list[str], number: int, line: str) -> Report:
     return check_path(path)[1]
 
 
-def test_junit_is_read_by_a_reader_of_others(findings: Report, tmp_path: Path) -> None:
+def test_other_programs_read_junit(findings: Report, tmp_path: Path) -> None:
     junitparser = pytest.importorskip("junitparser", reason="needs the extra [test]")
     for report in (findings, Report()):
         path = tmp_path / "report.xml"

@@ -50,7 +50,7 @@ def test_without_a_comment_the_warning_is_given(tmp_path: Path) -> None:
         ("", "#antdsl:ignore[ unread-attribute ]   the renderer reads it"),
     ],
 )
-def test_a_comment_with_a_reason_takes_the_warning_away(tmp_path: Path, above: str, beside: str) -> None:
+def test_a_comment_with_a_reason_removes_the_warning(tmp_path: Path, above: str, beside: str) -> None:
     assert check_text(tmp_path, above, beside) == []
 
 
@@ -77,7 +77,7 @@ def test_only_warnings_are_ignored(tmp_path: Path) -> None:
     assert [d.code for d in remove_ignored(report).errors] == ["unknown-name"]
 
 
-def test_what_only_strict_tells_is_not_missed_without_it(tmp_path: Path) -> None:
+def test_comments_for_strict_findings_are_not_unused_without_strict(tmp_path: Path) -> None:
     path = tmp_path / "a.ant"
     comment = "# antdsl: ignore[per-step] a port of an old shot"
     path.write_text(f"ant 1\nspecies a {{ load = 0; state s {{ load += 1 /step {comment}\n when load > 3 -> s }} }}\n")
@@ -112,7 +112,7 @@ def test_a_pattern_that_matches_nothing_is_reported(tmp_path: Path) -> None:
     assert files == [] and [d.code for d in report.errors] == ["no-such-file"]
 
 
-def test_beside_an_error_no_unused_comment_is_reported(tmp_path: Path) -> None:
+def test_unused_comments_are_not_reported_in_files_with_errors(tmp_path: Path) -> None:
     """What it ignores is not looked for then."""
     findings = check_text(tmp_path, beside="# antdsl: ignore[unread-attribute] kept for later")
     assert findings == []
@@ -123,7 +123,7 @@ def test_beside_an_error_no_unused_comment_is_reported(tmp_path: Path) -> None:
     assert [d.code for d in said.diagnostics] == ["unknown-library"]
 
 
-def test_codes_that_were_not_looked_for_are_not_judged(tmp_path: Path) -> None:
+def test_unchecked_codes_are_not_reported_as_unused(tmp_path: Path) -> None:
     """Only a run finds `no-room`, and an editor reads no meshes."""
     source = Source("scene.yaml", "antdsl: 1  # antdsl: ignore[no-room, far-away, flicker] all three are meant\n")
     for meshes, idle in ((True, ["far-away", "flicker"]), (False, ["flicker"])):

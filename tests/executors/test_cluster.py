@@ -159,7 +159,7 @@ def test_workers_with_other_sources_or_without_space_are_reported_and_get_no_tas
 
 
 @pytest.mark.slow
-def test_a_worker_that_comes_later_is_given_the_files_too(project: Path, stage: Stage) -> None:
+def test_late_workers_get_the_files(project: Path, stage: Stage) -> None:
     words = ["sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "3", "--no-plots", "--out", "a", *stage.flags()]
     client = antdsl(*words, cwd=project)
     assert client.stderr is not None and "no worker has joined" in client.stderr.readline()

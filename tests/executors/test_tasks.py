@@ -23,7 +23,7 @@ def tasks(*numbers: int) -> Iterator[Task]:
     return (Task(str(n), doubled, {"n": n}) for n in numbers)
 
 
-def test_tasks_are_made_as_there_is_room_and_answers_may_say_what_comes_next() -> None:
+def test_tasks_are_created_on_demand() -> None:
     answers: list[int] = []
 
     def generate_tasks() -> Iterator[Task]:
@@ -72,7 +72,7 @@ class Fragile(InThisProcess):
         return "it was ended"
 
 
-def test_only_a_task_that_breaks_the_executor_by_itself_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_tasks_that_break_the_executor_alone_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("antdsl.executors.tasks.POLL_SECONDS", 0.01)
     fragile = Fragile(3, "7", "4")
     ended = {a.task.key: (a.answer, a.problem) for a in run_tasks(tasks(*range(10)), fragile)}

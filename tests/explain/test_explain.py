@@ -14,14 +14,14 @@ LONG = {"foraging": 400, "flocking": 120, "moods": 200, "alarm": 150, "tunnel": 
 
 
 @pytest.mark.parametrize("name", sampled(SHORT, ("foraging", "flocking", "alarm")))
-def test_what_is_explained_is_what_happened(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_explanations_agree_with_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Transition, push, velocity and draws of 12 random agents and frames each, read off the run itself."""
     _held_against(name, SHORT[name], 12, tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LONG)
-def test_what_is_explained_is_what_happened_a_thousand_times(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_explanations_agree_with_runs_a_thousand_times(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _held_against(name, LONG[name], 125, tmp_path, monkeypatch)
 
 

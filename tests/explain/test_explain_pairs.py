@@ -72,7 +72,7 @@ def test_frames_hold_values_per_pair_in_scene_units(cache: Cache) -> None:
     assert all(0 < value < 3 / 24 * 7 for value in now.values())  # cm: less than 30 mm/s for seven frames
 
 
-def test_explain_tells_how_values_per_pair_changed(cache: Cache) -> None:
+def test_explain_reports_changes_of_values_per_pair(cache: Cache) -> None:
     replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
     previous_pairs, next_pairs = pairs(cache, 5), pairs(cache, 6)
     (explanation,) = explain_agents(replay, 6, [("bug", 4)])

@@ -167,7 +167,7 @@ def test_other_ways_to_blend_and_two_machines_agree_with_the_run(
 
 
 @pytest.mark.slow
-def test_watching_changes_nothing(cache: Cache, bug_explanations: list[Explanation]) -> None:
+def test_tracing_does_not_change_the_run(cache: Cache, bug_explanations: list[Explanation]) -> None:
     """All bugs traced in every step: the hashes are those that the run without any watcher has written."""
     hashes = cache.read_state_hashes()
     assert len(bug_explanations) == 12 * (LAST - 1)
@@ -192,7 +192,7 @@ def test_parts_have_values_in_the_authors_units(cache: Cache, bug_explanations: 
         assert rest.needs == 0.25 and rest.holds == (rest.has > 0.25 - 1e-4)
 
 
-def test_an_interrupt_comes_first_and_a_change_from_anywhere_before_the_others(bug_explanations: list[Explanation]) -> None:
+def test_interrupts_come_before_transitions_from_any(bug_explanations: list[Explanation]) -> None:
     kinds = [[looked.kind for looked in e.machines[0].looked] for e in bug_explanations if e.machines[0].before == "go"]
     assert kinds and all(each == ["interrupt", "from any", "when", "when"] for each in kinds)
     for each in bug_explanations:
@@ -224,7 +224,7 @@ def test_a_choice_shows_its_draw_and_the_bars(bug_explanations: list[Explanation
         assert choice.chosen == ("go" if choice.draw < 0.25 else "hide")
 
 
-def test_claims_say_who_won(bug_explanations: list[Explanation]) -> None:
+def test_claims_name_the_successful_agent(bug_explanations: list[Explanation]) -> None:
     """Three loads, twelve bugs: nine lose, in the order of their turns, and stay where they are."""
     claims = [(e, e.machines[0].claim) for e in bug_explanations if e.machines[0].claim is not None]
     won = [(e, c) for e, c in claims if c.won]
@@ -237,7 +237,7 @@ def test_claims_say_who_won(bug_explanations: list[Explanation]) -> None:
     assert all(("load: 0 -> 1" in format_explanation(e)) and c.item == "crumb" for e, c in won)
 
 
-def test_the_budget_is_spent_from_the_top_and_the_rest_is_cut(bug_explanations: list[Explanation]) -> None:
+def test_layers_use_the_budget_in_order_and_the_rest_is_cut(bug_explanations: list[Explanation]) -> None:
     cut = spent = off = 0
     for each in bug_explanations:
         left = 1.0
@@ -250,7 +250,7 @@ def test_the_budget_is_spent_from_the_top_and_the_rest_is_cut(bug_explanations: 
     assert cut > 10 and spent > 10 and off > 10
 
 
-def test_others_items_and_changes_are_explained(cache: Cache, bug_explanations: list[Explanation]) -> None:
+def test_explanations_include_others_items_and_changes(cache: Cache, bug_explanations: list[Explanation]) -> None:
     crowded = max(bug_explanations, key=lambda e: max((group.count for group in e.seen if group.of == "bug"), default=0))
     group = max((g for g in crowded.seen if g.of == "bug"), key=lambda g: g.count)
     distances = [near.distance for near in group.nearest]
@@ -265,7 +265,7 @@ def test_others_items_and_changes_are_explained(cache: Cache, bug_explanations: 
     assert any(e.handlers for e in bug_explanations) and any("emit hiss within 30 mm" in e.did for e in bug_explanations)
 
 
-def test_a_life_is_explained_from_birth_to_death(cache: Cache) -> None:
+def test_every_step_from_birth_to_death_is_explained(cache: Cache) -> None:
     last = explain(cache, 0, 15, species="fly")
     assert [stretch.state for stretch in last.strip] == ["young", "old"] or last.strip[-1].last >= 15
     died = next(frame for frame in range(2, LAST) if frame > (last.alive or (0, 0))[1])
@@ -295,7 +295,7 @@ def refused(cache: Cache, *words: object) -> ExplainError:
     return why.value
 
 
-def test_what_cannot_be_explained_is_said(cache: Cache) -> None:
+def test_unexplainable_requests_are_errors(cache: Cache) -> None:
     assert "`bug`, `fly`" in refused(cache, 1, 10).help
     assert refused(cache, 1, 10, "bag").help == "did you mean `bug`?"
     assert "from 0 to 11" in refused(cache, 99, 10, "bug").help
@@ -315,7 +315,7 @@ def copy(cache: Cache, tmp_path: Path) -> Iterator[Cache]:
     yield open_cache(folder / "out" / "scene")
 
 
-def test_other_texts_are_refused(copy: Cache) -> None:
+def test_changed_programs_are_rejected(copy: Cache) -> None:
     program = copy.folder.parent.parent / "bug.ant"
     program.write_text(BUG.replace("24 %/s", "25 %/s"))
     assert str(refused(copy, 1, 10, "bug")).startswith("the cache was made from other inputs: ") and "bug.ant" in str(
@@ -327,13 +327,13 @@ def test_other_texts_are_refused(copy: Cache) -> None:
     assert "--scene" in refused(copy, 1, 10, "bug").help
 
 
-def test_states_hashed_in_another_way_are_refused(copy: Cache) -> None:
+def test_other_hash_versions_are_rejected(copy: Cache) -> None:
     path = copy.folder / "manifest.json"
     path.write_text(path.read_text().replace('"state_hash": 2', '"state_hash": 1'))
     assert "hashes states in another way" in str(refused(open_cache(copy.folder), 1, 10, "bug"))
 
 
-def test_a_damaged_checkpoint_is_passed_over_and_none_is_said(copy: Cache) -> None:
+def test_damaged_checkpoints_are_skipped_and_missing_ones_reported(copy: Cache) -> None:
     points = copy.checkpoints()
     assert explain(copy, 1, 50, species="bug").checkpoint == 41
     explanation_text = format_explanation(explain(copy, 1, 50, species="bug"))
@@ -346,7 +346,7 @@ def test_a_damaged_checkpoint_is_passed_over_and_none_is_said(copy: Cache) -> No
     assert "no checkpoint up to frame 49" in str(refused(copy, 1, 50, "bug"))
 
 
-def test_a_run_that_comes_out_otherwise_is_refused(copy: Cache) -> None:
+def test_differing_replays_are_rejected(copy: Cache) -> None:
     path = copy.folder / "hashes.jsonl"
     path.write_text(path.read_text().replace(copy.read_state_hashes()[30], "0" * 32))
     assert str(refused(copy, 1, 30, "bug")).startswith("frame 30 is computed differently")
@@ -362,7 +362,7 @@ def test_a_run_that_comes_out_otherwise_is_refused(copy: Cache) -> None:
         (["--frame", "30"], 2, "--agent"),
     ],
 )
-def test_the_command(
+def test_the_explain_command(
     cache: Cache, words: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.argv", ["antdsl", "explain", os.fspath(cache.folder), *words])
@@ -371,7 +371,7 @@ def test_the_command(
     assert said in printed.out + printed.err and "Traceback" not in printed.err
 
 
-def test_json_says_the_same(cache: Cache, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_has_the_same_content(cache: Cache, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "sys.argv", ["antdsl", "explain", os.fspath(cache.folder), "--agent", "3", "--frame", "30", "--species", "bug", "--json"]
     )
@@ -381,7 +381,7 @@ def test_json_says_the_same(cache: Cache, capsys: pytest.CaptureFixture[str], mo
     assert document["format"] == 1 and document["machines"][0]["looked"][0]["place"]["line"] > 0
 
 
-def test_the_scene_is_found_where_it_was_from_the_cache(cache: Cache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_scene_is_found_relative_to_the_cache(cache: Cache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cache of `--out`, far from its scene; with the two of them moved together; and another scene of that name nearer by."""
     home = cache.folder.parent.parent
     shutil.copytree(home, tmp_path / "work" / "shots" / "a" / "b", ignore=shutil.ignore_patterns("out"))

@@ -15,7 +15,7 @@ SIZE = 6, 5, 7  # voxels of a box
 VOXEL = 2.5  # mm
 
 
-def test_flow_between_cells_is_that_of_a_matrix() -> None:
+def test_flow_between_cells_equals_a_matrix_product() -> None:
     rng = np.random.default_rng(1)
     n = 90
     links = (rng.random((n, n)) < 0.06) * rng.uniform(0, 0.1, (n, n))

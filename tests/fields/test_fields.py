@@ -34,7 +34,7 @@ def cell_at(field: PheromoneField, x: float, z: float) -> np.ndarray:
 
 @pytest.mark.parametrize("cell", [1.7, 5.0, 23.0])
 @pytest.mark.parametrize("mesh", [terrain(200, 25), ball(30, (3, 4, 5)), box((-20, 0, -20), (20, 0.4, 20)), grid(90, 1)])
-def test_every_point_of_a_surface_has_a_cell_around_it_that_faces_its_way(mesh, cell):
+def test_every_surface_point_has_a_cell_of_its_side(mesh, cell):
     cells = SurfaceCells([mesh], cell)
     points, normals = on_surface(mesh, 5000)
     cell_numbers = cells.find_cells(points, normals)
@@ -44,7 +44,7 @@ def test_every_point_of_a_surface_has_a_cell_around_it_that_faces_its_way(mesh, 
     assert len(np.unique(cell_numbers)) <= len(cells) <= 3.2 * np.abs(points.max() - points.min() + cell) ** 2 * 6 / cell**2
 
 
-def test_a_cell_lies_where_its_surface_is():
+def test_cells_lie_on_their_surface():
     cells = SurfaceCells([grid(80, 7)], 4.0)
     inner = np.abs(cells.position[:, [0, 2]]).max(axis=1) < 36
     assert np.abs(cells.position[:, 1]).max() < 1e-12
@@ -56,7 +56,7 @@ def test_a_cell_lies_where_its_surface_is():
     assert RayScene(*terrain(200, 60)).find_closest(hilly.position)[3].max() < 1.0
 
 
-def test_a_thin_plate_has_two_sides_that_do_not_smell_through():
+def test_both_sides_of_a_thin_plate_have_separate_cells():
     mesh = box((-20, 0, -20), (20, 0.4, 20))
     field = PheromoneField(SurfaceCells([mesh], 4.0))
     place = np.array([[1.0, 0.4, 1.0], [1.0, 0.0, 1.0]])
@@ -81,7 +81,7 @@ def test_several_surfaces_share_a_field_and_the_order_of_faces_is_not_observable
         assert (cells.find_cells(*on_surface(mesh, 500)) >= 0).all()
 
 
-def test_the_table_and_the_search_find_the_same(monkeypatch):
+def test_table_and_search_find_equal_cells(monkeypatch):
     from antdsl.fields import cells as module
 
     mesh = ball(30, (3, 4, 5))
@@ -95,7 +95,7 @@ def test_the_table_and_the_search_find_the_same(monkeypatch):
     assert np.array_equal(one.nearest_block, two.nearest_block)
 
 
-def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
+def test_cells_are_searched_again_only_in_another_voxel(monkeypatch):
     from antdsl.fields import cells as module
 
     monkeypatch.setattr(module, "_MAX_DENSE_VOXELS", 0)
@@ -117,7 +117,7 @@ def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
     assert np.array_equal(cells.update_cells(points[rows], side[rows], known)[0], cell_numbers[rows])
 
 
-def test_the_nearest_are_those_of_a_plain_search():
+def test_nearest_cells_equal_a_plain_search():
     """On two balls that stand in each other, where more cells than sixteen are around many."""
     cells = SurfaceCells([ball(12, (0, 0, 0)), ball(12, (3, 1, 0)), ball(12, (1, 4, 2))], 3.0)
     voxel = np.stack(np.unravel_index(cells._voxel_numbers, tuple(cells._size)), axis=1)
@@ -131,7 +131,7 @@ def test_the_nearest_are_those_of_a_plain_search():
     assert crowded > 100 and crowded < most
 
 
-def test_a_miss_falls_back_to_a_cell_near_by_that_does_not_face_the_other_way():
+def test_points_without_a_cell_get_a_nearby_compatible_cell():
     cells = SurfaceCells([grid(80, 4)], 4.0)
     up = np.array([[0, 1.0, 0]])
     near = cells.find_cells(np.array([[0.0, 3.0, 0.0]]), up)[0]
@@ -143,7 +143,7 @@ def test_a_miss_falls_back_to_a_cell_near_by_that_does_not_face_the_other_way():
     assert (SurfaceCells([], 4.0).find_cells(odd, np.repeat(up, 4, axis=0)) == -1).all()
 
 
-def test_a_request_for_a_billion_cells_is_refused_before_it_costs_anything():
+def test_too_many_cells_are_rejected_before_allocation():
     tracemalloc.start()
     for cell in (0.02, 1e-9):
         with pytest.raises(FieldTooFine, match="cells are needed") as error_info:
@@ -170,7 +170,7 @@ def test_a_request_for_a_billion_cells_is_refused_before_it_costs_anything():
 
 
 @pytest.mark.parametrize("mesh", [terrain(150, 20), ball(20), box((-20, -20, -20), (20, 20, 20))])
-def test_links_are_mutual_touching_and_hang_the_surface_together(mesh):
+def test_links_are_symmetric_adjacent_and_connect_the_surface(mesh):
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -204,7 +204,7 @@ def test_deposits_add_exactly_in_any_order_and_any_parts():
     assert np.allclose(one.values, np.float64(np.float32(0.9)) * two.values, rtol=1e-15)
 
 
-def test_the_greatest_deposit_stays_when_they_are_combined_by_max():
+def test_combine_max_stores_the_greatest_deposit():
     field = flat_field(combine="max")
     field.deposit(np.array([4, 4, 9]), np.array([2.0, 5.0, 1.0], np.float32))
     field.step(0.5, 0.0, 1.0)
@@ -213,7 +213,7 @@ def test_the_greatest_deposit_stays_when_they_are_combined_by_max():
     assert field.values[4] == 2.5 and field.values[9] == 3.0
 
 
-def test_what_is_no_amount_is_refused_and_counted_and_what_is_nowhere_is_not_laid():
+def test_invalid_deposits_are_counted_and_ignored():
     field = flat_field(limit=3.0)
     amounts = np.array([np.nan, np.inf, 1e30, 2.0, 2.0, 2.0, -9.0], np.float32)
     assert field.deposit(np.array([1, 1, 2, -1, 3, 3, 5]), amounts) == 3
@@ -226,7 +226,7 @@ def test_what_is_no_amount_is_refused_and_counted_and_what_is_nowhere_is_not_lai
     assert crowd.values[0] == 5000 * MAX_DEPOSIT
 
 
-def test_scent_fades_by_its_half_life_and_is_flushed_at_last():
+def test_amounts_halve_by_half_life_and_become_zero():
     field = flat_field()
     field.deposit(np.array([7]), np.array([8.0], np.float32))
     field.step(1.0, 0.0, 1 / 24)
@@ -239,7 +239,7 @@ def test_scent_fades_by_its_half_life_and_is_flushed_at_last():
     assert field.values[7] == 0.0
 
 
-def test_diffusion_keeps_the_sum_stays_positive_and_spreads_as_the_heat_equation_says():
+def test_diffusion_solves_the_heat_equation_and_conserves_the_sum():
     cells = SurfaceCells([grid(200, 4)], 2.0)
     field = PheromoneField(cells)
     dt, rate = 1 / 24, 6.0
@@ -253,7 +253,7 @@ def test_diffusion_keeps_the_sum_stays_positive_and_spreads_as_the_heat_equation
     assert variance == pytest.approx(2 * rate * 10.0, rel=0.02)
 
 
-def test_a_stencil_of_eight_spreads_alike_in_all_directions():
+def test_a_stencil_of_eight_is_isotropic():
     """After twelve steps from one cell: what lies 5 cells off along an axis, and at (3, 4), which is as far."""
     cells = SurfaceCells([grid(200, 4)], 2.0)
     dt, rate, ratio = 1 / 24, 20.0, {}
@@ -285,7 +285,7 @@ def test_a_step_with_a_stencil_of_eight_by_hand():
 
 
 @pytest.mark.parametrize("combine", ["add", "max"])
-def test_deposits_first_spread_and_fade_in_the_step_in_which_they_are_laid(combine):
+def test_deposits_first_spread_and_evaporate_in_the_same_step(combine):
     cells = SurfaceCells([grid(40, 4)], 2.0)
     own = cells.find_cells(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))
     left = {}
@@ -300,7 +300,7 @@ def test_deposits_first_spread_and_fade_in_the_step_in_which_they_are_laid(combi
 
 @pytest.mark.parametrize("stencil", [4, 8])
 @pytest.mark.parametrize("mesh", [terrain(150, 20), ball(20), box((-20, -20, -20), (20, 20, 20))])
-def test_the_limit_of_stability_depends_on_the_cell_alone(mesh, stencil):
+def test_the_stability_limit_depends_only_on_the_cell_size(mesh, stencil):
     field = PheromoneField(SurfaceCells([mesh], 4.0), stencil=stencil)
     most = compute_max_diffusion(4.0, 1 / 24)
     assert most == pytest.approx(96.0)
@@ -335,7 +335,7 @@ def test_strongest_of_the_nearest_sixteen_against_plain_search():
         assert np.array_equal([x[k], y[k], z[k]], cells.position[best].astype(np.float32))
 
 
-def test_nothing_to_smell():
+def test_empty_fields_have_no_smell():
     field = flat_field()
     own = np.array([5, -1])
     value, x, y, z = field.sample_strongest(own)
@@ -348,7 +348,7 @@ def test_nothing_to_smell():
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5, 1.1, 2.8])
-def test_the_gradient_of_a_slope_of_scent_lies_in_the_surface(tilt):
+def test_gradients_are_tangential_to_the_surface(tilt):
     vertices, faces = grid(80, 6)
     turn = np.array([[np.cos(tilt), np.sin(tilt), 0], [-np.sin(tilt), np.cos(tilt), 0], [0, 0, 1]])
     field = PheromoneField(SurfaceCells([(vertices @ turn, faces)], 3.0))

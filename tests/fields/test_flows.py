@@ -101,7 +101,7 @@ def run(built: World, steps: int) -> np.ndarray:
 # --- points on triangles ---------------------------------------------------------------------------------------------
 
 
-def test_what_is_linear_is_read_exactly_wherever_a_face_is_cut() -> None:
+def test_linear_values_are_interpolated_exactly() -> None:
     rng = np.random.default_rng(1)
     cuts = np.array([1, 2, 8, 64, 1])
     lattice = FaceLattice.from_cuts(cuts)
@@ -134,7 +134,7 @@ def test_edges_are_cut_as_small_as_requested_and_points_at_one_place_are_one() -
 
 
 @pytest.mark.parametrize("cells", [1, 40])
-def test_a_curve_leads_along_itself_and_fades_beside_it(cells: int) -> None:
+def test_a_curve_flow_points_along_the_curve_and_falls_off(cells: int) -> None:
     built = world(SpreadFlowData("tangent", LINE, 40.0), cells)
     along = np.array([150.0, 0, 80.0]) / 170
     for offset, strength in ((0, 1.0), (10, 1 - 3 / 16 + 2 / 64), (20, 0.5), (30, 3 / 16 - 2 / 64), (41, 0.0)):
@@ -145,7 +145,7 @@ def test_a_curve_leads_along_itself_and_fades_beside_it(cells: int) -> None:
     assert read(built, (75, 0))[0, 2] < -0.4  # it turns with the curve
 
 
-def test_a_drawn_way_may_gather_them_onto_it() -> None:
+def test_gather_adds_a_component_towards_the_curve() -> None:
     straight = FlowTarget(np.array([[-200.0, 0, 0], [200.0, 0, 0]]), np.zeros(2), line=True)
     built = world(SpreadFlowData("tangent", straight, 60.0, "none", gather=1.0), 1)
     result = read(built, (0, 0), (0, 30), (0, -59))
@@ -167,7 +167,7 @@ def test_toward_and_away_of_points_and_curves_and_their_falloff() -> None:
     assert read(built, (0, 90))[0, 2] > 0.95
 
 
-def test_agents_follow_and_a_param_turns_them_round_or_lets_them_be() -> None:
+def test_agents_follow_a_flow_scaled_by_a_param() -> None:
     built = world(
         SpreadFlowData("tangent", LINE, 60.0), crowds=(CrowdData("ant", 1, PlacementData(points=np.array([[-140.0, 0, -34]]))),)
     )
@@ -180,7 +180,7 @@ def test_agents_follow_and_a_param_turns_them_round_or_lets_them_be() -> None:
         assert np.sign(round(previous - away(built, 150, 0).mean(), 3)) == moved
 
 
-def test_without_a_surface_a_flow_about_a_place_is_known_all_the_same() -> None:
+def test_spread_flows_work_without_a_surface() -> None:
     text = "ant 1\nuse steering\nworld { flow drift }\nspecies ant { state s { steer along(drift) } }\n"
     lowered, report = plan.lower(checked(text)[0])
     assert complaints(report) == []
@@ -191,7 +191,7 @@ def test_without_a_surface_a_flow_about_a_place_is_known_all_the_same() -> None:
     assert (away(built, 150, 0) < previous - 15).all()
 
 
-def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
+def test_flows_cover_solids() -> None:
     text = (
         "ant 1\nuse steering\nworld { surface ground; solid hill; flow drift }\nspecies ant { state s { steer along(drift) } }\n"
     )
@@ -209,7 +209,7 @@ def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
     assert (away(built, 150, 0) < 30).mean() > 0.7
 
 
-def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() -> None:
+def test_solved_flows_avoid_solids_until_they_are_dug() -> None:
     text = (
         "ant 1\nuse steering\nworld { surface ground; solid hill; flow drift }\nspecies ant { state s { steer along(drift) } }\n"
     )
@@ -259,7 +259,7 @@ def test_a_flow_at_the_border_keeps_them_in() -> None:
     assert nearest("along(drift) * 2 + wander() * 0.5") > 5
 
 
-def test_at_the_border_it_points_inward_and_is_nothing_further_in() -> None:
+def test_border_flows_point_inward_near_the_border_only() -> None:
     for cells in (1, 30):
         built = world(BorderFlowData(("ground",), 40.0), cells)
         result = read(built, (-199.99, 0), (-180, 30), (199.99, 0), (0, 150), (0, 199.99))
@@ -270,7 +270,7 @@ def test_at_the_border_it_points_inward_and_is_nothing_further_in() -> None:
 # --- painted ---------------------------------------------------------------------------------------------------------
 
 
-def test_painted_vectors_lie_along_the_ground_and_keep_their_length() -> None:
+def test_painted_vectors_are_tangential_with_unchanged_length() -> None:
     hills = meshes.terrain(400.0, 30)
     combed = np.tile([0.6, 0.0, 0.0], (len(hills[0]), 1))
     built = world(
@@ -323,7 +323,7 @@ STONE = {"rock": MeshData(*meshes.ball(40.0))}
 
 
 @pytest.mark.parametrize("cells", [1, 25])
-def test_the_shortest_way_is_straight_where_nothing_is_in_it(cells: int) -> None:
+def test_paths_without_obstacles_are_straight(cells: int) -> None:
     built = world(SolvedFlowData(GOAL, cell=6.0), cells)
     points = [(x, z) for x in range(-180, 100, 31) for z in range(-180, 181, 45)]
     result = read(built, *points)
@@ -346,7 +346,7 @@ def test_agents_get_round_a_wall_to_the_nest_where_a_flow_straight_to_it_ends() 
     assert (away(built, 150, 0) > 100).mean() > 0.8
 
 
-def test_what_costs_more_is_gone_round() -> None:
+def test_paths_avoid_expensive_areas() -> None:
     ridge = meshes.grid(400.0, 50, lambda x, z: 20 * np.exp(-((x / 25) ** 2) - (np.maximum(z - 60, 0) / 25) ** 2))
     surfaces = {"ground": MeshData(*ridge)}
     damp = np.where((np.abs(ridge[0][:, 0]) < 40) & (ridge[0][:, 2] < 60), 1.0, 0.0)
@@ -369,14 +369,14 @@ def test_what_costs_more_is_gone_round() -> None:
     assert crossing(SolvedFlowData(GOAL, slope=6.0, maps={"damp": -4.0})) < 60
 
 
-def test_a_goal_may_be_a_curve_and_what_cannot_be_reached_has_no_flow() -> None:
+def test_curves_can_be_goals_and_unreachable_points_have_no_flow() -> None:
     built = world(SolvedFlowData(LINE), 20, obstacles={"rock": MeshData(*meshes.box((100, -5, 100), (160, 5, 160)))})
     result = read(built, (0, 150), (-150, -150), (130, 130))
     assert result[0, 2] < -0.9 and result[1, 2] > 0.7
     assert np.abs(result[2]).max() == 0  # in the rock
 
 
-def test_from_one_surface_onto_another_that_lies_on_it() -> None:
+def test_paths_cross_between_stacked_surfaces() -> None:
     mound = meshes.ball(60.0, (150.0, -30.0, 0.0))
     surfaces = {"ground": MeshData(*meshes.grid(400.0, 40)), "mound": MeshData(*mound)}
     top = FlowTarget(np.array([[150.0, 30.0, 0.0]]), np.array([5.0]))
@@ -391,7 +391,7 @@ def test_from_one_surface_onto_another_that_lies_on_it() -> None:
 CROWDED = SolvedFlowData(GOAL, crowding=4.0, every=0.25, cell=12.0)
 
 
-def test_a_crowd_in_the_way_is_gone_round() -> None:
+def test_paths_avoid_crowds() -> None:
     blocked = np.array([[x, 0.0, z] for x in range(-60, 61, 4) for z in range(-60, 61, 4)])
     crowd = (CrowdData("ant", len(blocked), PlacementData(points=blocked)),)
     built = world(CROWDED, steer="halt()", crowds=crowd)
@@ -416,7 +416,7 @@ def test_the_same_hash_at_every_frame(options: Options) -> None:
     assert hashes(options) == hashes(Options())
 
 
-def test_a_checkpoint_between_two_looks_at_the_crowd_goes_on_the_same() -> None:
+def test_checkpoints_between_crowd_updates_continue_equally() -> None:
     built = world(CROWDED, 6)
     run(built, 9)  # the crowd was last looked at three frames ago
     other = world(CROWDED, 6, options=Options(shuffle_rows=5))
@@ -431,7 +431,7 @@ def test_a_checkpoint_between_two_looks_at_the_crowd_goes_on_the_same() -> None:
 # --- what moves ------------------------------------------------------------------------------------------------------
 
 
-def test_a_flow_leads_to_where_a_thing_has_gone() -> None:
+def test_flows_follow_moving_targets() -> None:
     path = np.linspace([150.0, 0, 0], [-150.0, 0, 150.0], 120)[:, None]
     goal = replace(GOAL, of="nest", item_index=0)
     for flow in (SpreadFlowData("toward", goal), SolvedFlowData(goal, every=0.5)):
@@ -442,7 +442,7 @@ def test_a_flow_leads_to_where_a_thing_has_gone() -> None:
         assert (away(built, -150, 150) < 125).all()  # 150 off at first, and led the other way before
 
 
-def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
+def test_paths_avoid_moving_obstacles() -> None:
     stone = meshes.ball(45.0)
     displacement = np.zeros((30, len(stone[0]), 3))
     displacement[10:, :, 2] = 150  # in one go, at frame 10
@@ -466,7 +466,7 @@ def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
     assert state_hash(other) == state_hash(built)
 
 
-def test_vectors_turn_with_the_ground_they_are_painted_on() -> None:
+def test_painted_vectors_rotate_with_their_ground() -> None:
     floor = meshes.grid(400.0, 8)
     angle = np.radians(np.arange(31) * 3.0)
     turned = np.stack(
@@ -488,7 +488,7 @@ def test_vectors_turn_with_the_ground_they_are_painted_on() -> None:
 # --- while it runs ---------------------------------------------------------------------------------------------------
 
 
-def test_another_flow_may_be_put_in_its_place_while_it_runs() -> None:
+def test_reload_replaces_a_flow() -> None:
     built = world()
     run(built, 20)
     previous_distances = away(built, 150, 0)
@@ -502,7 +502,7 @@ def test_another_flow_may_be_put_in_its_place_while_it_runs() -> None:
     assert [d.code for d in caught.value.report.errors] == ["flow-too-fine"]
 
 
-def test_values_of_flows_and_maps_stand_in_any_expression() -> None:
+def test_flows_and_maps_are_values_in_expressions() -> None:
     built = world(
         SpreadFlowData("toward", GOAL, strength=0.5), steer="if damp > 0.5 then drift * 2 else mix(drift, heading, damp)"
     )

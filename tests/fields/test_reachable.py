@@ -125,7 +125,7 @@ def test_backends_agree_to_the_bit() -> None:
     assert len(set(hashes)) == 1
 
 
-def test_those_who_are_cut_off_do_not_come_through_the_wall() -> None:
+def test_unreachable_agents_do_not_pass_the_wall() -> None:
     new_world = world()
     for _ in range(150):
         step(new_world)
@@ -136,7 +136,7 @@ def test_those_who_are_cut_off_do_not_come_through_the_wall() -> None:
 
 
 @pytest.mark.parametrize(("opening", "clearance", "reached"), [(40.0, 0.0, 18), (40.0, 60.0, 18), (0.0, 60.0, 9)])
-def test_an_opening_leads_in_however_narrow_the_clearance_makes_it(opening: float, clearance: float, reached: int) -> None:
+def test_an_opening_makes_the_inside_reachable(opening: float, clearance: float, reached: int) -> None:
     """`clearance` makes a path dear, and closes none."""
     assert count_agents_with_path(world(SolvedFlowData(GOAL, clearance=clearance), opening=opening), "ant", "drift") == reached
 
@@ -166,13 +166,13 @@ def test_islands_and_targets_off_the_ground() -> None:
     ],
     ids=["toward", "away", "everywhere", "border"],
 )
-def test_of_other_flows_it_is_whether_they_are_anything_there(flow: FlowData, reached: int) -> None:
+def test_other_flows_are_reachable_where_nonzero(flow: FlowData, reached: int) -> None:
     new_world = world(flow)
     assert count_agents_with_path(new_world, "ant", "drift") == reached
     assert leads(new_world).sum() == reached
 
 
-def test_digging_opens_a_path_and_a_checkpoint_goes_on_with_it() -> None:
+def test_digging_opens_a_path_that_checkpoints_store() -> None:
     """The ground below a hill is cut off until it is dug free; the flow looks again when it is due."""
     text = PROGRAM.replace("obstacle rock", "solid hill").replace("surface isle; ", "")
     hill = SolidData(MeshData(*box((-250, -10, -40), (250, 25, 40))), 5.0)
@@ -225,7 +225,7 @@ def obj(mesh: MeshData) -> str:
     return "\n".join(lines + ["f {} {} {}".format(*(face + 1)) for face in mesh.faces]) + "\n"
 
 
-def test_a_run_reports_how_many_no_path_leads_on_from_and_a_spec_can_ask(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_runs_report_unreachable_agents_and_specs_count_them(tmp_path) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "walker.ant").write_text(WALKER)
     (tmp_path / "ground.obj").write_text(obj(MeshData(*grid(400.0, 40))))
     (tmp_path / "rock.obj").write_text(obj(walls()))

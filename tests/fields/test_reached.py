@@ -22,7 +22,7 @@ WORLD = "ant 1\nuse steering\nworld { surface ground }\nfield scent on ground { 
 
 
 @pytest.mark.parametrize("k", [1, 9, 16, 27])
-def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_counts_equal_a_search_for_strong_cells(k: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "count_available_cores", lambda: 4)
     monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", 100)  # so that it goes in parts
     field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))
@@ -37,12 +37,12 @@ def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("least", [0.0, -1.0, np.nan])
-def test_what_no_scent_is_below_is_reached_everywhere(least: float) -> None:
+def test_a_threshold_of_zero_holds_everywhere(least: float) -> None:
     field = PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0))
     assert CellsAboveThreshold(field, np.float32(least), 16).get_current_counts().all()
 
 
-def test_it_tells_of_one_field_and_strength() -> None:
+def test_matches_only_its_field_and_threshold() -> None:
     field, other = (PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0)) for _ in range(2))
     reached = CellsAboveThreshold(field, np.float32(1), 9)
     assert (
@@ -84,7 +84,7 @@ def program(asks: str) -> str:
         ("when max(scent) > faint * got -> q", 1),
     ],
 )
-def test_agents_do_the_same_where_it_is_only_compared(asks: str, bounded: int) -> None:
+def test_comparisons_give_equal_agents(asks: str, bounded: int) -> None:
     plan = optimise(plan_of(program(asks), WORLD))
     crowd = CrowdData("a", 24, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=12.0))
     setting = WorldSetting(crowds=(crowd,), surfaces={"ground": MeshData(*meshes.grid(60.0, 3))}, seed=4)

@@ -188,14 +188,14 @@ def crossed(chart: PlacedChart) -> int:
 
 
 @pytest.mark.parametrize("path", [FORAGER, ROOT / "examples" / "anthill" / "builder.ant"], ids=lambda p: p.stem)
-def test_a_few_states_are_read_easily(path: Path) -> None:
+def test_charts_of_few_states_have_no_overlaps(path: Path) -> None:
     (chart,), report = lay_out(charts_of(path))
     assert report.ok
     assert_can_be_read(chart)
     assert crossed(chart) == 0
 
 
-def test_twenty_five_states_are_still_read() -> None:
+def test_charts_of_twenty_five_states_have_few_overlaps() -> None:
     (chart,), _ = lay_out(charts_of(COLONY))
     assert sum(box.kind == "state" for box, _ in chart.boxes) == 25
     assert_can_be_read(chart)
@@ -203,7 +203,7 @@ def test_twenty_five_states_are_still_read() -> None:
     assert chart.width < 2400 and chart.height < 1600
 
 
-def test_odd_machines_are_read_and_stand_side_by_side(odd: tuple[Chart, ...]) -> None:
+def test_unusual_machines_are_drawn_in_rows(odd: tuple[Chart, ...]) -> None:
     placed, _ = lay_out(odd)
     for chart in placed:
         assert_can_be_read(chart)
@@ -213,7 +213,7 @@ def test_odd_machines_are_read_and_stand_side_by_side(odd: tuple[Chart, ...]) ->
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_machines_drawn_at_random_are_read(tmp_path: Path, seed: int) -> None:
+def test_random_machines_have_readable_charts(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "bug.ant"
     path.write_text(machine(2 + 3 * seed, seed), encoding="utf-8")
     (chart,), _ = lay_out(charts_of(path))
@@ -255,7 +255,7 @@ def test_png_shows_the_states_colours(odd: tuple[Chart, ...]) -> None:
                 assert tuple(round(part * 255) for part in box.colour) in colours, box.name
 
 
-def test_dot_is_read_by_others_with_every_word_as_it_was(odd: tuple[Chart, ...]) -> None:
+def test_dot_preserves_all_text(odd: tuple[Chart, ...]) -> None:
     import pydot
 
     (graph,) = pydot.graph_from_dot_data(written(odd, "dot").decode())
@@ -277,7 +277,7 @@ LINK = re.compile(r'    (\w+) (-->|==>)(?:\|"([^"]*)"\|)? (\w+)')
 BOX = re.compile(r'    (\w+)(?:\["([^"]*)"\]|\(\("([^"]*)"\)\)|\(\["([^"]*)"\]\)|\{"([^"]*)"\})')
 
 
-def test_mermaid_has_every_box_and_arrow_and_nothing_that_it_would_take_for_a_sign(odd: tuple[Chart, ...]) -> None:
+def test_mermaid_has_every_box_and_arrow_with_escaped_text(odd: tuple[Chart, ...]) -> None:
     lines = written(odd, "mermaid").decode("ascii").splitlines()
     assert lines[0] == "flowchart TB"
     boxes = [match for line in lines if (match := BOX.fullmatch(line))]
@@ -324,7 +324,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], 
     return code, printed
 
 
-def test_the_command_writes_what_the_ending_says(
+def test_the_command_chooses_the_format_by_the_ending(
     odd_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file = str(odd_file)
@@ -352,7 +352,7 @@ def test_the_command_writes_what_the_ending_says(
         (["odd.ant", "--out", "none/a.svg"], 2, "there is no folder `none`"),
     ],
 )
-def test_mistakes_end_in_words(
+def test_mistakes_give_a_message(
     odd_file: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: list[str], code: int, message: str
 ) -> None:
     (odd_file.parent / "broken.ant").write_text(ODD.replace("-> roam", "-> roan"), encoding="utf-8")
@@ -397,7 +397,7 @@ def test_pictures_of_plain_text_do_not_depend_on_the_fonts_of_the_machine(monkey
     assert all('font-family="Aileron"' in str(call["svg_string"]) for call in calls)
 
 
-def test_pillows_own_letters_have_what_they_are_taken_for() -> None:
+def test_built_in_glyphs_of_pillow_exist() -> None:
     """A sign that a font does not have is drawn like one that no font has."""
     from antdsl.graphs.text_width import _NON_ASCII_GLYPHS, load_built_in_font
 

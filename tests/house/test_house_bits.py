@@ -89,7 +89,7 @@ def used(path: Path) -> dict[str, int]:
     return uses
 
 
-def test_states_are_made_of_what_is_the_same_everywhere() -> None:
+def test_state_code_uses_only_reproducible_functions() -> None:
     messages, exempt = [], set()
     for subpackage in (*ROOMS, *(f"bodies/agents/{name}.py" for name in POSING)):
         for path in files(subpackage):
@@ -104,7 +104,7 @@ def test_states_are_made_of_what_is_the_same_everywhere() -> None:
     assert not stale, f"nothing uses {sorted(stale)} any more"
 
 
-def test_the_rule_finds_what_it_forbids(tmp_path: Path) -> None:
+def test_the_rule_detects_forbidden_calls(tmp_path: Path) -> None:
     text = "import math, scipy.spatial\nfrom math import exp\na = np.sin(x) + math.atan2(x, x)\nb = a @ a\nnjit(fastmath=True)\n"
     path = tmp_path / "a.py"
     path.write_text(text + "c = np.linalg.norm(a)\n", encoding="utf-8")

@@ -83,7 +83,7 @@ def imports(path: Path) -> list[tuple[str, int]]:
     return modules
 
 
-def test_rooms_import_lower_rooms_only() -> None:
+def test_packages_import_lower_packages_only() -> None:
     offenders = []
     for path in FILES:
         own = subpackage_of(path)
@@ -100,7 +100,7 @@ def test_rooms_import_lower_rooms_only() -> None:
     assert not offenders
 
 
-def test_no_file_runs_text_or_reads_what_could() -> None:
+def test_no_file_executes_text_or_unpickles() -> None:
     offenders = []
     for path in FILES:
         for name, line in imports(path):
@@ -148,7 +148,7 @@ OWN_FILES = {
 READING = frozenset(["open", "read_text", "read_bytes", "fromfile", "memmap", "loadtxt", "genfromtxt"])
 
 
-def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
+def test_user_files_are_opened_by_one_module() -> None:
     """Elsewhere a pipe would be waited for, and an endless device read until no memory is left."""
     for path in FILES:
         if path.relative_to(PACKAGE).as_posix() in ("safe_read.py", *OWN_FILES):
@@ -183,7 +183,7 @@ OWN_WRITING = {
 WRITING_MODES = frozenset(["a", "ab", "w", "wb", "x", "xb", "r+b", "r+"])
 
 
-def test_files_are_put_in_their_place_by_one_module() -> None:
+def test_files_are_written_atomically_by_one_module() -> None:
     """Other code might use the name of a user's file for the temporary file, leave a part of it after a crash, or not flush it
     to the disk."""
     moving = ("os.replace", "os.rename", "os.fsync", "tempfile.mkstemp", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile")
@@ -201,7 +201,7 @@ def test_files_are_put_in_their_place_by_one_module() -> None:
                     raise AssertionError(f"{path}:{node.lineno} writes a file by `{called}`, not by antdsl/atomic_write.py")
 
 
-def test_files_are_short_named_for_what_they_do_and_say_what_they_are() -> None:
+def test_files_are_short_and_have_names_and_docstrings() -> None:
     offenders = []
     for path in FILES:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -214,7 +214,7 @@ def test_files_are_short_named_for_what_they_do_and_say_what_they_are() -> None:
     assert not offenders
 
 
-def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
+def test_heavy_packages_are_imported_late() -> None:
     """`check` and `--help` never wait for them: they are imported inside functions wherever checking comes by."""
     for path in FILES:
         if subpackage_of(path) in ("numerics", "casting", "ground", "senses", "fields", "runtime", "reload", "bodies", "outputs"):
@@ -233,7 +233,7 @@ WRITES_USD = ("antdsl.outputs.", "antdsl.scene.geometry.usd.errors", "antdsl.sce
 COMPOSES_USD = frozenset(["FindOrOpen", "OpenMasked", "OpenAsAnonymous", "AddReference", "AddPayload", "subLayerPaths"])
 
 
-def test_foreign_formats_are_read_in_the_process_of_the_reader_only() -> None:
+def test_foreign_formats_are_read_in_the_reader_process_only() -> None:
     for path in FILES:
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
         if module.startswith(READ_BY_LIBRARIES):
@@ -250,14 +250,14 @@ def test_foreign_formats_are_read_in_the_process_of_the_reader_only() -> None:
                 assert not opens, f"{path}:{node.lineno} decodes an image or opens a stage"
 
 
-def test_the_plan_and_what_is_below_never_see_numpy() -> None:
+def test_plan_and_lower_packages_do_not_import_numpy() -> None:
     for path in FILES:
         if subpackage_of(path) in ("source", "diagnostics", "limits", "resources", "syntax", "program", "plan", "passes"):
             for name, line in imports(path):
                 assert name.split(".")[0] != "numpy", f"{path}:{line}"
 
 
-def test_text_with_words_that_do_not_belong_is_not_shipped() -> None:
+def test_forbidden_words_are_not_shipped() -> None:
     folders = [PACKAGE, ROOT / "tests", ROOT / "docs", ROOT / "grammar", ROOT / "behaviours", ROOT / "examples"]
     texts = [p for f in folders for p in f.rglob("*") if p.suffix in (".py", ".md", ".ant", ".yaml", ".lark", ".toml")]
     outside = re.compile("/" + "work/|" + "shared/" + "(design|meshes|seeds)|\\bTO" + "DO\\b|\\bFIX" + "ME\\b")
@@ -295,7 +295,7 @@ def test_every_code_is_used_and_every_code_used_has_a_meaning() -> None:
             assert code in CODE_DESCRIPTIONS, f"{path}: `{code}`"
 
 
-def test_files_of_tests_that_are_named_are_there() -> None:
+def test_named_test_files_exist() -> None:
     assert [pattern for pattern in QUICK_TEST_PATTERNS if not any(ROOT.glob(pattern))] == []
     names = {path.stem for path in (ROOT / "tests").rglob("test_*.py")}
     assert [name for name in LONGEST if name not in names] == []
@@ -313,7 +313,7 @@ def test_every_code_has_a_case() -> None:
     [p for f in ("behaviours", "examples") for p in sorted((ROOT / f).rglob("*.ant"))],
     ids=lambda p: str(p.relative_to(ROOT)),
 )
-def test_everything_that_ships_checks_clean(path: Path) -> None:
+def test_shipped_programs_have_no_findings(path: Path) -> None:
     from antdsl.pipeline import check_path
 
     _, report = check_path(path)
@@ -325,7 +325,7 @@ def test_everything_that_ships_checks_clean(path: Path) -> None:
     [p for f in ("behaviours", "examples", "tests/programs") for p in sorted((ROOT / f).rglob("*.ant"))],
     ids=lambda p: str(p.relative_to(ROOT)),
 )
-def test_everything_that_ships_is_formatted(path: Path) -> None:
+def test_shipped_programs_are_formatted(path: Path) -> None:
     from antdsl import syntax
 
     source, report = syntax.read(path)
@@ -335,14 +335,14 @@ def test_everything_that_ships_is_formatted(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").rglob("scene.yaml")), ids=lambda p: p.parent.name)
-def test_scenes_of_the_examples_check_clean(path: Path) -> None:
+def test_example_scenes_have_no_findings(path: Path) -> None:
     from antdsl.pipeline import check_path
 
     program, report = check_path(path)
     assert program is not None and not report.diagnostics, [(d.code, d.message, str(d.span)) for d in report.diagnostics]
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
+def test_no_circular_imports() -> None:
     assert not find_places(ROOT)["circles of modules"]
 
 

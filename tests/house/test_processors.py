@@ -55,7 +55,7 @@ def local_hashes(scenes: tuple[str, ...], frames: int, most: int) -> str:
     return output
 
 
-def test_poses_without_these_instructions() -> None:
+def test_poses_do_not_depend_on_instruction_sets() -> None:
     clean = {k: v for k, v in child_environment().items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
     outputs = set()
     for settings in ({}, {**WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}):

@@ -34,7 +34,7 @@ def plainly() -> list[str]:
 
 
 @pytest.mark.parametrize("options", sampled(OPTION_SETS, OPTION_SETS[1:]), ids=str)
-def test_the_same_hashes_in_many_ways(options: Options, plainly: list[str]) -> None:
+def test_hashes_do_not_depend_on_threads_chunks_and_rows(options: Options, plainly: list[str]) -> None:
     assert hashes(options, 6, **CROWD) == plainly
 
 

@@ -60,15 +60,15 @@ def keys(text: str, word: str, nth: int = 0) -> list[tuple[str, ...]]:
         ("food, two", 0, ("thing", "food")),
     ],
 )
-def test_types_tell_what_a_name_stands_for(word: str, nth: int, key: tuple[str, ...]) -> None:
+def test_names_are_resolved_by_types(word: str, nth: int, key: tuple[str, ...]) -> None:
     assert key in keys(PROGRAM, word, nth), keys(PROGRAM, word, nth)
 
 
-def test_what_is_taken_is_the_animals_and_the_items() -> None:
+def test_take_binds_attributes_of_animal_and_item() -> None:
     assert keys(PROGRAM, "load from") == [("own", "ant", "load"), ("attribute", "food", "load")]
 
 
-def test_of_a_name_that_is_declared_twice_the_first_counts() -> None:
+def test_the_first_of_two_declarations_counts() -> None:
     text = "ant 1\nspecies a {\n  pace = 1\n  pace = 2\n  state s { when pace > 1 -> s }\n}\n"
     workspace = Workspace()
     document = workspace.put_document(Path("/nowhere/a.ant"), text)
@@ -76,7 +76,7 @@ def test_of_a_name_that_is_declared_twice_the_first_counts() -> None:
     assert document.start(target.span) == text.index("pace = 1")
 
 
-def test_a_behaviour_that_does_not_exist_is_not_looked_for_in_the_library() -> None:
+def test_unknown_behaviours_do_not_resolve_to_the_library() -> None:
     text = PROGRAM.replace("seek(meal)", "sek(meal)")
     assert keys(text, "sek(") == [("?behaviour", "sek")]
 
@@ -88,7 +88,7 @@ def test_a_behaviour_that_does_not_exist_is_not_looked_for_in_the_library() -> N
         ("use steering\n", ""), ("world {", "world { surface ground;"), ("let friend", "let friend = nearest(ant)\n  let friend"),
     ],
 )  # fmt: skip
-def test_what_can_be_resolved_is_resolved_in_a_text_with_mistakes(right: str, wrong: str) -> None:
+def test_names_are_resolved_in_texts_with_errors(right: str, wrong: str) -> None:
     text = PROGRAM.replace(right, wrong, 1)
     workspace = Workspace()
     document = workspace.put_document(Path("/nowhere/ant.ant"), text)
@@ -99,14 +99,14 @@ def test_what_can_be_resolved_is_resolved_in_a_text_with_mistakes(right: str, wr
     assert keys(text, "carry) <=") == [("state", "ant", "main", "carry")]
 
 
-def test_names_in_a_state_that_is_there_twice_lead_to_the_species() -> None:
+def test_names_in_duplicate_states_resolve_to_the_species() -> None:
     text = PROGRAM.replace("  state carry", "  state search { steer seek(meal); when load > 5 -> carry }\n  state carry")
     assert keys(text, "load > 5") == [("own", "ant", "load")] and keys(text, "carry }\n  state") == [
         ("state", "ant", "main", "carry")
     ]
 
 
-def test_a_use_that_the_library_makes_is_no_use_in_the_program() -> None:
+def test_references_inside_the_library_are_not_listed() -> None:
     workspace = Workspace()
     document = workspace.put_document(Path("/nowhere/ant.ant"), PROGRAM)
     uses = find_references(workspace, document, PROGRAM.index("one: item"))
@@ -115,14 +115,14 @@ def test_a_use_that_the_library_makes_is_no_use_in_the_program() -> None:
     ]  # fmt: skip
 
 
-def test_a_program_has_its_bindings_beside_what_it_means() -> None:
+def test_programs_have_bindings() -> None:
     source = Source("/nowhere/ant.ant", PROGRAM)
     program, report = compile_files([Path("/nowhere/ant.ant")], parsed={source.path: syntax.parse(source)})
     assert program is not None and report.ok
     assert {use.span.text for use in program.bindings.uses if use.declaration == ("own", "ant", "friend")} == {"friend"}
 
 
-def test_what_is_taken_from_is_looked_into_for_steps() -> None:
+def test_sources_of_take_are_resolved() -> None:
     text = PROGRAM.replace("from meal ->", "from nearest(food, within: 3 mm/step * 1 s) ->")
     source = Source("/nowhere/ant.ant", text)
     _, report = compile_files([Path("/nowhere/ant.ant")], strict=True, parsed={source.path: syntax.parse(source)})

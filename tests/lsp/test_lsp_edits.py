@@ -107,18 +107,18 @@ def run(path: Path, seed: int, edits: int) -> None:
 
 
 @pytest.mark.parametrize("path", sampled(EXAMPLES, EXAMPLES[::3]), ids=lambda path: str(path.relative_to(ROOT / "examples")))
-def test_parts_say_what_the_whole_says(path: Path) -> None:
+def test_incremental_parsing_equals_complete_parsing(path: Path) -> None:
     run(path, 1, 10)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2, 12))
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: str(path.relative_to(ROOT / "examples")))
-def test_parts_say_what_the_whole_says_after_many_edits(path: Path, seed: int) -> None:
+def test_incremental_parsing_equals_complete_parsing_after_many_edits(path: Path, seed: int) -> None:
     run(path, seed, 60)
 
 
-def test_only_what_changed_is_parsed_again() -> None:
+def test_only_changed_blocks_are_parsed_again() -> None:
     text = (ROOT / "examples" / "foraging" / "forager.ant").read_text(encoding="utf-8")
     parts = IncrementalParser()
     first, _ = parts.parse(Source("x.ant", text))
@@ -127,7 +127,7 @@ def test_only_what_changed_is_parsed_again() -> None:
     assert len(set(again.parts) - set(first.parts)) == 1, "one state"
 
 
-def test_blocks_are_whole_lines_in_order() -> None:
+def test_blocks_are_complete_lines_in_order() -> None:
     for path in EXAMPLES:
         text = path.read_text(encoding="utf-8")
         blocks = cut_blocks(text)
@@ -138,7 +138,7 @@ def test_blocks_are_whole_lines_in_order() -> None:
         assert set(left) <= {"", "}"}, "between blocks there is nothing but what closes a species"
 
 
-def test_nodes_in_parts_have_their_places_in_the_whole() -> None:
+def test_nodes_of_parts_have_locations_in_the_file() -> None:
     for path in EXAMPLES:
         source = Source(str(path), path.read_text(encoding="utf-8"))
         plain, _ = syntax.parse(source)

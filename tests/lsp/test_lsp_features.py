@@ -63,14 +63,14 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
         ("state  # whatever", 0, ["the push that the animal's states steer"]),
     ],
 )
-async def test_hover_tells_what_a_word_is(client, word: str, nth: int, expected: list[str]) -> None:
+async def test_hover_describes_words(client, word: str, nth: int, expected: list[str]) -> None:
     hover = await client.text_document_hover_async(lsp.HoverParams(**ask(client.program, place_of(FORAGER, word, nth))))
     assert hover is not None and not [each for each in expected if each not in hover.contents.value], (
         hover and hover.contents.value
     )
 
 
-async def test_hover_says_which_states_stand_still(client) -> None:
+async def test_hover_reports_resting_states(client) -> None:
     path = client.folder / "rest.ant"
     text = "ant 1\nuse steering\nspecies bug {\n  start go\n  state go { steer wander(); when after 1 s -> rest }\n"
     text += "  state rest { when after 1 s -> drift }\n  state drift { steer coast(); when after 1 s -> go }\n}\n"
@@ -129,7 +129,7 @@ async def proposals(client, line: str, preceding_text: str = "    deposit trail 
         ("    # nothing in ", "", "search steer"),
     ],
 )
-async def test_completion_knows_where_it_is(client, line: str, expected: str, unwanted: str) -> None:
+async def test_completion_depends_on_the_position(client, line: str, expected: str, unwanted: str) -> None:
     items = await proposals(client, line)
     assert set(expected.split()) <= set(items), sorted(items)
     assert not set(unwanted.split()) & set(items)
@@ -151,13 +151,13 @@ async def test_completion_knows_where_it_is(client, line: str, expected: str, un
         ("  goal = none of ", "  start search\n", "food nest forager", "smell stones seek"),
     ],
 )
-async def test_completion_knows_the_block(client, line: str, anchor: str, expected: str, unwanted: str) -> None:
+async def test_completion_depends_on_the_block(client, line: str, anchor: str, expected: str, unwanted: str) -> None:
     items = await proposals(client, line, anchor)
     assert set(expected.split()) <= set(items), sorted(items)
     assert not set(unwanted.split()) & set(items)
 
 
-async def test_behaviours_come_with_places_for_what_they_must_be_given(client) -> None:
+async def test_proposed_behaviours_have_placeholders(client) -> None:
     items = await proposals(client, "    steer ")
     assert items["seek"].insert_text == "seek(${1:target})$0" and items["seek"].insert_text_format == lsp.InsertTextFormat.Snippet
     assert items["seek"].detail == "seek(target: place) -> push" and "Straight to it" in items["seek"].documentation.value
@@ -205,7 +205,7 @@ async def test_completion_of_scenes(client, line: str, anchor: str, expected: st
 # --- the document ----------------------------------------------------------------------------------------------------
 
 
-async def test_symbols_lie_in_each_other(client) -> None:
+async def test_symbols_are_nested(client) -> None:
     identifier = lsp.TextDocumentIdentifier(client.program)
     symbols = await client.text_document_document_symbol_async(lsp.DocumentSymbolParams(identifier))
     assert [each.name for each in symbols if each.kind != lsp.SymbolKind.Method] == ["steering", "world", "trail", "forager"]
@@ -231,7 +231,7 @@ async def test_blocks_fold(client) -> None:
     assert [SCENE.splitlines()[each.start_line].strip() for each in scene] == ["world:", "food:", "nest:", "crowd:"]
 
 
-async def test_tokens_say_what_words_are(client) -> None:
+async def test_semantic_tokens_have_kinds(client) -> None:
     identifier = lsp.TextDocumentIdentifier(client.program)
     tokens = await client.text_document_semantic_tokens_full_async(lsp.SemanticTokensParams(identifier))
     words = _token_texts(tokens.data)

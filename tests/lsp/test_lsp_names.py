@@ -112,9 +112,7 @@ async def definition(client, file: str, word: str, nth: int = 0) -> list[tuple[s
         ("using/mine.ant", "slow\n", 0, ("mine.ant", "let slow")),
     ],
 )
-async def test_a_name_leads_to_where_it_is_declared(
-    client, file: str, word: str, nth: int, expected: tuple[str, str] | None
-) -> None:
+async def test_definitions_of_names_are_found(client, file: str, word: str, nth: int, expected: tuple[str, str] | None) -> None:
     targets = await definition(client, file, word, nth)
     if expected is None:
         assert targets == []
@@ -214,7 +212,7 @@ async def test_a_rename_that_would_change_the_meaning_is_refused(client, file: s
         await rename(client, file, word, new)
 
 
-async def test_renaming_begins_on_a_name(client) -> None:
+async def test_rename_needs_a_name_at_the_position(client) -> None:
     from pygls.exceptions import JsonRpcException
 
     uri = (client.folder / "foraging" / "forager.ant").as_uri()

@@ -22,7 +22,7 @@ def test_the_extra_is_named_when_it_is_missing(monkeypatch: pytest.MonkeyPatch) 
     assert [(d.code, "[lsp]" in d.message) for d in report.diagnostics] == [("missing-extra", True)]
 
 
-def test_starting_imports_nothing_heavy() -> None:
+def test_starting_imports_no_heavy_package() -> None:
     import subprocess
     import sys
 
@@ -30,7 +30,7 @@ def test_starting_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
 
 
-def test_units_are_worth_what_they_are_shown_in(tmp_path: Path) -> None:
+def test_unit_help_shows_the_right_factor(tmp_path: Path) -> None:
     from antdsl.lsp.features.symbol_help import describe_symbol
 
     workspace = Workspace()
@@ -116,7 +116,7 @@ def test_paths_and_uris_lead_to_each_other(tmp_path: Path) -> None:
     assert uri_to_path("untitled:Untitled-1") is None
 
 
-def test_large_folders_are_not_searched_at_every_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_folders_are_not_searched_for_each_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.files import find_files
     from antdsl.lsp import workspace
 
@@ -144,7 +144,7 @@ def test_large_folders_are_not_searched_at_every_question(tmp_path: Path, monkey
     assert files.files() == [second.resolve()]
 
 
-def test_every_line_of_a_spec_is_looked_into(tmp_path: Path) -> None:
+def test_names_in_all_spec_lines_are_resolved(tmp_path: Path) -> None:
     lines = """when state == s for 1 s: pace > 0
 never: state == s held 1 s * pace
 when any(n in neighbours(size): n.pace > 0) eventually: true"""

@@ -24,7 +24,7 @@ async def client(lsp_client: pytest_lsp.LanguageClient, tmp_path_factory: pytest
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
-async def test_complaints_come_as_one_types_and_go(client) -> None:
+async def test_findings_are_published_and_removed_while_typing(client) -> None:
     editor, path = Editor(client), client.folder / "foraging" / "typing.ant"
     assert await editor.open(path, FORAGER) == []
     wrong = FORAGER.replace("-> follow_trail", "-> folow_trail", 1)
@@ -35,7 +35,7 @@ async def test_complaints_come_as_one_types_and_go(client) -> None:
     editor.close(path.as_uri())
 
 
-async def test_yaml_that_is_no_scene_is_left_in_peace(client) -> None:
+async def test_other_yaml_files_are_ignored(client) -> None:
     editor, path = Editor(client), client.folder / "compose.yaml"
     recipe = "services:\n  web: {image: nginx}\n"
     assert await editor.open(path, recipe) == []
@@ -43,7 +43,7 @@ async def test_yaml_that_is_no_scene_is_left_in_peace(client) -> None:
     editor.close(path.as_uri())
 
 
-async def test_edits_of_parts_of_a_text_are_put_together(client) -> None:
+async def test_incremental_edits_are_applied(client) -> None:
     editor, path = Editor(client), client.folder / "foraging" / "parts.ant"
     await editor.open(path, FORAGER)
     at = place_of(FORAGER, "40 mm in", inside=0)
@@ -58,7 +58,7 @@ async def test_edits_of_parts_of_a_text_are_put_together(client) -> None:
     editor.close(path.as_uri())
 
 
-async def test_places_are_counted_in_utf_16_and_from_0(client) -> None:
+async def test_positions_are_utf_16_from_0(client) -> None:
     editor, path = Editor(client), client.folder / "ants 🐜 %20.ant"
     text = 'ant 1\nspecies ant "🐜🐜 walks" { max_speed 3 mm/s; state a "🐜" { steer heading * faktor } }\n'
     diagnostics = await editor.open(path, text)
@@ -72,7 +72,7 @@ async def test_places_are_counted_in_utf_16_and_from_0(client) -> None:
 
 
 @pytest.mark.parametrize("end", ["\r\n", "\r"])
-async def test_line_ends_of_other_systems_move_nothing(client, end: str) -> None:
+async def test_line_ends_do_not_move_positions(client, end: str) -> None:
     editor, path = Editor(client), client.folder / "ends.ant"
     diagnostics = await editor.open(path, FORAGER.replace("-> carry", "-> cary").replace("\n", end))
     plain = FORAGER.replace("-> carry", "-> cary")
@@ -131,7 +131,7 @@ async def test_a_file_that_is_deleted_and_one_that_cannot_be_read(client) -> Non
     editor.close(path.as_uri())
 
 
-async def test_nothing_is_said_of_documents_that_are_not_there(client) -> None:
+async def test_missing_documents_have_no_findings(client) -> None:
     missing = (client.folder / "missing.ant").as_uri()
     identifier = lsp.TextDocumentIdentifier(missing)
     assert await client.text_document_hover_async(lsp.HoverParams(**ask(missing, lsp.Position(3, 3)))) is None
@@ -140,7 +140,7 @@ async def test_nothing_is_said_of_documents_that_are_not_there(client) -> None:
     await client.text_document_completion_async(lsp.CompletionParams(**ask(missing, lsp.Position(0, 0))))
 
 
-async def test_no_text_on_the_way_ends_the_server(client) -> None:
+async def test_no_intermediate_text_stops_the_server(client) -> None:
     """Every prefix of an example, as if a user typed it, and every text that lacks a stretch; with requests at each."""
     editor, path = Editor(client), client.folder / "prefixes.ant"
     text = (ROOT / "examples" / "alarm" / "alarm.ant").read_text(encoding="utf-8")

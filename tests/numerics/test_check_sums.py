@@ -33,7 +33,7 @@ def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     check_sums._build_crc_function.cache_clear()
 
 
-def test_it_is_that_of_zlib(products: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crc_equals_zlib(products: int, monkeypatch: pytest.MonkeyPatch) -> None:
     data = np.random.default_rng(1).bytes(70_000)
     finished: list[int] = []
     plain = zlib.crc32
@@ -50,13 +50,13 @@ def test_it_is_that_of_zlib(products: int, monkeypatch: pytest.MonkeyPatch) -> N
     assert not finished  # all went the other way
 
 
-def test_parts_one_after_the_other_are_the_whole(products: int) -> None:
+def test_crc_of_parts_continues(products: int) -> None:
     data = np.random.default_rng(2).bytes(5000)
     for cut in (0, 1, 63, 64, 65, 700, 4999):
         assert crc32(data[cut:], crc32(data[:cut])) == zlib.crc32(data)
 
 
-def test_every_bit_counts(products: int) -> None:
+def test_every_bit_changes_the_crc(products: int) -> None:
     data = bytearray(np.random.default_rng(3).bytes(300))
     sums = {crc32(bytes(data))}
     for place in range(len(data)):
@@ -68,7 +68,7 @@ def test_every_bit_counts(products: int) -> None:
 
 
 @pytest.mark.parametrize("features", ["+avx2,-pclmul", "+avx2,+vpclmulqdq", ""])
-def test_a_processor_without_such_products(features: str, products: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processors_without_carryless_products_use_zlib(features: str, products: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The instruction would end the process."""
     target = llvm_compiler.host_target()
     monkeypatch.setattr(llvm_compiler, "host_target", lambda: llvm_compiler.Target(target.triple, "x86-64", features))
@@ -76,5 +76,5 @@ def test_a_processor_without_such_products(features: str, products: int, monkeyp
     assert check_sums._build_crc_function() is None and crc32(b"abc" * 99) == zlib.crc32(b"abc" * 99)
 
 
-def test_an_arm_has_none() -> None:
+def test_arm_processors_have_no_carryless_products() -> None:
     assert not check_sums.has_carryless_products(llvm_compiler.Target("aarch64-unknown-linux-gnu", "generic", "+pclmul"))

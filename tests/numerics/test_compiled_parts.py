@@ -51,7 +51,7 @@ def test_nested_parts_do_not_wait_for_free_threads() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_a_forked_process_has_threads_of_its_own() -> None:
+def test_forked_processes_have_separate_threads() -> None:
     parallel.run_in_parts(squares, 40, 2, 4)
     child = os.fork()
     if not child:

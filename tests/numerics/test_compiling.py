@@ -55,7 +55,7 @@ def load(folder: Path, monkeypatch: pytest.MonkeyPatch, number: float = 1.0) -> 
     return module.value
 
 
-def test_stored_kernels_are_used_until_a_number_elsewhere_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stored_kernels_are_used_until_a_constant_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compilations = []
     compile_ = llvm_compiler.compile_object
     monkeypatch.setattr(llvm_compiler, "compile_object", lambda *text: compilations.append(text) or compile_(*text))
@@ -78,7 +78,7 @@ CHANGES: list[tuple[str, str, str, float, bool]] = [  # file, what is there, wha
 
 
 @pytest.mark.parametrize(("file", "old", "new", "expected", "hit"), CHANGES)
-def test_a_kernel_is_known_by_the_sources_of_all_that_it_reaches(
+def test_kernel_keys_contain_all_reached_sources(
     folder: Path, monkeypatch: pytest.MonkeyPatch, file: str, old: str, new: str, expected: float, hit: bool
 ) -> None:
     other = folder / "kernel_other.py"
@@ -96,13 +96,13 @@ def test_a_kernel_is_known_by_the_sources_of_all_that_it_reaches(
     assert len(written) == (not hit), "code that is kept is used without its text, other code is written"
 
 
-def test_what_writes_kernels_is_part_of_what_they_are_known_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernel_keys_contain_the_compiler_sources(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     load(folder, monkeypatch)(2)
     monkeypatch.setattr(source_key, "_hash_compiler_sources", lambda: "another version")
     assert not load(folder, monkeypatch).has_code()
 
 
-def test_a_kernel_with_a_name_of_no_known_kind_is_known_by_its_text(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_with_unknown_names_are_keyed_by_text(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = KERNEL.replace("return twice(x)", "numbers = twice(x)\n    return numbers") + "numbers = {}\n"
     (folder / "kernel_value.py").write_text(text)
     kernel = load(folder, monkeypatch)

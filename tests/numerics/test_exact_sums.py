@@ -44,7 +44,7 @@ def test_sums_are_exact_in_any_order(quantum: int, largest: float):
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
-def test_sums_beyond_what_one_word_holds_are_exact_too(quantum: int):
+def test_sums_in_two_words_are_exact(quantum: int):
     """Terms at the cut and next to it: their sum has more than the 53 digits of a float64."""
     rng = np.random.default_rng(5)
     cut = np.float32(2.0 ** (quantum + 44))
@@ -57,7 +57,7 @@ def test_sums_beyond_what_one_word_holds_are_exact_too(quantum: int):
             assert totals[1].tobytes() == expected.tobytes() and totals[0] == totals[2] == 0
 
 
-def test_a_sum_with_nan_is_nan_and_only_that_one():
+def test_nan_affects_only_its_sum():
     terms = np.array([1.0, np.nan, 2.0, np.inf], np.float32)
     totals = exact_sums.sum_by_index(np.array([0, 1, 0, 2]), terms, -24, 3)
     assert totals[0] == 3 and np.isnan(totals[1]) and totals[2] == 2.0**20
@@ -104,7 +104,7 @@ def test_reductions_of_a_program_are_the_same_in_any_order_of_rows():
     assert history["most"][0] > 1e6 and history["least"][0] < -1e6
 
 
-def test_the_reference_adds_the_same(monkeypatch: pytest.MonkeyPatch):
+def test_the_reference_backend_has_equal_sums(monkeypatch: pytest.MonkeyPatch):
     few = COUNT // 5
     option_sets = (Options(), Options(backend="reference"), Options(backend="reference", shuffle_rows=1))
     history = play(TEXT % ((few * 9 // 10,) * 2), crowd(1), crowd(few, "b", radius=300), option_sets=option_sets)

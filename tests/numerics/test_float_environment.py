@@ -69,7 +69,7 @@ def hosted(bits: int, work: Callable[[], Any]) -> Any:
 
 
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
-def test_within_standard_a_thread_works_as_the_standard_says(bits: int) -> None:
+def test_standard_floats_work_in_threads(bits: int) -> None:
     small, third = np.full(99, 1e-45, np.float32), np.full(99, -3.0, np.float32)
 
     def work() -> tuple[bytes, bytes]:
@@ -100,7 +100,7 @@ def threading_is_standard(begin: Callable[[], None]) -> bool:
 
 
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
-def test_machine_code_works_as_the_standard_says(bits: int) -> None:
+def test_standard_floats_work_in_machine_code(bits: int) -> None:
     """Called outside of any step: a product of denormal numbers, and a quotient."""
     module = LlvmModule(llvm_compiler.host_target())
     body = """  %first = load ptr, ptr %t
@@ -122,7 +122,7 @@ def test_machine_code_works_as_the_standard_says(bits: int) -> None:
 
 
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
-def test_parts_on_threads_work_as_the_standard_says(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_standard_floats_work_in_parallel_parts(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "count_available_cores", lambda: 4)
     values = np.linspace(2.0**-540, 2.0**-500, 4_000)
 

@@ -152,7 +152,7 @@ def same(tested_kernel: Any, *arguments: Any) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 8, 9, 100])
-def test_kernels_do_what_the_function_does(size: int) -> None:
+def test_kernels_equal_their_python_function(size: int) -> None:
     draw = np.random.default_rng(size)
     x = draw.normal(size=size) * 4
     same(loops, x, 3, np.zeros(size))
@@ -258,7 +258,7 @@ def test_code_outside_the_subset_is_reported_with_its_line(function: Any) -> Non
         function.text()
 
 
-def test_code_that_is_forgotten_stays_where_it_is_called() -> None:
+def test_code_in_use_is_not_freed() -> None:
     import gc
 
     from antdsl.machine_code import code_cache

@@ -31,11 +31,11 @@ def groups(tmp_path: Path) -> Path:
     ("own", "bytes"),
     [("0::/job\n", [45 * MIB]), ("0::/\n", []), ("3:memory:/old\n", [0]), ("2:cpu:/job\n", []), ("nothing\n", []), ("", [])],
 )
-def test_what_control_groups_leave(groups: Path, own: str, bytes: list[int]) -> None:
+def test_memory_limits_of_control_groups_are_read(groups: Path, own: str, bytes: list[int]) -> None:
     assert list(module.iterate_free_group_memory(own, groups)) == bytes
 
 
-def test_the_least_counts(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_lowest_memory_limit_counts(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own, system = groups / "own", groups / "meminfo"
     own.write_text("0::/job\n")
     system.write_text("MemTotal: 900 kB\nMemAvailable:   20480 kB\n")

@@ -22,7 +22,7 @@ def random_points(count: int, size: float, seed: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize("count", [0, 1, 2, 700])
 @pytest.mark.parametrize("reach", [0.01, 0.1, 0.35])
-def test_pairs_are_those_of_a_tree(count: int, reach: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pairs_equal_those_of_a_tree(count: int, reach: float, monkeypatch: pytest.MonkeyPatch) -> None:
     own, others = random_points(count, 1.0), random_points(count // 2, 1.1, 1)
     expected = cKDTree(own).query_pairs(reach) if count else set()
     between = (
@@ -38,12 +38,12 @@ def test_pairs_are_those_of_a_tree(count: int, reach: float, monkeypatch: pytest
         assert sorted(zip(one.tolist(), two.tolist(), strict=True)) == sorted(between)
 
 
-def test_pairs_as_far_apart_as_the_reach_count() -> None:
+def test_pairs_at_the_maximum_distance_count() -> None:
     lattice = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3)
     assert len(find_pairs_within(lattice, 1.0)[0]) == 3 * 4 * 25
 
 
-def test_cells_too_many_to_number_find_the_same_pairs() -> None:
+def test_many_cells_give_equal_pairs() -> None:
     far = np.concatenate([random_points(50, 1.0), random_points(50, 1.0) + 1e13])
     one, two = find_pairs_within(far, 1e-3)
     assert sorted(zip(one.tolist(), two.tolist(), strict=True)) == sorted(cKDTree(far).query_pairs(1e-3))
@@ -58,6 +58,6 @@ def test_components_are_numbered_by_their_first_member(count: int, pairs: int) -
     assert number_components(joined, count).tolist() == list(expected)
 
 
-def test_a_long_chain_hangs_together() -> None:
+def test_a_long_chain_is_one_component() -> None:
     order = np.random.default_rng(3).permutation(20_000)
     assert number_components(np.stack([order[:-1], order[1:]], axis=1), len(order)).max() == 0

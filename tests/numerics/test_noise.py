@@ -20,7 +20,7 @@ def at(points: np.ndarray, seed: int = 0) -> np.ndarray:
     return compute_noise(points, np.full(points.shape[1], seed, np.int64))
 
 
-def test_values_lie_within_one_and_about_zero() -> None:
+def test_values_are_within_one_and_centred() -> None:
     values = at(RNG.uniform(-500, 500, (4, 40_000)))
     assert -1 < values.min() < -0.5 and 0.5 < values.max() < 1
     assert abs(values.mean()) < 0.01 and 0.1 < values.std() < 0.4
@@ -28,7 +28,7 @@ def test_values_lie_within_one_and_about_zero() -> None:
 
 
 @pytest.mark.parametrize("axis", range(4))
-def test_slope_and_curvature_have_no_step(axis: int) -> None:
+def test_slope_and_curvature_are_continuous(axis: int) -> None:
     """Along a line that crosses many cells the second difference of a fine walk stays small everywhere, at their borders too."""
     step_ = 1e-4
     line = np.repeat(RNG.uniform(-9, 9, (4, 1)), 60_001, axis=1)
@@ -41,20 +41,20 @@ def test_slope_and_curvature_have_no_step(axis: int) -> None:
     assert np.abs(np.diff(bend)).max() < 0.5
 
 
-def test_the_fade_is_level_at_both_ends() -> None:
+def test_the_fade_has_zero_slope_at_both_ends() -> None:
     t = np.array([0.0, 0.5, 1.0])
     assert compute_fade(t).tolist() == [0.0, 0.5, 1.0]
     assert abs(compute_fade(np.array([1e-4]))[0]) < 1e-11
 
 
-def test_seeds_give_patterns_that_have_nothing_in_common() -> None:
+def test_patterns_of_different_seeds_are_uncorrelated() -> None:
     points = RNG.uniform(-500, 500, (4, 20_000))
     one, other, same = at(points, 1), at(points, 2), at(points, 1)
     assert np.array_equal(one, same)
     assert abs(np.corrcoef(one, other)[0, 1]) < 0.03
 
 
-def test_neighbouring_cells_have_nothing_in_common() -> None:
+def test_neighbouring_cells_are_uncorrelated() -> None:
     inside = RNG.uniform(0.3, 0.7, (4, 1))
     corner = RNG.integers(-500, 500, (4, 20_000))
     one = at(inside + corner)
@@ -62,7 +62,7 @@ def test_neighbouring_cells_have_nothing_in_common() -> None:
         assert abs(np.corrcoef(one, at(inside + corner + away[:, None]))[0, 1]) < 0.03
 
 
-def test_bits_are_those_of_the_paper() -> None:
+def test_hashes_equal_those_of_the_paper() -> None:
     """pcg4d computed in whole numbers."""
 
     def plain(v: list[int]) -> list[int]:
@@ -80,7 +80,7 @@ def test_bits_are_those_of_the_paper() -> None:
     assert hash_pcg4d(words).T.tolist() == [plain([int(x) for x in column]) for column in words.T]
 
 
-def test_what_is_no_place_gives_no_number() -> None:
+def test_non_finite_points_give_nan() -> None:
     odd = np.array([[np.nan, np.inf, MAX_LATTICE_COORDINATE, 0.5]] * 4)
     assert np.isnan(at(odd)).tolist() == [True, True, True, False]
 
@@ -125,7 +125,7 @@ def test_a_scale_of_nothing_is_refused_in_a_run_and_not_stored() -> None:
     assert world.faults.count == 3 and (world.populations["ant"].now["mood"] == 5).all()
 
 
-def test_the_checks_know_where_it_lies() -> None:
+def test_checks_know_the_range_of_noise() -> None:
     from plan_text import program_of
 
     species = program_of("species ant {\n  mood = noise(20 mm)\n  start go\n  state go { mood = noise(20 mm) * 2 }\n}\n").species

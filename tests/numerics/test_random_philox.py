@@ -24,7 +24,7 @@ def test_known_answers(counter, key, answer):
     assert [[int(w) for w in word] for word in words] == [[a] * 3 for a in answer]
 
 
-def test_a_draw_is_a_function_of_its_place():
+def test_draws_are_functions_of_their_arguments():
     ids = np.arange(1000, dtype=np.int64)
     draws = randomness.draw_uniform(7, 12, "ant", "main.search#1", 0, ids)
     assert draws.dtype == np.float32 and draws.min() >= 0 and draws.max() < 1
@@ -45,7 +45,7 @@ def test_a_draw_is_a_function_of_its_place():
         (7 + 2**32, 12, "ant", "s", 0),
     ],
 )
-def test_every_part_of_the_place_counts(other):
+def test_every_argument_changes_the_draw(other):
     ids = np.arange(4000, dtype=np.int64)
     a = randomness.draw_uniform(7, 12, "ant", "s", 0, ids)
     b = randomness.draw_uniform(*other, ids)
@@ -53,12 +53,12 @@ def test_every_part_of_the_place_counts(other):
     assert (a == b).mean() < 0.01
 
 
-def test_draws_are_even():
+def test_draws_are_uniform():
     ids = np.arange(200_000, dtype=np.int64)
     counts = np.bincount((randomness.draw_uniform(1, 0, "a", "s", 2, ids) * 100).astype(int), minlength=100)
     assert ((counts - 2000.0) ** 2 / 2000.0).sum() < 150  # chi square of 99 degrees; 150 is beyond one in a thousand
 
 
-def test_ids_above_32_bits_draw_apart():
+def test_ids_above_32_bits_have_different_draws():
     ids = np.array([5, 5 + 2**32, 5 + 2**33], np.int64)
     assert len(set(randomness.draw_uniform(1, 0, "a", "s", 0, ids).tolist())) == 3

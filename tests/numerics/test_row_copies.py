@@ -29,7 +29,7 @@ def arrays(count: int) -> list[NDArray[Any]]:
 
 
 @pytest.mark.parametrize("count", [0, 1, COUNT])
-def test_rows_are_picked(threads: int, count: int) -> None:
+def test_selected_rows_are_copied(threads: int, count: int) -> None:
     of = arrays(COUNT)
     rows = np.repeat(np.random.default_rng(1).permutation(COUNT), 2)[::2][:count]  # not in one piece
     to = [np.zeros((count + 1, *each.shape[1:]), each.dtype) for each in of]
@@ -38,7 +38,7 @@ def test_rows_are_picked(threads: int, count: int) -> None:
         assert np.array_equal(target[:count], each[rows]) and not target[count].any()
 
 
-def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> None:
+def test_repeated_copies_use_the_current_arrays(threads: int) -> None:
     copies, of = RowCopier(), arrays(COUNT)
     for turn in range(3):
         if turn < 2:
@@ -57,7 +57,7 @@ def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> No
     assert few.tolist() == [4, 4, 4]
 
 
-def test_where_arrays_lie_is_looked_up_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_addresses_are_looked_up_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     looked = []
     monkeypatch.setattr(
         row_copies,

@@ -65,7 +65,7 @@ def by_definition(ids: NDArray[np.int64] | None, columns: list[NDArray[np.generi
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 5, 31, 32, 33, 500])
-def test_the_hash_is_that_of_its_definition(count: int) -> None:
+def test_hashes_equal_the_definition(count: int) -> None:
     ids, columns = table(count)
     parts = [part for column in columns.values() for part in column.reshape(-1, count)] if count else []
     assert row_hash.hash_rows(ids, parts) == by_definition(ids, parts)
@@ -73,7 +73,7 @@ def test_the_hash_is_that_of_its_definition(count: int) -> None:
     assert row_hash.hash_rows(None, subset) == by_definition(None, subset)
 
 
-def test_the_order_of_rows_and_how_arrays_lie_change_nothing() -> None:
+def test_hashes_do_not_depend_on_row_order_and_layout() -> None:
     ids, columns = table(16_484)
     expected_hash = hashed_rows(ids, columns)
     order = np.random.default_rng(1).permutation(len(ids))
@@ -81,7 +81,7 @@ def test_the_order_of_rows_and_how_arrays_lie_change_nothing() -> None:
     assert hashed_rows(ids, {name: np.asfortranarray(array) for name, array in columns.items()}) == expected_hash
 
 
-def test_every_change_is_seen() -> None:
+def test_every_change_changes_the_hash() -> None:
     ids, columns = table(9)
     hashes = {hashed_rows(ids, columns)}
 
@@ -114,7 +114,7 @@ def test_every_change_is_seen() -> None:
     differs(np.append(ids, 1000), {name: np.append(array, array[..., :1] * 0, axis=-1) for name, array in columns.items()})
 
 
-def test_tables_that_differ_little_have_numbers_that_differ_much() -> None:
+def test_small_changes_change_half_of_the_bits() -> None:
     """Of 4,000 tables that count up no two agree, in neither half; each bit is set in about half of them."""
     hashes = [
         row_hash.hash_rows(np.zeros(1, np.int64), [np.array([k % 100]), np.array([k // 100], np.int32)]) for k in range(4_000)
@@ -125,7 +125,7 @@ def test_tables_that_differ_little_have_numbers_that_differ_much() -> None:
     assert np.abs(share - 0.5).max() < 0.04
 
 
-def test_numbers_are_these() -> None:
+def test_hashes_equal_recorded_values() -> None:
     """Another version compares with what one version stored, on any processor."""
     ids, columns = np.array([3, 1], np.int64), {"x": np.array([1.5, -0.0]), "n": np.array([7, 9], np.int32)}
     assert row_hash.hash_rows(ids, list(columns.values())).hex() == "6c6528ad5946376db350e10234b09e90"
@@ -148,7 +148,7 @@ def test_blocks_and_chunks_of_rows_add_up(count: int) -> None:
         assert numbered.hash_rows(None, parts[:3], threads) == row_hash.hash_rows(None, parts[:3])
 
 
-def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows() -> None:
+def test_moved_tables_have_the_hash_of_their_rows() -> None:
     """Arrays of other places, lengths, types and steps, some the same as before with other values in them."""
     known, numbered = row_hash.RowHasher(), row_hash.RowHasher()
     for count in (70, 70, 71, 1, 5, 0, 1, 70):
@@ -167,7 +167,7 @@ def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows()
             assert numbered.hash_rows(None, [columns["f8"]]) == row_hash.hash_rows(None, [columns["f8"]])
 
 
-def test_a_column_of_one_row_lies_in_one_piece_and_one_of_more_with_its_step_may_not() -> None:
+def test_columns_of_one_row_are_contiguous() -> None:
     matrix, known = np.arange(15.0).reshape(5, 3), row_hash.RowHasher()
     for count in (1, 5, 1, 3):
         columns = [matrix[:count, 0]]

@@ -121,7 +121,7 @@ def test_small_meshes_are_not_stored(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("harm", ["a bit", "short", "empty", "long", "of another key", "a link"])
-def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Path) -> None:
+def test_damaged_tables_are_computed_again(folder: Path, harm: str, tmp_path: Path) -> None:
     mesh, begin = hills(75), stored_tables.count_computed_tables()
     table = topology(mesh)
     (file,) = folder.iterdir()
@@ -170,7 +170,7 @@ def test_signed_nonsense_is_not_used(folder: Path, data: bytes) -> None:
     assert stored_tables.count_computed_tables() == begin + 1
 
 
-def test_all_that_tables_depend_on_is_in_their_key(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_table_keys_contain_all_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
     key = stored_tables._compute_key
     one = np.arange(6.0)
     keys = {
@@ -187,14 +187,14 @@ def test_all_that_tables_depend_on_is_in_their_key(monkeypatch: pytest.MonkeyPat
     assert key("some", (one, 1.0)) not in keys
 
 
-def test_the_sources_of_all_rooms_that_compute_are_in_the_key() -> None:
+def test_table_keys_contain_the_sources_of_all_computing_packages() -> None:
     named = {path.relative_to(Path(stored_tables.__file__).parents[1]).as_posix() for path in stored_tables._list_modules()}
     for module in ("ground/mesh/self_cuts.py", "casting/rasterise.py", "scene/geometry/live_faces.py", "fields/block_index.py"):
         assert module in named
     assert "numerics/stored_tables.py" in named and "machine_code/llvm_compiler.py" in named
 
 
-def test_of_what_moves_nothing_is_stored(folder: Path) -> None:
+def test_tables_of_moving_meshes_are_not_stored(folder: Path) -> None:
     vertices, faces = hills(75)
     ground = MovingGround({"deck": (vertices, faces)}, ["deck"])
     begin = len(list(folder.iterdir()))

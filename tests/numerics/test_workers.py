@@ -89,7 +89,7 @@ def nothing_at_all(begin: int, end: int) -> None:
     pass
 
 
-def test_a_kernel_that_gives_nothing_or_reads_what_only_python_reads() -> None:
+def test_kernels_without_results_or_with_python_arguments() -> None:
     assert parallel.run_in_parts(nothing, 40, 2, 4) == parallel.run_in_parts(partial(nothing), 40, 2, 4) == [None] * 2
     x, out, times = arrays(100)
     assert parallel.run_in_parts(partial(squared, x, out, memoryless(times)), 100, 2, 4) == [(100, x.sum(), 0)]
@@ -107,7 +107,7 @@ def memoryless(array: Any) -> Any:
     return array.view(Another)
 
 
-def test_many_of_python_ask_at_once_and_within_parts() -> None:
+def test_concurrent_and_nested_python_jobs_complete() -> None:
     wrong: list[str] = []
 
     def crowd(number: int) -> None:
@@ -153,7 +153,7 @@ def test_the_first_failing_part_raises_after_all_running_parts_have_ended(thread
 
 
 @pytest.mark.parametrize("is_running", (False, True))
-def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running: bool) -> None:
+def test_interrupted_callers_wait_for_running_parts(is_running: bool) -> None:
     pool, start_event = workers.WorkerPool(2), threading.Event()
     start = pool._start_function
     at_work, ended = [], []
@@ -197,7 +197,7 @@ def test_functions_of_machine_code_are_called_with_each_row() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_a_forked_process_makes_threads_of_its_own() -> None:
+def test_forked_processes_start_separate_threads() -> None:
     x, out, times = arrays(400)
     work = partial(squared, x, out, times)
     parallel.run_in_parts(work, 400, 3, 10)
@@ -235,7 +235,7 @@ print("over")
 
 
 @pytest.mark.parametrize(("how", "status"), [("at once", 0), ("asleep", 0), ("busy", 0), ("raises", 1)])
-def test_a_program_ends_whatever_its_threads_are_at(how: str, status: int) -> None:
+def test_programs_exit_with_busy_threads(how: str, status: int) -> None:
     ran = subprocess.run(
         [sys.executable, "-c", ENDS, how],
         env=child_environment(Path(__file__).parent, Path(__file__).parents[1]),
@@ -247,7 +247,7 @@ def test_a_program_ends_whatever_its_threads_are_at(how: str, status: int) -> No
     assert status or not ran.stderr
 
 
-def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_executor_replaces_native_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "has_native_workers", lambda: False)
     monkeypatch.setattr(workers, "_pool_by_threads", {})
     x, out, times = arrays(1_000)
@@ -260,7 +260,7 @@ def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("pool", [workers.WorkerPool, workers.ExecutorPool])
-def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> None:
+def test_interrupts_release_the_pool(pool: Any) -> None:
     """CPython raises it where a function begins, and in a call that is over: also in the one that takes the pool."""
     ask, code = workers._run_exclusively, workers._run_exclusively.__code__
     pool, interrupt_count = pool(1), 0
@@ -292,7 +292,7 @@ def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> 
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_each_part_has_a_room_of_its_own(threads: int) -> None:
+def test_parallel_parts_have_separate_buffers(threads: int) -> None:
     for count in (1, 15, 16, 17, 100, 129, 500, 5_001, 100_003):
         for least in (16, 64, 1_000):
             rooms = np.zeros(parallel.count_parts(count, threads, least), np.int64)

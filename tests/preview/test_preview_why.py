@@ -57,7 +57,7 @@ def test_what_is_explained_is_what_happened_however_it_was_edited(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["foraging", "flocking", "moods", "alarm"])
-def test_what_is_explained_is_what_happened_a_thousand_times(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_explanations_agree_with_runs_a_thousand_times(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notes = watched(name, 100, 5, tmp_path, monkeypatch)
     initial_hash = notes.session.hash
     assert notes.explained_otherwise(250) == {}
@@ -101,7 +101,7 @@ def test_a_page_that_asks_receives_the_reason(live: Live, tmp_path: Path) -> Non
         ({"species": "forager", "agent": 500, "frame": 3}, "no forager 500 at frame 2: there are 40, from 0 to 39"),
     ],
 )
-def test_what_cannot_be_explained_is_said(live: Live, ask: dict[str, Any], message: str) -> None:
+def test_unexplainable_requests_are_errors(live: Live, ask: dict[str, Any], message: str) -> None:
     page = Page(live)
     page.ask("step", count=3)
     page.status(frame=4, playing=False)

@@ -50,7 +50,7 @@ def samples() -> np.ndarray | None:
     return read_image_file(png(GREY), "PNG", ("I;16",), 100).samples
 
 
-def test_it_is_started_once_and_again_after_it_died(reader: FileReader) -> None:
+def test_the_reader_restarts_after_it_died(reader: FileReader) -> None:
     assert np.array_equal(samples(), GREY)  # type: ignore[arg-type]
     assert reader._reader_process is not None
     first = reader._reader_process.process
@@ -65,7 +65,7 @@ def test_it_is_started_once_and_again_after_it_died(reader: FileReader) -> None:
     assert second.poll() is not None and not folder.path.exists()
 
 
-def test_an_image_that_is_none_or_too_large_is_refused(reader: FileReader) -> None:
+def test_invalid_and_large_images_are_rejected(reader: FileReader) -> None:
     with pytest.raises(ImageError, match="cannot be read as PNG"):
         read_image_file(b"\x89PNG\r\n\x1a\n" + bytes(90), "PNG", ("RGB",), 100)
     for modes, pixels in ((("RGB",), 100), (("I;16",), 11)):
@@ -88,7 +88,7 @@ def test_an_image_that_is_none_or_too_large_is_refused(reader: FileReader) -> No
         ("time.sleep(600)", "takes too long"),
     ],
 )
-def test_whatever_the_process_does_is_an_error(
+def test_any_misbehaviour_of_the_reader_is_an_error(
     does: str, words: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program = tmp_path / "child.py"
@@ -105,7 +105,7 @@ def test_whatever_the_process_does_is_an_error(
     client._file_reader.end()
 
 
-def test_a_request_that_failed_is_not_made_again(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_failed_requests_are_not_repeated(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program = tmp_path / "child.py"
     program.write_text(f"{HELLO}os.abort()\n")
     monkeypatch.setattr(client, "_CHILD_PROGRAM", program)
@@ -127,7 +127,7 @@ def test_threads_take_turns(reader: FileReader) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
-def test_a_forked_process_has_a_reader_of_its_own(reader: FileReader) -> None:
+def test_forked_processes_have_separate_readers(reader: FileReader) -> None:
     samples()
     assert reader._reader_process is not None and reader._folder is not None
     process, folder = reader._reader_process.process, reader._folder.path

@@ -49,7 +49,7 @@ def program(does: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(client, "_CHILD_PROGRAM", file)
 
 
-def test_what_is_charged_ends_a_budget() -> None:
+def test_charged_time_ends_the_budget() -> None:
     cpu_budget.charge_cpu_seconds(1e9)  # without a budget nothing happens
     with pytest.raises(CpuBudgetSpent), cpu_budget.limit_cpu_seconds(1000):
         for _ in range(1000):
@@ -64,7 +64,7 @@ def test_what_is_charged_ends_a_budget() -> None:
 @pytest.mark.parametrize(
     "does", ["send({'answer': {}, 'cpu': 0.0})", "os.abort()", "send({'failure': 'exception'})", "send({'what': 1})"]
 )
-def test_the_time_of_the_reader_is_charged(
+def test_reader_time_is_charged_to_the_check(
     does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program(does, monkeypatch, tmp_path)
@@ -97,9 +97,7 @@ def test_a_request_gets_no_more_time_than_the_budget_has(
     assert 1000 + limits.READER_BASE_CPU_SECONDS in seconds and min(seconds) <= 501, seconds
 
 
-def test_a_child_that_the_budget_ended_is_no_failure_of_the_file(
-    reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_exhausted_budget_does_not_blame_the_file(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program("os.kill(os.getpid(), 24)", monkeypatch, tmp_path)  # SIGXCPU
     with pytest.raises(CpuBudgetSpent), cpu_budget.limit_cpu_seconds(4):
         client.send_request("image", {}, request_digest="a", files_digest="b")
@@ -110,7 +108,7 @@ def test_a_child_that_the_budget_ended_is_no_failure_of_the_file(
 @pytest.mark.parametrize(
     "does", ["os.kill(os.getpid(), 24)", "os.kill(os.getpid(), 9)", "send({'failure': 'memory'})", "spin(0.6), os.abort()"]
 )
-def test_files_that_took_too_much_are_not_tried_again(
+def test_files_over_the_limit_are_not_read_again(
     does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program(does, monkeypatch, tmp_path)
@@ -132,7 +130,7 @@ def test_files_that_took_too_much_are_not_tried_again(
         client.send_request("image", {}, request_digest="a", files_digest="x")
 
 
-def test_a_crash_is_about_one_request_alone(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_crash_affects_one_request(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program("os.abort()", monkeypatch, tmp_path)
     with pytest.raises(ReaderFailure):
         client.send_request("image", {}, request_digest="a", files_digest="x")
@@ -140,9 +138,7 @@ def test_a_crash_is_about_one_request_alone(reader: FileReader, monkeypatch: pyt
     client.send_request("image", {}, request_digest="b", files_digest="x")
 
 
-def test_a_scene_has_so_much_time_and_the_next_one_again(
-    reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_each_scene_has_the_full_time_limit(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program("send({'answer': {}})", monkeypatch, tmp_path)
     monkeypatch.setattr(limits, "READER_CPU_SECONDS_PER_SCENE", 0.05)
     client.begin_scene()
@@ -154,9 +150,7 @@ def test_a_scene_has_so_much_time_and_the_next_one_again(
     client.send_request("image", {}, request_digest="c", files_digest="y")  # large files have more of it
 
 
-def test_a_dead_child_still_says_how_much_time_it_took(
-    reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_time_of_a_dead_child_is_counted(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program("os.abort()", monkeypatch, tmp_path)
     running = reader._start_process()
     running.requests.write(b"x")
@@ -176,7 +170,9 @@ def heavy(folder: Path, levels: int = 20) -> None:
     (folder / "heavy.usda").write_text(f'{text}def "r{levels}"\n{{\n}}\n')
 
 
-def test_prims_of_a_heavy_file_are_refused_at_once(reader: FileReader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_prims_of_a_heavy_file_are_rejected_immediately(
+    reader: FileReader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     heavy(tmp_path)
     monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 0)
     closures: dict[str, usd.Closure | usd.UsdError] = {}
@@ -213,7 +209,7 @@ def test_a_file_that_cannot_be_collected_is_collected_once(
 
 
 @pytest.mark.parametrize("does", ["os.abort()", "os.kill(os.getpid(), 9)", "send({'failure': 'memory'})"])
-def test_a_small_limit_of_the_person_is_out_of_memory_and_no_fault_of_the_file(
+def test_a_small_user_limit_is_out_of_memory(
     does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program(does, monkeypatch, tmp_path)

@@ -36,7 +36,7 @@ def framed(header: Any, body: bytes = b"") -> bytes:
     return struct.pack("<4sQ", MESSAGE_MAGIC, len(text)) + text + body
 
 
-def test_a_message_is_read_as_it_was_written() -> None:
+def test_messages_survive_writing_and_reading() -> None:
     message = read_message(io.BytesIO(written({"x": [1, "é"]}, ARRAYS)), 1000)
     assert message.document == {"x": [1, "é"]} and message.require_array("c", "u2", 1)[0] == 7
     assert all(np.array_equal(message.arrays[name], array) for name, array in ARRAYS.items())
@@ -72,12 +72,12 @@ def test_a_message_is_read_as_it_was_written() -> None:
         framed(b'{"document": {"x": 1' + b"0" * 9000 + b'}, "arrays": []}'),
     ],
 )
-def test_what_is_no_message_is_refused(data: bytes) -> None:
+def test_invalid_messages_are_rejected(data: bytes) -> None:
     with pytest.raises(ProtocolError):
         read_message(io.BytesIO(data), limits.MAX_READER_ARRAY_BYTES)
 
 
-def test_any_bytes_are_a_message_or_refused() -> None:
+def test_any_bytes_are_a_message_or_rejected() -> None:
     draw, good = random.Random(1), written({"answer": {"names": ["a"], "unit": 1.5}}, ARRAYS)
     accepted = 0
     for _ in range(4000):

@@ -40,7 +40,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return results
 
 
-def test_nothing_is_written_started_or_reached(outcomes: dict[str, Any]) -> None:
+def test_the_sandbox_blocks_files_processes_and_networks(outcomes: dict[str, Any]) -> None:
     active = outcomes["active"]
     assert active["rlimits"]
     if not active["seccomp"]:

@@ -100,7 +100,7 @@ def test_no_message_says_whether_a_file_outside_exists(form: str, inside: bool, 
 @pytest.mark.parametrize(
     "path", ["file:///etc/passwd.usda", "http://host/a.usda", "C:/a.usda", "\\\\host\\a.usda", "$HOME/a.usda"]
 )
-def test_addresses_are_refused(path: str, folder: Path) -> None:
+def test_urls_are_rejected(path: str, folder: Path) -> None:
     (folder / "a.usda").write_text(refers(path))
     (folder / "a.usdz").write_bytes(zipped({"top.usda": refers(path)}))
     refused(folder, "a.usda")
@@ -137,7 +137,7 @@ def test_layers_of_a_package_are_found_as_usd_finds_them(folder: Path) -> None:
     assert "not a layer of that package" in refused(folder, "set.usdz")
 
 
-def test_a_package_that_is_not_plain_is_refused() -> None:
+def test_compressed_packages_are_rejected() -> None:
     def compressed(entry: zipfile.ZipInfo) -> None:
         entry.compress_type = zipfile.ZIP_DEFLATED
 
@@ -218,7 +218,7 @@ def test_messages_of_usd_are_the_same_in_each_run(folder: Path, monkeypatch: pyt
     assert "@inner.usda@</A> which inherits from: @inner.usda@</B>" in refused(folder, "inner.usda")
 
 
-def test_words_of_usd_have_no_address() -> None:
+def test_messages_of_usd_contain_no_memory_address() -> None:
     words = clean_usd_text(
         "@/tmp/x/sub/a.usda@,@anon:0x5565f6d2:a-session.usda@</m>\n on @anon:0x7f:b.usda@ <0x55a0> @anon:0x1@", "/tmp/x"
     )
@@ -272,7 +272,7 @@ POINTS = {"places": np.zeros((1, 2, 3)), "radius": np.zeros(2), "ahead": np.zero
         (usd.read_usd_camera, answer({"at": np.zeros((1, 3))})),
     ],
 )
-def test_an_answer_that_makes_no_sense_is_an_error(
+def test_invalid_answers_are_errors(
     read_it: Callable[[usd.UsdStage], Any], message: ReaderMessage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "a.usda").write_text(GOOD)

@@ -16,7 +16,7 @@ from antdsl.preview.session import Session
 from antdsl.reader import client
 
 
-def test_a_preview_goes_on_when_the_reader_dies(tmp_path: Path) -> None:
+def test_the_preview_continues_after_the_reader_dies(tmp_path: Path) -> None:
     row = usd("", GOOD, file="set.usd")
     for name, data in {**PROJECT, **row.files}.items():
         (tmp_path / name).write_bytes(data if isinstance(data, bytes) else data())

@@ -54,7 +54,7 @@ def project(data: CameraData, row: int, place: np.ndarray) -> tuple[np.ndarray, 
     return np.abs(pixels / [1600, 900] * 2 - 1).max(axis=1), depth
 
 
-def test_agents_are_in_view_where_a_picture_shows_them() -> None:
+def test_agents_in_view_are_those_in_the_picture() -> None:
     history = run()
     for frame in range(1, 4):
         place = np.stack([history.at(f"position.{axis}", frame - 1) for axis in "xyz"], axis=1)
@@ -80,7 +80,7 @@ def test_a_margin_is_a_distance_from_the_planes_of_the_view() -> None:
     assert (np.array(history["near"]) == (outside <= 12)).all() and (np.array(history["inner"]) == (outside <= -3)).all()
 
 
-def test_a_camera_is_a_place() -> None:
+def test_cameras_have_positions() -> None:
     history = run(steps=1)
     offset = WIDE.at[0] - np.array([(x, 0.0, z) for x, z in GRID])
     far = np.linalg.norm(offset, axis=1)
@@ -90,7 +90,7 @@ def test_a_camera_is_a_place() -> None:
 
 
 @pytest.mark.parametrize(("first", "row"), [(0, 0), (-1, 1), (-9, 2), (9, 0)])
-def test_the_first_and_the_last_frame_hold_outside(first: int, row: int) -> None:
+def test_camera_keys_hold_outside_their_frames(first: int, row: int) -> None:
     cameras = {"shot": replace(SHOT, first=first), "wide": WIDE}
     history = play(TEXT, crowd(at=GRID), world=WORLD, steps=1, cameras=cameras)
     off, depth = project(SHOT, row, np.array([(x, 0.0, z) for x, z in GRID]))

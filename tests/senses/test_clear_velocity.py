@@ -72,7 +72,7 @@ def beyond(o: Neighbours, velocity: tuple[np.ndarray, ...], horizon: np.ndarray,
 
 
 @pytest.mark.parametrize(("count", "near"), [(0, 1.0), (1, 20.0), (4, 25.0), (10, 25.0), (10, 3.0)])
-def test_no_velocity_of_a_fine_grid_that_is_allowed_is_nearer_to_the_wish(count: int, near: float) -> None:
+def test_no_allowed_velocity_is_nearer_to_the_wish(count: int, near: float) -> None:
     o, (velocity, wish, fastest, horizon) = case(count, count, near)
     if count:
         o.x[:9, 0] = o.y[:9, 0] = o.vx[:9, 0] = o.vy[:9, 0] = 0.0  # on one spot, as fast
@@ -115,7 +115,7 @@ def test_a_change_by_half_each_just_misses_within_the_horizon() -> None:
     assert velocities[0][0] == -velocities[0][1] and velocities[1][0] == -velocities[1][1]
 
 
-def test_an_agent_that_may_not_move_or_that_is_no_number_harms_no_other() -> None:
+def test_blocked_and_invalid_agents_do_not_affect_others() -> None:
     o, (velocity, wish, fastest, horizon) = case(6, 6, 20.0)
     expected = clear_velocities(o, Moves(velocity, wish, fastest, horizon), DT)
     o.vx[9:12, 0], fastest[5:8], horizon[20:22] = np.inf, 0.0, 1e-30
@@ -126,7 +126,7 @@ def test_an_agent_that_may_not_move_or_that_is_no_number_harms_no_other() -> Non
 
 
 @pytest.mark.parametrize(("most", "high", "far"), [(1, 0, 900.0), (4, 0, 900.0), (40, 0, 900.0), (40, 3000, 2000.0)])
-def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: int, high: int, far: float, tmp_path: Path) -> None:
+def test_the_nearest_agents_of_all_species_are_avoided(most: int, high: int, far: float, tmp_path: Path) -> None:
     line = "{{species: {0}, from: {0}.ant, count: 60, place: {{radius: 3 m}}}}"
     crowds = ", ".join(line.format(name) for name in ("dog", "cat"))
     (tmp_path / "scene.yaml").write_text(f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..9\nseed: 1\ncrowd: [{crowds}]\n")
@@ -224,7 +224,7 @@ def test_all_backends_and_any_rows_give_the_same_bits() -> None:
         assert run(options) == hashes
 
 
-def test_twenty_who_cross_a_circle_come_to_the_other_side_and_do_not_run_into_each_other() -> None:
+def test_twenty_agents_cross_a_circle_without_collisions() -> None:
     outcome = circle(20, 30)
     assert outcome.seconds < 20 and outcome.nearest > 300 and outcome.stuck == 0  # of 400 mm: who turns away needs a moment to
 
@@ -240,10 +240,10 @@ def test_agents_in_a_corridor_too_narrow_to_pass_are_reported_as_stuck() -> None
 
 
 @pytest.mark.slow
-def test_of_a_hundred_who_cross_a_circle_none_is_stuck() -> None:
+def test_a_hundred_agents_cross_a_circle_without_being_stuck() -> None:
     assert circle(100, 60).seconds < 60
 
 
 @pytest.mark.slow
-def test_of_two_hundred_head_on_in_a_corridor_none_is_stuck() -> None:
+def test_two_hundred_agents_in_a_corridor_are_not_stuck() -> None:
     assert corridor(200, 90, wide=5000).seconds < 90

@@ -92,7 +92,7 @@ def cells_of(shape: GridShape, positions) -> np.ndarray:
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 4])
 @pytest.mark.parametrize("extent", (*EXTENTS, (0, 0, 0)), ids=str)
-def test_agents_are_put_in_the_order_of_cells(monkeypatch: pytest.MonkeyPatch, extent, threads: int) -> None:
+def test_agents_are_sorted_by_cells(monkeypatch: pytest.MonkeyPatch, extent, threads: int) -> None:
     monkeypatch.setattr(cell_order, "_MIN_CHUNKED_AGENTS", 20)
     for name in ("MIN_LIGHT_ITEMS_PER_THREAD", "MIN_AGENTS_PER_THREAD"):
         monkeypatch.setattr(parallel, name, 16)
@@ -153,7 +153,7 @@ def test_a_crowd_of_few_layers_is_a_sheet(layers: int, agents: int, sheet: bool)
 
 
 @pytest.mark.parametrize("count", [1, 3, 16, 2500])
-def test_registers_are_put_in_the_order_of_cells(count: int) -> None:
+def test_registers_are_sorted_by_cells(count: int) -> None:
     rng = np.random.default_rng(count)
     four, at = rng.random((4, count)).astype(np.float32), rng.permutation(count).astype(np.int32)
     expected, ordered = np.zeros((count, 4), np.float32), np.zeros((count, 4), np.float32)
@@ -172,7 +172,7 @@ def test_a_cell_table_too_large_to_list_is_searched() -> None:
     assert pairs.i.size > 1000
 
 
-def test_others_ask_and_some_rows_of_them() -> None:
+def test_other_species_and_subsets_of_rows_can_query() -> None:
     positions, ids = crowd(EXTENTS[0])
     asking, _ = crowd((500, 60, 300), 900)
     grid = CellGrid(*positions, ids, 20.0)
@@ -188,7 +188,7 @@ def test_others_ask_and_some_rows_of_them() -> None:
     assert grid.find_pairs(np.empty(0, np.intp), 5.0).i.size == 0
 
 
-def test_arrays_grow_and_several_threads_come_to_the_same(monkeypatch) -> None:
+def test_growing_arrays_and_threads_give_equal_pairs(monkeypatch) -> None:
     monkeypatch.setattr(parallel, "MIN_AGENTS_PER_THREAD", 500)
     positions, ids = crowd((90, 2, 90))
     grid = CellGrid(*positions, ids, 3.0)
@@ -199,7 +199,7 @@ def test_arrays_grow_and_several_threads_come_to_the_same(monkeypatch) -> None:
             assert_same(grid.find_pairs(None, 12.0, threads=threads, view=view), expected)
 
 
-def test_of_more_than_the_cap_the_nearest_stay() -> None:
+def test_the_nearest_neighbours_are_used_beyond_the_limit() -> None:
     positions, ids = crowd((30, 1, 30))
     positions[0][1000:1400] = np.round(positions[0][1000:1400])  # many as near
     positions[1][1000:1400], positions[2][1000:1400] = 0.0, np.round(positions[2][1000:1400])
@@ -239,7 +239,7 @@ def near_items(visited: dict, positions, radius) -> list[tuple]:
 
 
 @pytest.mark.parametrize("many", [0, 1, 7, 200])
-def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, many: int) -> None:
+def test_all_searches_find_equal_items(monkeypatch: pytest.MonkeyPatch, many: int) -> None:
     positions, _ = crowd((400, 10, 400), 1000)
     rng = np.random.default_rng(4)
     visited = {axis: rng.uniform(-200, 200, many).astype(np.float32) for axis in "xyz"}
@@ -264,7 +264,7 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
             assert [(i, j, *(w.tobytes() for w in path)) for i, j, *path in zip(*columns, strict=True)] == expected
 
 
-def test_parts_walked_side_by_side_come_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parallel_parts_give_equal_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "MIN_AGENTS_PER_THREAD", 100)
     hashes = []
     for threads in (1, 3):

@@ -34,7 +34,7 @@ def share(bound_world: World) -> float:
     return bound_world.motion.summary()["overlap_start"]
 
 
-def test_it_is_known_before_the_first_step() -> None:
+def test_start_overlaps_are_known_before_the_first_step() -> None:
     assert share(bind_crowds(at("ant", 4))) == 0
     assert share(bind_crowds(at("ant", 6))) == pytest.approx(4 / 6)
 
@@ -44,7 +44,7 @@ def test_all_species_are_counted_and_an_agent_without_size_overlaps_none() -> No
     assert share(bind_crowds(at("ant", 4), at("ghost", 4, 1))) == 0
 
 
-def test_it_is_of_the_crowd_that_was_placed_and_not_of_the_one_after_a_preroll() -> None:
+def test_start_overlaps_are_measured_before_the_preroll() -> None:
     bound_world = bind_crowds(at("ant", 8))
     for _ in range(30):
         step(bound_world)
@@ -67,7 +67,7 @@ def test_overlaps_of_very_different_sizes_are_exact(spread: float) -> None:
     assert measure_worst_overlaps(*place.T.copy(), radius) == pytest.approx(expected.max(axis=1), abs=1e-6)
 
 
-def test_small_ones_among_large_ones_are_not_measured_pair_by_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_small_agents_among_large_ones_are_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     measured, inside = [0], overlaps._compute_overlap_share
 
     def counted(distance: np.ndarray, *radii: np.ndarray) -> np.ndarray:

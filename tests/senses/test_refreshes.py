@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from refreshes import Refreshes, band, keys, refreshed, searched  # lies beside the tests
 
 
-def test_the_bands_are_those_of_the_document() -> None:
+def test_detail_bands_equal_the_documentation() -> None:
     limits = [1.1, 1.2, 1.3, 1.4, 1.5]  # after 1, 2, … frames, sight 1, 0.1 a frame
     assert band(np.array(limits) - 0.05, 1.0, 0.1).tolist() == [1, 2, 3, 4, 5] and band(
         np.array([0.0, 1.0]), 1.0, 0.1
@@ -22,7 +22,7 @@ def test_the_bands_are_those_of_the_document() -> None:
         assert np.allclose(refreshed(6, 6, 1.0, closing), ranges)
 
 
-def test_two_that_close_in_are_missed_when_the_speed_of_one_is_counted() -> None:
+def test_approaching_pairs_need_the_speed_of_both() -> None:
     """1.55 apart and 0.1 a frame each: in sight after three frames; their band is the sixth by the speed of one."""
     first = {}
     for closing in (0.1, 0.2):

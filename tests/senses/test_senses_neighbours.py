@@ -58,7 +58,7 @@ def test_same_pairs_as_the_tree_of_scipy():
     assert all(abs(np.hypot(np.hypot(x[i] - x[j], y[i] - y[j]), z[i] - z[j]) - 6.3) < 1e-5 for i, j in borderline)
 
 
-def test_own_radius_of_each_query_and_other_species():
+def test_queries_have_separate_radii():
     x, y, z = crowd(700, (200, 10, 200))
     qx, qy, qz = crowd(300, (260, 30, 260), seed=2)
     radius = np.random.default_rng(3).uniform(0, 60, 300).astype(np.float32)
@@ -93,7 +93,7 @@ def test_an_agent_far_away_changes_nothing_for_others():
     assert sorted(as_ids(CellGrid(*far, ids, 9.0).find_pairs(None, 9.0), ids, ids)) == expected
 
 
-def test_a_crowd_on_one_spot_keeps_the_lowest_ids_and_little_memory():
+def test_a_crowd_at_one_position_uses_the_lowest_ids():
     import tracemalloc
 
     n = 4000
@@ -109,7 +109,7 @@ def test_a_crowd_on_one_spot_keeps_the_lowest_ids_and_little_memory():
     assert sorted(last.tolist()) == list(range(limits.MAX_QUERY_NEIGHBOURS))
 
 
-def test_empty_crowds_and_places_that_are_not_numbers_do_no_harm():
+def test_empty_crowds_and_invalid_positions_are_accepted():
     none = np.empty(0, np.float32)
     assert CellGrid(none, none, none, np.empty(0, np.int64), 5.0).find_pairs(None, 5.0).i.size == 0
     x = np.array([0, 1, np.nan, np.inf, 1e30, 2], np.float32)
@@ -119,7 +119,7 @@ def test_empty_crowds_and_places_that_are_not_numbers_do_no_harm():
     assert not np.isin([2, 3], pairs.j).any() and not np.isin([2, 3], pairs.i).any()
 
 
-def test_the_field_of_view_leaves_who_is_in_it() -> None:
+def test_the_field_of_view_selects_neighbours() -> None:
     n = 600
     x, y, z = crowd(n, (90, 10, 90))
     ids = np.arange(n, dtype=np.int64)
@@ -140,7 +140,7 @@ def test_the_field_of_view_leaves_who_is_in_it() -> None:
     )
 
 
-def test_the_cap_comes_before_the_field_of_view() -> None:
+def test_the_neighbour_limit_applies_before_the_field_of_view() -> None:
     n = 1000
     x = np.linspace(-20, 20, n).astype(np.float32)
     zero, one = np.zeros(n, np.float32), np.ones(n, np.float32)

@@ -31,6 +31,6 @@ def test_the_middle_of_the_widest_gap(bearings: tuple[float, ...], expected: flo
     assert gap_bearing(*bearings) == (None if expected is None else pytest.approx(expected, abs=1e-3))
 
 
-def test_who_is_not_there_or_on_the_same_spot_does_not_count() -> None:
+def test_absent_and_coincident_agents_do_not_count() -> None:
     x, y = find_widest_gaps(np.array([[1.0, 0.0, -1.0]]), np.zeros((1, 3)), np.array([[True, True, False]]))
     assert (x[0], abs(y[0])) == (pytest.approx(-1.0), pytest.approx(0.0, abs=1e-6))

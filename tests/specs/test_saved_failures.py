@@ -87,7 +87,7 @@ def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):  # 
     return command
 
 
-def test_what_a_newcomer_reads(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
+def test_failure_reports_are_complete(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
     code, out = run("test", "a.ant", "-k", "rests")
     known = re.sub(r", [0-9.]+ s$", ", … s", re.sub(r"position is .*", "position is …", out), flags=re.MULTILINE)
     assert code == 1
@@ -114,7 +114,7 @@ def agents(out: str) -> list[str]:
     return match[1].strip().split(", ") if match else []
 
 
-def test_what_is_saved_is_the_run_that_was_judged_and_goes_on(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
+def test_saved_failures_continue_the_judged_run(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
     """Each frame in the saved cache, and those that the printed command makes from it, have the hashes of a separate run."""
     assert run("test", "a.ant", "-k", "rests")[0] == 1
     out = folder / "out" / "failed" / "nobody-rests-long-5"
@@ -153,7 +153,7 @@ def test_where_failures_are_saved(folder: Path, run) -> None:  # type: ignore[no
     assert "--frames 11..11" in text  # it was so in the first frame: there is none before
 
 
-def test_what_moves_is_saved_from_the_first_frame_on(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
+def test_moving_scenes_are_saved_from_the_first_frame(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
     moved = "apple: {at: [0, 0, 0], keys: {11: {at: [0, 0, 0]}, 60: {at: [3, 0, 0]}}, load: 100}"
     (folder / "scene.yaml").write_text(SCENE.replace("apple: {at: [0, 0, 0], load: 100}", moved))
     _, text = run("test", "a.ant", "-k", "rests")
@@ -263,7 +263,7 @@ CHANGES = [
 
 
 @pytest.mark.parametrize(("old", "new", "frame", "expected"), CHANGES)
-def test_what_differs_first_is_named(folder: Path, golden, old: str, new: str, frame: int, expected: list[str]) -> None:  # type: ignore[no-untyped-def]
+def test_the_first_difference_is_named(folder: Path, golden, old: str, new: str, frame: int, expected: list[str]) -> None:  # type: ignore[no-untyped-def]
     change(folder, old, new)
     code, text = golden("test", "a.ant", "-q")
     assert code == 1 and "1 golden run differs" in text and "--update" in text
@@ -272,7 +272,7 @@ def test_what_differs_first_is_named(folder: Path, golden, old: str, new: str, f
         assert words in text, text
 
 
-def test_other_agents_are_not_held_against_those_of_before(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
+def test_different_agents_are_not_compared(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
     scene = folder / "scene.yaml"
     assert "count: 20" in scene.read_text()
     scene.write_text(scene.read_text().replace("count: 20", "count: 21"))
@@ -301,7 +301,7 @@ def test_a_golden_run_is_not_made_of_a_failure_and_damage_is_reported(folder: Pa
     assert "the run starts at frame 21, but it started at frame 11" in golden("test", "a.ant")[1]
 
 
-def test_build_servers_read_golden_runs_and_what_may_fail(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
+def test_junit_contains_golden_runs_and_allowed_failures(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
     junitparser = pytest.importorskip("junitparser")
     change(folder, "param pace  = 20", "param pace  = 21")
     lucky = 'spec "lucky" on "scene.yaml" { for 0.1 s; seeds 1 .. 4; pass 1 %; each a { always: luck < 0.93 } }\n'
@@ -317,7 +317,7 @@ def test_build_servers_read_golden_runs_and_what_may_fail(folder: Path, golden) 
     assert suites["golden runs"].failures == 1 and suites["a.ant"].skipped == len(allowed) and suites["a.ant"].failures == 0
 
 
-def test_a_run_of_one_frame_meets_the_states_of_that_frame(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
+def test_coverage_counts_a_run_of_one_frame(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
     scene = folder / "scene.yaml"
     scene.write_text(re.sub("preroll: [0-9]+", "preroll: 0", scene.read_text()))
     (folder / "a.ant").write_text(PROGRAM + 'spec "soon over" on "scene.yaml" { for 2 s; never: count(a) == 20 }\n')

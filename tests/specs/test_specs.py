@@ -153,7 +153,7 @@ def test_values_are_reported_with_the_authors_units(folder: Path) -> None:
     assert crowd_failure.time == pytest.approx(0.6)
 
 
-def test_what_nearly_agrees_is_seen_to_differ(folder: Path) -> None:
+def test_nearly_equal_values_are_printed_differently(folder: Path) -> None:
     case = judged(
         folder,
         spec("each walker { always: load == at_start }"),
@@ -261,7 +261,7 @@ EACH = [
 ]
 
 
-def test_each_agent_has_a_time_of_its_own(tmp_path: Path) -> None:
+def test_each_agent_has_a_separate_time(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(FLIES)
     specs = "".join(spec(f"each fly {{ {lines} }}") for lines, *_ in EACH)
     for options in OPTION_SETS:
@@ -302,7 +302,7 @@ def test_one_simulation_serves_all_specs_of_a_scene(folder: Path) -> None:
     assert [c.name for run in runs for c in run.cases] == ["b"]
 
 
-def test_looking_changes_nothing(folder: Path) -> None:
+def test_judging_does_not_change_the_run(folder: Path) -> None:
     lines = "always: total(food.load) <= at_start; each walker { always: tick == at_start or distance(nearest(food)) < 1 m }"
     runs, report = collect_runs(folder, spec(lines))
     assert report.ok
@@ -348,7 +348,7 @@ def test_states_and_changes_that_no_agent_reached_are_known(folder: Path) -> Non
     assert 0 < visit_counts["walker.main.rest->rest#1"] <= round(sum(i.attributes["load"] for i in food) / 0.1)
 
 
-def test_changes_are_counted_for_those_who_die_of_them(tmp_path: Path) -> None:
+def test_transitions_of_dying_agents_are_counted(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(FLIES)
     runs, _ = collect_runs(tmp_path, spec("always: count(fly) >= 0"), MORTAL)
     coverage = SpecCoverage()
@@ -377,7 +377,7 @@ def test_a_spec_that_cannot_run_is_reported_at_its_place(folder: Path, specs: st
     assert not runs and report.errors[0].span is not None and report.errors[0].help
 
 
-def test_without_a_scene_the_one_that_is_named_or_the_one_beside(folder: Path) -> None:
+def test_specs_without_a_scene_use_the_named_or_adjacent_one(folder: Path) -> None:
     line = 'spec "x" { always: count(walker) > 0 }\n'
     runs, report = collect_runs(folder, line)
     assert report.ok and [c.scene.name for run in runs for c in run.cases] == ["scene.yaml"]

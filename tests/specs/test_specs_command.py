@@ -110,7 +110,7 @@ def test_results_are_written_for_build_servers(
         (["a.ant", "bad.ant", "-k", "fine"], 1, "2 passed, 2 mistakes in files"),
     ],
 )
-def test_what_cannot_run_ends_in_words_and_an_exit_code(
+def test_specs_that_cannot_run_give_a_message_and_an_exit_code(
     folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str], code: int, said: str
 ) -> None:
     (folder / "plain.ant").write_text(PROGRAM[: PROGRAM.index('spec "')])

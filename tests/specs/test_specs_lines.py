@@ -84,13 +84,13 @@ def walk(kind: str, steps: int | None, since: str, holds: str) -> int | None:
         ("for", 2, "...#.", "...##", None),
     ],
 )
-def test_a_time_begins_whenever_something_comes_to_hold(
+def test_a_time_begins_when_a_condition_becomes_true(
     kind: str, steps: int | None, since: str, holds: str, frame: int | None
 ) -> None:
     assert walk(kind, steps, since, holds) == frame
 
 
-def test_who_leaves_while_something_is_awaited_has_failed(tmp_path: Path) -> None:
+def test_agents_that_disappear_while_waiting_fail(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(FLIES)
     lines = ("when tick > 0.45 eventually: tick > 1.5", "when tick > 0.45 and id < 3 within 0.2 s: tick > 0.6")
     first, second = judged(tmp_path, "".join(spec(f"each fly {{ {line} }}") for line in lines), MORTAL)
@@ -195,7 +195,7 @@ def test_how_deep_a_place_is_in_a_closed_mesh() -> None:
         assert np.allclose(depths, [1.0, 0.5, 7.8, 0.0, 0.0, 0.0], atol=1e-3), depths
 
 
-def test_an_authors_own_name_goes_before_that_of_a_measure(folder: Path) -> None:  # noqa: F811
+def test_names_of_the_program_override_measures(folder: Path) -> None:  # noqa: F811
     program = WALKER.replace("born_at = 0", "overlap = 7; pass = 1; finally = 2; other = 3")
     text = "each walker { always: overlap == 7 and pass == 1 and finally == 2 and other == 3 }; always: min(walker.overlap) == 7"
     assert not judged(folder, spec(text), program)[0].failures

@@ -17,7 +17,7 @@ from antdsl.specs.value_text import format_position
         ((float("nan"), float("inf"), 1), (530e6, 0, 0), 1, "nan, inf, 1"),
     ],
 )
-def test_coordinates_have_four_digits_of_what_is_relative_to_the_origin(
+def test_coordinates_have_four_digits_relative_to_the_origin(
     position: tuple[float, ...], origin: tuple[float, ...], unit_mm: float, text: str
 ) -> None:
     assert format_position(position, origin, unit_mm) == text

@@ -65,7 +65,7 @@ def test_values_one_by_one_and_ranges_are_read() -> None:
         ("1..9e9999", "not representable", "ant.smell=30mm..90mm"),
     ],
 )
-def test_what_cannot_be_read_is_reported_with_a_correction(text: str, says: str, write: str) -> None:
+def test_unreadable_values_are_reported_with_a_correction(text: str, says: str, write: str) -> None:
     factor_list, ((message, help),) = read(smell=text)
     assert not factor_list and says in message and write in help
 
@@ -172,7 +172,7 @@ def test_elementary_effects_of_a_sum_are_its_factors() -> None:
     ] == pytest.approx([0] * 3)
 
 
-def test_what_a_measure_without_numbers_depends_on_is_not_made_up() -> None:
+def test_measures_without_values_have_no_sensitivity() -> None:
     pytest.importorskip("SALib")
     assert "is 2 at all points" in analyse("saltelli", 8, lambda s: np.full(len(s), 2.0))[1][0]
     assert "never happened" in analyse("saltelli", 8, lambda s: np.where(s[:, 0] < 0.5, math.inf, 1.0))[1][0]
@@ -199,7 +199,7 @@ def test_the_interval_is_that_of_scipy() -> None:
     assert find_interval([1.0] * 5) is None and find_interval([1.0, 2, 3, 4, 5, math.inf]) == (1, math.inf)
 
 
-def test_looking_again_and_again_misses_the_median_no_more_often_than_promised() -> None:
+def test_repeated_checks_respect_the_error_probability() -> None:
     schedule = plan_checks(60)
     assert (
         schedule is not None
@@ -227,7 +227,7 @@ def make_jobs(labels: str, seeds: int) -> list[SweepJob]:
     ]
 
 
-def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None:
+def test_runs_stop_once_the_median_is_known_in_any_order() -> None:
     worth = {"a": lambda seed: 10 + seed % 2 / 10, "b": lambda seed: seed * 7919 % 100}
     ends = []
     for at_once in (1, 3, 7):

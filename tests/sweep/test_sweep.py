@@ -140,7 +140,7 @@ def test_a_process_that_is_killed_costs_no_other_run(folder: Path) -> None:
     assert "SIGKILL" in problem and len(hit) >= 2 and not multiprocessing.active_children()
 
 
-def test_what_never_happened_counts_as_later_than_everything() -> None:
+def test_events_that_never_happened_sort_last() -> None:
     inf = math.inf
     assert compute_quantile([1, 2, 4], 0.5) == 2 and compute_quantile([1, 2, 4, inf], 0.5) == 3
     assert compute_quantile([1, 2, inf, inf], 0.5) == inf and compute_quantile([inf, inf], 0.25) == inf
@@ -168,7 +168,7 @@ def test_only_complete_results_of_this_very_run_are_stored(folder: Path) -> None
         RunStore(folder)
 
 
-def test_the_command_goes_on_where_it_was_stopped(
+def test_the_command_continues_a_stopped_sweep(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def sweep(*words: str) -> tuple[int, str, str]:

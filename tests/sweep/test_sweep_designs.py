@@ -115,7 +115,7 @@ def test_a_sweep_stops_once_medians_are_known(sweep: Sweep, folder: Path) -> Non
     assert code == 2 and "no measure begins with `moton`" in err and "motion" in err
 
 
-def test_a_sweep_that_was_ended_goes_on_as_requested(sweep: Sweep, folder: Path) -> None:
+def test_a_stopped_sweep_continues_its_request(sweep: Sweep, folder: Path) -> None:
     words = ("scene.yaml", *PACE, "--design", "sobol", "--points", "8", "--seeds", "2", "--out", "kept/swept")
     assert sweep(*words, "--out", "whole")[0] == 0
     code, _, err = sweep(*words, ends_after=5)

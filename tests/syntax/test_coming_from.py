@@ -34,7 +34,7 @@ crowd:
 
 
 @pytest.mark.parametrize("fps", [24, pytest.param(30, marks=pytest.mark.slow)])
-def test_the_five_do_what_the_page_says_whatever_the_frame_rate(tmp_path: Path, fps: int) -> None:
+def test_ported_behaviours_do_not_depend_on_the_frame_rate(tmp_path: Path, fps: int) -> None:
     blocks = re.findall(r"```ant fragment-of-(?:file|page)\n(.*?)```", PAGE, re.DOTALL)
     assert len(blocks) == 6
     (tmp_path / "five.ant").write_text(HEAD + "\n".join(blocks), encoding="utf-8")

@@ -105,7 +105,7 @@ MENDED = {
 
 
 @pytest.mark.parametrize("line", MENDED)
-def test_what_can_be_meant_by_one_thing_alone_is_mended(line: str) -> None:
+def test_unambiguous_mistakes_are_corrected(line: str) -> None:
     text = AROUND.format(f"enter {{ {line} }}")
     (error,) = find_errors(text)
     assert error.code == "bad-number" and error.help and error.span is not None and "," in error.span.text
@@ -146,11 +146,11 @@ def test_a_behaviour_keeps_its_arguments() -> None:
         ("frames: a..b", "write the first and the last frame with two dots between: `1001..1240`"),
     ],
 )
-def test_a_scene_says_it_too(scene: str, help: str) -> None:
+def test_scenes_report_decimal_commas(scene: str, help: str) -> None:
     report = load_text(f"antdsl: 1\n{scene}\n".encode(), "scene.yaml", Roots(Path("."), {}))[1]
     assert len(report.errors) == 1 and help in (report.errors[0].help or ""), report.errors
 
 
-def test_what_else_is_wrong_with_a_number_is_reported_with_a_dot() -> None:
+def test_other_mistakes_in_numbers_suggest_a_dot() -> None:
     errors = find_errors(AROUND.format("when chance 0,4 -> go"))
     assert [error.code for error in errors] == ["bad-number", "not-a-rate"] and "`chance 0.4 /s`" in (errors[1].help or "")

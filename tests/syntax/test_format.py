@@ -168,7 +168,7 @@ def test_names_of_arguments_may_be_words_that_begin_lines() -> None:
     assert text == "ant 1\nbehaviour avoid(\n  " + ",\n  ".join(arguments) + "\n) -> push {\n  up\n}\n"
 
 
-def test_a_broken_text_is_left_alone() -> None:
+def test_texts_with_errors_are_unchanged() -> None:
     text, report = format(Source("t.ant", "ant 1\nspecies a { size 4 mm\n"))
     assert text is None and [d.code for d in report.errors] == ["unclosed-brace"]
 
@@ -178,7 +178,7 @@ def test_a_text_that_only_has_warnings_is_formatted() -> None:
     assert text == "species a { size 4 mm }\n" and [d.code for d in report.diagnostics] == ["missing-edition"]
 
 
-def test_a_text_that_means_something_else_is_never_returned(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_layouts_with_another_meaning_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     for wrong in (
         "ant 1\nspecies a { size 5 mm }\n# c\n",
         "ant 1\nspecies a { size 4 mm }\n",
@@ -189,7 +189,7 @@ def test_a_text_that_means_something_else_is_never_returned(monkeypatch: pytest.
             format(Source("t.ant", "ant 1\nspecies a { size 4 mm } # c\n"))
 
 
-def test_what_could_not_be_read_again_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreadable_layouts_are_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     text = 'ant 1\nspecies a {\n  let b = min(x,\n    y) "' + "x" * 1985 + '"\n}\n'
     assert parse(Source("t.ant", text))[1].ok
     new_text, report = format(Source("t.ant", text))
@@ -227,13 +227,13 @@ def test_a_line_that_is_too_long_has_nothing_to_break() -> None:
     assert long < 20
 
 
-def test_any_layout_becomes_the_one() -> None:
+def test_any_layout_becomes_the_standard_one() -> None:
     read = [holds(seed) for seed in range(40)]
     assert sum(read) > 0.95 * len(read)
 
 
 @pytest.mark.slow
-def test_any_of_ten_thousand_layouts_becomes_the_one() -> None:
+def test_any_of_ten_thousand_layouts_becomes_the_standard_one() -> None:
     read = [holds(seed) for seed in range(1000, 11_500)]
     assert sum(read) >= 10_000
 
@@ -263,10 +263,10 @@ def sample(block: Block) -> str | None:
 
 
 @pytest.mark.parametrize("block", of_kind("ant"), ids=str)
-def test_samples_have_the_one_layout(block: Block) -> None:
+def test_samples_have_the_standard_layout(block: Block) -> None:
     expected = sample(block)
     assert expected is None or expected == block.text
 
 
-def test_most_samples_are_looked_at() -> None:
+def test_most_samples_are_formatted() -> None:
     assert sum(sample(block) is not None for block in of_kind("ant")) > 25

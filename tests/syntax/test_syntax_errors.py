@@ -42,7 +42,7 @@ def _expected(text: str) -> list[Expected]:
 
 
 @pytest.mark.parametrize("name", _chunks())
-def test_complaints(name: str) -> None:
+def test_error_cases_give_the_expected_messages(name: str) -> None:
     text = _chunks()[name].rstrip("\n") + "\n"
     _, report = parse(Source(name, text))
     expected = _expected(text)
@@ -59,7 +59,7 @@ def test_complaints(name: str) -> None:
         assert want.help in (diagnostic.help or ""), diagnostic.help
 
 
-def test_every_code_of_this_room_is_in_a_case() -> None:
+def test_every_syntax_code_has_a_case() -> None:
     source = Path(__file__).parents[2] / "antdsl" / "diagnostics" / "codes.py"
     sections = source.read_text(encoding="utf-8").split("# --- ")
     mine = [part for part in sections if part.startswith(("characters and words", "lines and blocks"))]
@@ -89,7 +89,7 @@ def test_hidden_direction_is_refused_in_comments(character: str) -> None:
     assert _codes(f"ant 1\nspecies a {{ load = 0 }} # {character}x\n") == ["hidden-direction"]
 
 
-def test_odd_blanks_are_reported_once_and_read_as_blanks() -> None:
+def test_unusual_blanks_are_reported_once() -> None:
     file, report = parse(Source("t.ant", "ant\u00a01\nspecies\u00a0a\u2003{ load = 0 }\n"))
     assert [d.code for d in report.diagnostics] == ["odd-blank"] and len(file.items) == 1
 
@@ -132,7 +132,7 @@ def test_flat_sums_within_the_cap_are_fine() -> None:
 @pytest.mark.parametrize(
     "line", ["  size 4 metr\n", "  state ) }\n", "}\n", "a\u202eb\n", '" \n', "stata x { }\n", "“", "foo( {\n"]
 )
-def test_thousands_of_mistakes_take_no_time_and_are_cut_short(line: str) -> None:
+def test_thousands_of_mistakes_are_fast_and_limited(line: str) -> None:
     from time import process_time
 
     start_time = process_time()

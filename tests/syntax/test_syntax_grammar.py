@@ -76,7 +76,7 @@ def _patterns(parser: Lark) -> dict[str, tuple[str, str, int]]:
     return {t.name: (t.pattern.type, t.pattern.value, t.priority) for t in parser.terminals}
 
 
-def test_every_terminal_has_a_name_of_its_own(built: Lark) -> None:
+def test_every_terminal_has_a_unique_name(built: Lark) -> None:
     assert not [t.name for t in built.terminals if t.name.startswith("__")]
     patterns = [str(t.pattern) for t in built.terminals]
     assert len(patterns) == len(set(patterns))
@@ -111,7 +111,7 @@ def calls(work: Callable[[], object]) -> int:
     return count
 
 
-def test_reading_a_text_does_not_import_what_builds_a_grammar() -> None:
+def test_parsing_does_not_import_the_grammar_builder() -> None:
     code = (
         "import sys; from antdsl.syntax import parse; from antdsl.source import Source;"
         "parse(Source('a', 'ant 1\\nspecies a { load = 0 }'));"
@@ -121,7 +121,7 @@ def test_reading_a_text_does_not_import_what_builds_a_grammar() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
 
 
-def test_texts_of_lines_know_their_words() -> None:
+def test_example_lines_parse() -> None:
     words = {word for words in LINE_WORDS_BY_RULE.values() for word in words}
     assert words == set(EXAMPLE_LINES) and words - {"ant"} <= set(LINE_CONTEXT_BY_WORD)
     assert set(LINE_WORDS_BY_RULE) == set(START_RULES) and {body for body in BODY_RULE_BY_LINE.values()} <= set(START_RULES)
@@ -129,7 +129,7 @@ def test_texts_of_lines_know_their_words() -> None:
     assert words <= terminals
 
 
-def test_forms_that_complaints_show_can_be_parsed() -> None:
+def test_forms_in_messages_can_be_parsed() -> None:
     builder = SinglePassBuilder()
     parser = load_parser(builder)
     for word, form in EXAMPLE_LINES.items():
@@ -157,7 +157,7 @@ def single_pass_parser() -> tuple[Lark, SinglePassBuilder]:
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.name)
-def test_cutting_a_text_gives_the_tree_of_the_whole(path: Path, single_pass_parser: tuple[Lark, SinglePassBuilder]) -> None:
+def test_parsing_by_lines_equals_complete_parsing(path: Path, single_pass_parser: tuple[Lark, SinglePassBuilder]) -> None:
     parser, builder = single_pass_parser
     source = Source(path.name, path.read_text(encoding="utf-8"))
     scanned = scan(source, Report())

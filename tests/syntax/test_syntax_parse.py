@@ -66,7 +66,7 @@ def walk(node: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.name)
-def test_shipped_texts_parse_without_a_complaint(path: Path) -> None:
+def test_shipped_programs_parse_without_errors(path: Path) -> None:
     right(path.read_text(encoding="utf-8"))
 
 

@@ -43,14 +43,14 @@ def test_a_file_is_read_with_its_name(tmp_path: Path) -> None:
         (b"x" * (limits.MAX_PROGRAM_BYTES + 1), "file-too-large", "256 KiB"),
     ],
 )
-def test_what_is_no_program_is_refused(tmp_path: Path, data: bytes, code: str, words: str) -> None:
+def test_other_files_are_rejected(tmp_path: Path, data: bytes, code: str, words: str) -> None:
     path = tmp_path / "a.ant"
     path.write_bytes(data)
     error_code, message = refused(path)
     assert error_code == code and words in message
 
 
-def test_the_place_of_a_bad_byte_is_shown(tmp_path: Path) -> None:
+def test_the_location_of_an_invalid_byte_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.ant"
     path.write_bytes("ant 1\n# é\nx \xff".encode("latin-1"))
     path.write_bytes(b"ant 1\n# \xc3\xa9\nx \xff")

@@ -43,7 +43,7 @@ def check(text: str) -> Report:
 
 
 @pytest.mark.parametrize("times", [40, pytest.param(400, marks=pytest.mark.slow)])
-def test_deleting_any_token_gives_few_complaints(times: int) -> None:
+def test_deleting_any_token_gives_few_errors(times: int) -> None:
     text = CARD.read_text(encoding="utf-8")
     tokens = scan(Source("t.ant", text), Report()).tokens
     counts: Counter[int] = Counter()
@@ -150,7 +150,7 @@ species a {
 """
 
 
-def test_what_is_left_of_broken_lines() -> None:
+def test_partially_readable_lines_are_recovered() -> None:
     file, report = read(BROKEN)
     assert len(report.errors) == 10
     (species,) = file.items
