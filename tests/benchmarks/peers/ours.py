@@ -9,7 +9,7 @@ import warnings
 from time import process_time
 
 from antdsl.bench.cases import CASES
-from antdsl.bench.measuring import WARM, mean_neighbours, wait_for_code
+from antdsl.bench.measuring import WARM_UP_STEPS, count_mean_neighbours, wait_for_code
 from antdsl.runtime import Options, World, bind, step
 
 
@@ -21,17 +21,25 @@ def main() -> None:
     shot = case.make(agents)
     world: World | None = None
     for _ in sys.stdin:
-        if world is None or case.sight:
+        if world is None or case.sight_radius_mm:
             world = bind(shot.plan, shot.setting, Options(backend=backend, threads=1))
             step(world)
             wait_for_code(world)
-            for _ in range(WARM):
+            for _ in range(WARM_UP_STEPS):
                 step(world)
         start = process_time()
         for _ in range(steps):
             step(world)
         spent = (process_time() - start) / steps
-        print(json.dumps({"step": spent, "neighbours": mean_neighbours(world, case.sight) if case.sight else None}), flush=True)
+        print(
+            json.dumps(
+                {
+                    "step": spent,
+                    "neighbours": count_mean_neighbours(world, case.sight_radius_mm) if case.sight_radius_mm else None,
+                }
+            ),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
