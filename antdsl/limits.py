@@ -110,6 +110,7 @@ MAX_FLOW_POINTS: Final = 4_000_000  # points in which one flow is computed
 MAX_PREVIEW_CLIENTS: Final = 16
 MAX_UNADMITTED_CONNECTIONS: Final = 64  # connections that are not yet admitted
 MAX_PREVIEW_MESSAGE_BYTES: Final = 64 * KIB  # of one message from a page
+MAX_PREVIEW_NOTES: Final = 200  # that pages add to a run
 MAX_PREVIEW_FRAGMENTS: Final = 64  # that one message may come in
 MAX_PREVIEW_REQUESTS_PER_SECOND: Final = 120
 MAX_PREVIEW_FRAMES_PER_SECOND: Final = 500  # of the protocol, pings among them

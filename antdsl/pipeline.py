@@ -36,13 +36,14 @@ SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dis
 
 @dataclass(frozen=True, slots=True)
 class RunChoices:
-    """Choices of the user in addition to the scene: granted roots, and values that override the scene's own."""
+    """Choices of the user in addition to the scene: granted roots, values that override the scene's own, and further notes."""
 
     grants: Mapping[str, Path] = field(default_factory=dict)
     frames: FrameRange | None = None
     seed: int | None = None
     params: Mapping[str, str] = field(default_factory=dict)
     changes: tuple[SpecChange, ...] = ()  # what a spec also sets: params and settings of fields
+    notes: tuple[str, ...] = ()  # lines such as `{hold: guards, frames: 10..20}`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,6 +166,7 @@ def open_scene(
     )  # fmt: skip
     inputs = {"antdsl": __version__, "scene": scene.compute_digest(), **loaded.hash_texts(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
+    inputs |= {f"--note {number}": text for number, text in enumerate(choices.notes)}
     sensed_cameras = setting.cameras if scene.model.notes else program.list_things_of_kind("camera")  # notes select by any
     inputs |= {f"camera {name}": scene.hash_camera(name) for name in sensed_cameras}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
@@ -192,7 +194,7 @@ def _read_scene(
     from antdsl.scene.paths import Roots
 
     if data is None:
-        scene, report = load_scene(path, choices.grants)
+        scene, report = load_scene(path, choices.grants, choices.notes)
     else:
         scene, report = load_text(data, str(path), Roots(resolve_path(path).parent, dict(choices.grants)), texts)
     loaded = LoadedSources(resolve_path(path).parent, parse_cache={} if parsed is None else parsed)

@@ -19,7 +19,17 @@ from antdsl.preview.compiling import Compiler
 from antdsl.preview.doing import HANDLER_BY_REQUEST, SESSIONLESS_REQUESTS
 from antdsl.preview.file_watch import FileWatch
 from antdsl.preview.observing.observer import Observer, PauseReason
-from antdsl.preview.requests import AnyRequest, Explain, RequestRefused, Seek, SetBreakpoints, SetDisplay, SetValue, SwitchProfile
+from antdsl.preview.requests import (
+    AnyRequest,
+    DraftNote,
+    Explain,
+    RequestRefused,
+    Seek,
+    SetBreakpoints,
+    SetDisplay,
+    SetValue,
+    SwitchProfile,
+)
 from antdsl.preview.session import Session
 from antdsl.runtime import Options
 
@@ -338,6 +348,8 @@ class Live:
         following, sender = self._queue[0] if self._queue else (None, None)
         if isinstance(request, SetValue):
             return isinstance(following, SetValue) and following.name == request.name and sender is client
+        if isinstance(request, DraftNote):
+            return not request.apply and isinstance(following, DraftNote) and sender is client
         if isinstance(request, Explain | SetDisplay):
             return type(following) is type(request) and sender is client
         return isinstance(request, Seek) and isinstance(following, Seek)

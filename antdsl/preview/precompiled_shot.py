@@ -12,6 +12,7 @@ from antdsl.diagnostics import Report
 from antdsl.loading import ParsedFileCache
 from antdsl.pipeline import RunChoices, Shot
 from antdsl.scene.document import DocumentNode, MappingNode, SequenceNode, decode_source
+from antdsl.scene.notes.note_lines import is_note_source
 from antdsl.scene.paths import PathRefused, read_user_file
 from antdsl.source import Source
 
@@ -47,7 +48,7 @@ class PrecompiledShot:
                 place = roots.path(name)
             except PathRefused:
                 continue  # a value set by hand, or a file of the library
-            if place.suffix == ".ant" or name in ("antdsl", "scene") or name.startswith(("--set ", "set ")):
+            if place.suffix == ".ant" or name in ("antdsl", "scene") or name.startswith(("--set ", "--note ", "set ")):
                 continue
             try:
                 data = roots.read_file(name, limits.MAX_MESH_BYTES)
@@ -59,12 +60,12 @@ class PrecompiledShot:
 
 
 def iterate_sources(document: DocumentNode) -> Iterator[Source]:
-    """Yield the texts that contain parts of a scene, including those of scenes that it extends."""
+    """Yield the texts of the files that contain parts of a scene, including those of scenes that it extends."""
     known_sources: set[Source] = set()
     stack: list[DocumentNode] = [document]
     while stack:
         node = stack.pop()
-        if node.span.source not in known_sources:
+        if node.span.source not in known_sources and not is_note_source(node.span.source.path):
             known_sources.add(node.span.source)
             yield node.span.source
         if isinstance(node, MappingNode):

@@ -86,6 +86,24 @@ class SwitchField(_RequestModel):
     on: bool
 
 
+class DraftNote(_RequestModel):
+    """Check a note, and with `apply` add it to the run. `agents`: the value of the verb. `values`: those of the other keys."""
+
+    op: Literal["direct"]
+    verb: Name
+    agents: Annotated[str, StringConstraints(max_length=4000)]
+    values: dict[Name, Words] = Field(default_factory=dict, max_length=32)
+    apply: bool = False
+
+
+class SwitchNote(_RequestModel):
+    """Switch a note that pages added on or off, or remove it."""
+
+    op: Literal["note"]
+    key: int = Field(ge=0, le=2**53)
+    action: Literal["on", "off", "remove"]
+
+
 class Reload(_RequestModel):
     """Load the current files."""
 
@@ -195,6 +213,8 @@ AnyRequest = Annotated[
     | SetValue
     | SwitchLayer
     | SwitchField
+    | DraftNote
+    | SwitchNote
     | Reload
     | Restart
     | SetDisplay

@@ -6,48 +6,40 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.pipeline import RunChoices, Shot
-from antdsl.plan.ir import Plan
-from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_field_nodes, list_operands
 from antdsl.preview.agent_columns import Arrays
 from antdsl.preview.compiling import Compiler
+from antdsl.preview.directing.hand_notes import (
+    HandNotes,
+    drop_written_notes,
+    find_last_unaffected_frame,
+    list_active_lines,
+    name_switched_notes,
+    switch_off_failed_notes,
+)
 from antdsl.preview.layer_order import DisabledLayers, remove_disabled_layers
+from antdsl.preview.outcomes import (
+    Outcome,
+    find_binding_params,
+    make_error_outcome,
+    make_silencing_settings,
+    parse_param,
+    shorten_text,
+)
 from antdsl.preview.precompiled_shot import describe_changed_files
 from antdsl.preview.timeline import SimulationStretch, Timeline, find_nearest_checkpoint
 from antdsl.reload import describe_migration
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
 from antdsl.runtime.binding.start_findings import find_start_warnings
 from antdsl.runtime.profiling import StepMeter
-from antdsl.scene.checks.scene_checks import check_param
-from antdsl.scene.field_settings import list_settable_names
-from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 
 _RESTARTED_TEXT = "simulated again from the first frame"
-_MAX_LAYER_CHARACTERS = 60  # characters of a layer in messages
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """The result of an edit.
-
-    `report`: if it has errors, nothing has changed. `line`: a summary of what persists, moves and is reset. `text`: the text to
-    write into a file for a permanent change. `did`: a description of the edit.
-    """
-
-    report: Report = field(default_factory=Report)
-    line: str = ""
-    text: str = ""
-    did: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Return whether the edit succeeded."""
-        return self.report.ok
 
 
 class Session:
@@ -58,6 +50,7 @@ class Session:
     def __init__(self, compiler: Compiler, options: Options, timeline: Timeline) -> None:
         self.compiler, self.options, self.timeline = compiler, options, timeline
         self.playing = False
+        self.notes: HandNotes = ()  # in addition to those of the scene, for all frames
         self.fault_text: str | None = None  # of the last step
         self._settings_of_disabled_fields: dict[str, dict[str, str]] = {}  # settings of disabled fields
         self.meter: StepMeter | None = None  # if set, measures each step; see `measure`
@@ -128,7 +121,8 @@ class Session:
     def choices(self) -> RunChoices:
         """Return the values that were set by hand, as of this frame."""
         changed = {c.name: c.text for c in self._current_stretch.param_changes if c.frame <= self.frame}
-        return replace(self._current_stretch.choices, params={**self._current_stretch.choices.params, **changed})
+        params = {**self._current_stretch.choices.params, **changed}
+        return replace(self._current_stretch.choices, params=params, notes=list_active_lines(self.notes))
 
     def step(self) -> None:
         """Advance by one frame: through the recorded history first, then by simulation. A fault only stops `playing`."""
@@ -204,7 +198,7 @@ class Session:
     def reload(self) -> Outcome:
         """Continue from the current frame with the current files. If they have errors, the last valid program continues."""
         outcome = self._recompile(self.choices, self._current_stretch.disabled_layers)
-        if outcome.ok or not (self.choices.params or self._current_stretch.disabled_layers):
+        if outcome.ok or not (self.choices.params or self._current_stretch.disabled_layers or self.notes):
             return outcome
         choices, dropped = self._drop_unknown_choices(self.choices, self._current_stretch.disabled_layers)
         if not dropped:
@@ -223,10 +217,10 @@ class Session:
         """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the line of the scene that
         sets it."""
         text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
-        quantity, report = _parse_quantity(self.shot, name, value)
+        quantity, report = parse_param(self.shot, name, value)
         if quantity is None:
             return Outcome(report)
-        if name not in self.shot.plan.params or name in find_binding_params(self.shot.plan):
+        if name not in self.shot.plan.params or name in find_binding_params(self.shot.plan) or self._lacks_notes():
             choices = self.choices
             return self._recompile(
                 replace(choices, params={**choices.params, name: value}), self._current_stretch.disabled_layers, text, did
@@ -241,7 +235,7 @@ class Session:
         """Switch a field on or off. Off means that deposits stay below a millionth and vanish after one step."""
         off = make_silencing_settings(name)
         if name not in self.shot.plan.fields:
-            return _make_error_outcome(f"no program has a field `{name}`")
+            return make_error_outcome(f"no program has a field `{name}`")
         chosen = self.choices.params
         if not on and not chosen.items() >= off.items():
             self._settings_of_disabled_fields[name] = {key: chosen[key] for key in off if key in chosen}
@@ -260,15 +254,33 @@ class Session:
         key, off = (species, layer), dict(self._current_stretch.disabled_layers)
         if on:
             if off.pop(key, None) is None:
-                return _make_error_outcome(f"no layer of `{species}` that is off is `{layer}`")
-            return self._recompile(self.choices, off, did=f"layer `{_shorten_text(layer)}` is on again")
+                return make_error_outcome(f"no layer of `{species}` that is off is `{layer}`")
+            return self._recompile(self.choices, off, did=f"layer `{shorten_text(layer)}` is on again")
         plan = self.shot.plan.species.get(species)
         layer_plan = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
         if layer_plan is None:
-            return _make_error_outcome(f"no layer of `{species}` is `{layer}`")
+            return make_error_outcome(f"no layer of `{species}` is `{layer}`")
         off[key] = Path(os.path.realpath(layer_plan.span.source.path))
         text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
-        return self._recompile(self.choices, off, text, f"layer `{_shorten_text(layer)}` is off")
+        return self._recompile(self.choices, off, text, f"layer `{shorten_text(layer)}` is off")
+
+    def direct(self, notes: HandNotes, did: str, text: str = "") -> Outcome:
+        """Replace the notes by hand. The session goes back to the last frame that the change does not affect, and continues from
+        there with the current files and values. `did` and `text`: of the outcome."""
+        frame = find_last_unaffected_frame(self.notes, notes)
+        choices, layers = replace(self.choices, notes=list_active_lines(notes)), self._current_stretch.disabled_layers
+        if frame == inf:
+            outcome = Outcome(line="the run does not change", did=did)
+        elif frame < self.first:
+            outcome = replace(self._start_over(choices, layers), text=text, did=did)
+        else:
+            outcome = self._recompile(choices, layers, text, did, first=int(min(frame, self.frame)))
+        self.notes = notes if outcome.ok else self.notes
+        return outcome
+
+    def _lacks_notes(self) -> bool:
+        """Return whether the current stretch was simulated without some of the notes, which begin later."""
+        return self._current_stretch.choices.notes != list_active_lines(self.notes)
 
     def restart(self) -> Outcome:
         """Simulate the current files from the first frame, with the settings made by hand.
@@ -301,24 +313,46 @@ class Session:
             self.compiler.replacement_texts = previous_texts
         return shot, report, missing_layers
 
-    def _recompile(self, choices: RunChoices, disabled_layers: DisabledLayers, text: str = "", did: str | None = None) -> Outcome:
-        """Continue with the current files and other choices. `did`: describes the edit; None for changed files."""
-        shot, report, missing_layers = self._compile(choices, disabled_layers)
+    def _recompile(
+        self,
+        choices: RunChoices,
+        disabled_layers: DisabledLayers,
+        text: str = "",
+        did: str | None = None,
+        first: int | None = None,
+    ) -> Outcome:
+        """Continue with the current files and other choices. `did`: describes the edit; None for changed files. `first`: a stored
+        frame from which to continue instead of the current one."""
+        saved, own_notes = did is None, self._current_stretch.choices.notes
+        compiled = replace(choices, notes=own_notes) if saved and set(own_notes) <= set(choices.notes) else choices
+        shot, report, missing_layers = self._compile(compiled, disabled_layers)
         if shot is None or not report.ok:
             return Outcome(report)
-        saved, did = did is None, describe_changed_files(self.shot, shot) if did is None else did
+        did, old_notes = describe_changed_files(self.shot, shot) if did is None else did, self.notes
         if saved and shot.inputs == self.shot.inputs:
             if did:  # after a comment or another change without effect on results, such as the camera or the last frame
                 self._current_stretch.shot = shot
-            return Outcome(
-                report, self._drop_undone_edit() or ("the run does not change" if did else "nothing has changed"), did=did
-            )
+            undone = self._drop_undone_edit()
+            if not (undone and self._lacks_notes()):
+                return Outcome(report, undone or ("the run does not change" if did else "nothing has changed"), did=did)
+        if saved:
+            self.notes = drop_written_notes(self.notes, shot.scene)
+            choices = replace(choices, notes=list_active_lines(self.notes))
+        if choices != compiled:
+            shot, report, missing_layers = self._compile(choices, disabled_layers)
+            if shot is None or not report.ok:
+                return Outcome(report)
+        frame = self.frame
+        if first is not None and first < frame:
+            self.seek(first)
         world, migration, findings = self.compiler.migrate_world(self.world, shot)
         report.extend(findings)
         if world is None:
+            self.seek(frame)
             return Outcome(report)
         report.extend(find_start_warnings(shot.scene, world))
-        line = " · ".join([describe_migration(migration), *(f"layer `{layer}` no longer exists" for _, layer in missing_layers)])
+        lines = [f"layer `{layer}` no longer exists" for _, layer in missing_layers]
+        line = " · ".join([describe_migration(migration), *lines, *name_switched_notes(old_notes, self.notes)])
         disabled_layers = {key: path for key, path in disabled_layers.items() if key not in missing_layers}
         stretch = SimulationStretch(shot, world.frame, did, world.origin, choices, disabled_layers)
         stretch.replace(self._current_stretch, self.world, world)
@@ -334,64 +368,28 @@ class Session:
             for each in self.timeline.stretches
             if each.first > self.frame and each.disabled_layers == self._current_stretch.disabled_layers
         ]
-        if all(_read_file_texts(each.shot) == _read_file_texts(self.shot) for each in later):
+        if all(_has_same_files(each.shot, self.shot) for each in later):
             return ""
         line = "the files are again as they were at this frame: later frames are simulated again"
         self.timeline.drop_after(self.frame, line)
         return line
 
     def _drop_unknown_choices(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[RunChoices, list[str]]:
-        """Return the choices without the values that the current files cannot use, and a text for each dropped value."""
-        shot, report, _ = self._compile(replace(choices, params={}), disabled_layers)
+        """Return the choices without the values and notes that the current files cannot use, and a text for each of them."""
+        shot, report, _ = self._compile(replace(choices, params={}, notes=()), disabled_layers)
         if shot is None or not report.ok:
             return choices, []
-        fits = {name: value for name, value in choices.params.items() if _parse_quantity(shot, name, value)[0] is not None}
+        fits = {name: value for name, value in choices.params.items() if parse_param(shot, name, value)[0] is not None}
         dropped = [f"`{name}: {value}` no longer fits" for name, value in choices.params.items() if name not in fits]
-        return replace(choices, params=fits), dropped
+        old_notes, choices = self.notes, replace(choices, params=fits)
+        self.notes = switch_off_failed_notes(self.notes, self._compile(choices, disabled_layers)[1])
+        dropped += name_switched_notes(old_notes, self.notes)
+        return replace(choices, notes=list_active_lines(self.notes)), dropped
 
 
-def _shorten_text(text: str) -> str:
-    """Return a layer's text, shortened to one line."""
-    words = " ".join(text.split())
-    return words if len(words) <= _MAX_LAYER_CHARACTERS else f"{words[: _MAX_LAYER_CHARACTERS - 1]}…"
-
-
-def make_silencing_settings(field: str) -> dict[str, str]:
-    """Return the settings that keep a field's values near 0."""
-    return {f"{field}.limit": "0.000001", f"{field}.keeps": "0 %/step"}
-
-
-def _read_file_texts(shot: Shot) -> dict[str, str]:
-    """Return the texts of the files from which a shot was compiled, without values set by hand."""
-    return {name: known for name, known in shot.inputs.items() if not name.startswith("--set ")}
-
-
-def _parse_quantity(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Report]:
-    """Return a value for a param or a setting of a field, or None with the errors."""
-    report = Report()
-    try:
-        quantity = parse_quantity(value)
-    except QuantityError as why:
-        usual = f"write a number and a unit: `{name}: 50 mm`"
-        report.error("wrong-value", f"`{name}: {value}`: `{value}` {why}", None, why.help or usual)
-        return None, report
-    if name not in shot.program.params and name not in list_settable_names(shot.program):
-        report.error("unknown-thing", f"no program has a param `{name}`", None)
-        return None, report
-    check_param(shot.scene, shot.program, report, name, quantity)
-    return (quantity if report.ok else None), report
-
-
-def _make_error_outcome(message: str) -> Outcome:
-    report = Report()
-    report.error("unknown-thing", message, None)
-    return Outcome(report)
-
-
-def find_binding_params(plan: Plan) -> frozenset[str]:
-    """Return the params on which fields, other params or newborn agents depend. All other params may change between two steps."""
-    nodes = [node for field_plan in plan.fields.values() for node in list_field_nodes(field_plan)]
-    nodes += [param.default for param in plan.params.values()]
-    for species in plan.species.values():
-        nodes += [node for _, statement in iterate_statements(species.born) for node in list_operands(statement)]
-    return frozenset(str(node.attrs[0]) for node in collect_required_nodes(nodes) if node.op == "param")
+def _has_same_files(one: Shot, other: Shot) -> bool:
+    """Return whether two shots were compiled from the same files, without regard to values and notes by hand. Only shots with
+    notes have all cameras among their inputs."""
+    names = (one.inputs.keys() | other.inputs.keys()) - {n for shot in (one, other) for n in shot.inputs if n.startswith("--")}
+    common = one.inputs.keys() & other.inputs.keys()
+    return all(one.inputs.get(n) == other.inputs.get(n) for n in names if n in common or not n.startswith("camera "))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
@@ -14,6 +14,7 @@ from antdsl.diagnostics import Diagnostic, Fix, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import MappingNode, PathKey, ScalarNode, decode_source, find_span, read_document, to_plain_tree
 from antdsl.scene.inheritance import merge_parents
+from antdsl.scene.notes.note_lines import append_notes
 from antdsl.scene.paths import PathRefused, Roots, read_user_file
 from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, make_comma_diagnostic
@@ -44,12 +45,15 @@ _UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-e
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A scene as in the source, with types. It has not been matched with a program."""
+    """A scene as in the source, with types. It has not been matched with a program.
+
+    `added_notes`: how many of its last notes are not in its files."""
 
     model: SceneModel
     document: MappingNode
     source: Source
     roots: Roots
+    added_notes: int = 0
 
     def span(self, *path: PathKey, key: bool = False) -> Span:
         """Return the location in the text of a value, or of its nearest existing ancestor. With `key`, return the location of its
@@ -66,39 +70,41 @@ class Scene:
         return hashlib.blake2b(repr(self.model.named_cameras[name]).encode(), digest_size=16).hexdigest()
 
     def compute_digest(self) -> str:
-        """Return a digest of everything in the scene that affects results.
+        """Return a digest of everything in the files of the scene that affects results.
 
         It leaves out the output, and cameras that no level of detail uses: `hash_camera` is for those that agents sense. It also
         leaves out the last frame, so that a cache can be continued past it."""
         without = {"output", "frames", "extends", "cameras"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in relevant_keys if name not in ("crowd", "notes")]
-        values += [("notes", self.model.notes)] if self.model.notes else []
+        notes = self.model.notes[: len(self.model.notes) - self.added_notes]
+        values += [("notes", notes)] if notes else []
         drawn = {"name", "source", "body", "wear"}
         lines = [[getattr(line, key) for key in sorted(set(type(line).model_fields) - drawn)] for line in self.model.crowd]
         relevant = [*values, *lines, self.model.frames.first]
         return hashlib.blake2b(repr(relevant).encode(), digest_size=16).hexdigest()
 
 
-def load_scene(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:
+def load_scene(path: Path, grants: Mapping[str, Path] | None = None, notes: Sequence[str] = ()) -> tuple[Scene | None, Report]:
     """Read a scene's file and return the typed scene and a report. The scene is None if there are errors.
 
-    Files that the scene names are not accessed. They may only be in the scene's own folder and in `grants`."""
+    Files that the scene names are not accessed. They may only be in the scene's own folder and in `grants`.
+    `notes`: lines of notes in addition to those of the file."""
     try:
         data = read_user_file(path, limits.MAX_SCENE_BYTES)
     except PathRefused as error:
         report = Report()
         report.error(error.code, str(error), None, error.help)
         return None, report
-    return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})))
+    return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})), notes=notes)
 
 
 def load_text(
-    data: bytes, name: str, roots: Roots, unsaved_texts: Mapping[Path, bytes] | None = None
+    data: bytes, name: str, roots: Roots, unsaved_texts: Mapping[Path, bytes] | None = None, notes: Sequence[str] = ()
 ) -> tuple[Scene | None, Report]:
     """Return the typed scene from the bytes of a file, and a report, as `load_scene` does.
 
-    `unsaved_texts`: contents that override the files of scenes that it extends."""
+    `unsaved_texts`: contents that override the files of scenes that it extends. `notes`: as in `load_scene`."""
     source, report = decode_source(data, name)
     if not report.ok:
         return None, report
@@ -106,6 +112,8 @@ def load_text(
     if document is None:
         return None, report
     document = merge_parents(document, name, roots, report, unsaved_texts)
+    if document is not None:
+        document = append_notes(document, notes, report)
     if document is None:
         return None, report
     from pydantic import ValidationError
@@ -123,7 +131,7 @@ def load_text(
             else:
                 report_model_error(report, document, error)
         return None, report
-    return Scene(model, document, source, roots), report
+    return Scene(model, document, source, roots, len(notes)), report
 
 
 _KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "cameras", "lod", "output"))

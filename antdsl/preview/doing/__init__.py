@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview import requests
-from antdsl.preview.doing import edits, playback, queries
+from antdsl.preview.doing import directing, edits, playback, queries
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
@@ -22,6 +22,8 @@ HANDLER_BY_REQUEST: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.SetValue: edits.set_value,
     requests.SwitchLayer: edits.switch_layer,
     requests.SwitchField: edits.switch_field,
+    requests.DraftNote: directing.draft_note,
+    requests.SwitchNote: directing.switch_note,
     requests.Reload: edits.reload,
     requests.SetDisplay: queries.set_display,
     requests.Explain: queries.explain_agent,

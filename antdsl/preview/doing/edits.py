@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from antdsl.preview import requests
-from antdsl.preview.session import Outcome
+from antdsl.preview.outcomes import Outcome
 from antdsl.preview.viewing.messages import find_scene_name, make_outcome_message
 
 if TYPE_CHECKING:

@@ -48,8 +48,8 @@ class FileNames:
     def make_problem_message(self, diagnostic: Diagnostic) -> dict[str, Any]:
         """Return the message of a finding with its location. The file is null if the finding has no location."""
         fields: dict[str, Any] = {
-            "code": diagnostic.code, "severity": diagnostic.severity, "message": self._shorten_paths(diagnostic.message),
-            "help": self._shorten_paths(diagnostic.help or ""),
+            "code": diagnostic.code, "severity": diagnostic.severity, "message": self.shorten_paths(diagnostic.message),
+            "help": self.shorten_paths(diagnostic.help or ""),
             "file": None, "start": 0, "end": 0, "line": 0, "column": 0,
         }  # fmt: skip
         if diagnostic.span is not None:
@@ -62,7 +62,7 @@ class FileNames:
             }  # fmt: skip
         return fields
 
-    def _shorten_paths(self, text: str) -> str:
+    def shorten_paths(self, text: str) -> str:
         """Return the words with the path of the scene's folder removed."""
         for prefix in self._folder_prefixes:
             text = text.replace(prefix, "")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from antdsl import __version__
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.render import choose_visible_diagnostics
-from antdsl.preview.session import Outcome
+from antdsl.preview.outcomes import Outcome
 from antdsl.preview.viewing.file_names import is_library_file, read_file_text
 
 if TYPE_CHECKING:

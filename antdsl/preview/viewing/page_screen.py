@@ -20,6 +20,7 @@ from antdsl.preview.viewing.agent_packets import AgentPackets
 from antdsl.preview.viewing.body_packets import ItemBodyPackets, RigPackets
 from antdsl.preview.viewing.charts import ChartMessages
 from antdsl.preview.viewing.curves import SentCurves
+from antdsl.preview.viewing.directing_messages import make_notes_message, make_verbs_message
 from antdsl.preview.viewing.field_packets import FieldPackets
 from antdsl.preview.viewing.file_names import FileNames
 from antdsl.preview.viewing.geometry_packets import CurvePackets, FlowPackets, MeshPackets, SolidPackets
@@ -63,6 +64,8 @@ class PageScreen:
         self._program_changed = self._files_changed = self._world_changed = True  # what has changed since pages heard
         self._last_packet_time = self._last_report_time = -inf
         self._scene: dict[str, Any] = {}
+        self._verbs: dict[str, Any] = {}
+        self._notes: dict[str, Any] = {}
         self._status: dict[str, Any] = {}
         self._stops: dict[int, str] = {}
         self._hash: tuple[object, int, str] | None = None
@@ -137,6 +140,8 @@ class PageScreen:
             client.tell(self.live.find_observer(SpecObserver).make_message())
             client.tell(self.live.find_observer(Breakpoints).make_message())
             client.tell(messages.make_stops_message(self.live))
+            client.tell(make_verbs_message(self.live))
+            client.tell(make_notes_message(self.live))
             sent = self._send_packets(self.live.session, monotonic())
             for slot, packet in self._packet_by_slot.items():
                 if slot not in sent:
@@ -195,7 +200,19 @@ class PageScreen:
         if scene_message != self._scene:
             self._scene = scene_message
             self.live.send_to_all(scene_message)
+        if lays_out_charts:
+            self._send_verbs()
         return lays_out_charts
+
+    def _send_verbs(self) -> None:
+        """Send the verbs of notes and the notes of the run, each if it changed."""
+        verbs, notes = make_verbs_message(self.live), make_notes_message(self.live)
+        if verbs != self._verbs:
+            self._verbs = verbs
+            self.live.send_to_all(verbs)
+        if notes != self._notes:
+            self._notes = notes
+            self.live.send_to_all(notes)
 
     def _make_scene_message(self, lays_out_charts: bool = True) -> dict[str, Any]:
         charts = self._charts.list_charts(self.live.session.shot.program) if lays_out_charts else self._scene.get("charts", [])

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from antdsl.outputs.feelers import list_feelers
-from antdsl.preview.session import Session, make_silencing_settings
+from antdsl.preview.outcomes import make_silencing_settings
+from antdsl.preview.session import Session
 from antdsl.preview.viewing.field_packets import choose_full_value
 from antdsl.preview.viewing.file_names import FileNames, read_file_text
 from antdsl.preview.viewing.page_units import choose_unit, convert_constant, find_unit_size, list_colour_attributes

@@ -35,12 +35,17 @@ _CURVE_HELP = "declare it in the program, `world { curve NAME }`, or write its p
 
 def check_notes(scene: Scene, program: Program, report: Report, names: SelectorNames) -> None:
     """Report everything in the notes of a scene that does not match the scene and its programs."""
-    for number, note in enumerate(scene.model.notes):
-        _NoteCheck(scene, program, report, names, note, ("notes", number)).run()
+    for number in range(len(scene.model.notes)):
+        check_note(scene, program, report, names, number)
     reserved = [m for s in program.species.values() for m in s.machines if m.name.startswith((PLAY_MACHINE, LOOK_MACHINE))]
     for machine in reserved if scene.model.notes else ():
         words = f"notes of a scene use the name `{machine.name}` for a machine of their own"
         report.error("reserved-name", words, machine.span, "rename the machine")
+
+
+def check_note(scene: Scene, program: Program, report: Report, names: SelectorNames, number: int) -> None:
+    """Report everything in one note of a scene that does not match the scene and its programs."""
+    _NoteCheck(scene, program, report, names, scene.model.notes[number], ("notes", number)).run()
 
 
 class _NoteCheck:

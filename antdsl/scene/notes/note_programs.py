@@ -28,6 +28,7 @@ from antdsl.scene.notes.notes_model import ChangeNote, Note
 from antdsl.source import Span
 
 PLAY_MACHINE, LOOK_MACHINE, OFF_STATE, ON_STATE = "notes_play", "notes_look_", "off", "on"
+_LOOK_TARGET_PREFIX = "note#"
 _LOOK_TARGET_TYPE = ValueType(TypeKind.VECTOR, Dimension(length=1))
 _COLOUR = (0.6, 0.6, 0.6)
 
@@ -39,7 +40,7 @@ def name_event(machine: str, state: str) -> str:
 
 def name_look_target(group: str) -> str:
     """Return the name of the vector attribute with the point that a group looks at."""
-    return f"note#{group}"
+    return f"{_LOOK_TARGET_PREFIX}{group}"
 
 
 def split_state_name(name: str, machine: str) -> str:
@@ -53,6 +54,17 @@ def add_note_machines(program: Program, scene: Scene) -> Program:
     if not notes:
         return program
     return replace(program, species={name: _extend_species(species, notes, scene) for name, species in program.species.items()})
+
+
+def remove_note_machines(program: Program) -> Program:
+    """Return the program without the machines and attributes that notes added. Transitions by notes stay."""
+    return replace(program, species={name: _shrink_species(species) for name, species in program.species.items()})
+
+
+def _shrink_species(species: Species) -> Species:
+    machines = tuple(each for each in species.machines if not each.name.startswith((PLAY_MACHINE, LOOK_MACHINE)))
+    attributes = tuple(each for each in species.attributes if not each.name.startswith(_LOOK_TARGET_PREFIX))
+    return replace(species, machines=machines, attributes=attributes)
 
 
 def _extend_species(species: Species, notes: list[tuple[Note, Span]], scene: Scene) -> Species:

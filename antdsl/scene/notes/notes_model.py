@@ -220,7 +220,7 @@ class ReleaseNote(EasedNote, SelectorKeys):
 
 
 class ReachNote(EasedNote, SelectorKeys):
-    """Agents are at the target in `frame`: at an item or agent they touch it. Each leaves as late as it can without haste."""
+    """Agents are at the target in this frame; at an item or agent they touch it. Each leaves as late as it can without haste."""
 
     verb = "reach"
     agents: Selector = Field(alias="reach")

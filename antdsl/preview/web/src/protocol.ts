@@ -2,6 +2,7 @@
 // The Python side: antdsl/preview/requests.py (requests of the page) and antdsl/preview/viewing (messages to the page).
 // Positions are in mm, relative to the origin of the world; directions are unit vectors; colours are display values 0..1.
 
+import type { Directed, Notes, Verbs } from "./directing";
 import type { Explanation } from "./explanation";
 
 export type Triple = [number, number, number];
@@ -26,6 +27,8 @@ export type Ask =
   | { op: "set"; name: string; value: string }
   | { op: "layer"; species: string; layer: string; on: boolean }
   | { op: "field"; name: string; on: boolean }
+  | { op: "direct"; verb: string; agents: string; values: Record<string, string>; apply: boolean } // a note; checked, or applied
+  | { op: "note"; key: number; action: "on" | "off" | "remove" }
   | { op: "reload" }
   | { op: "restart" } // simulate the files again from the first frame, without edits during the run
   | {
@@ -272,6 +275,9 @@ export interface Refused {
 export type ServerMessage =
   | Hello
   | Scene
+  | Verbs
+  | Notes
+  | Directed
   | Status
   | Problems
   | Texts

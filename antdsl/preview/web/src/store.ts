@@ -1,6 +1,7 @@
 // The state that all parts of the page share, such as the selection. Parts read it, set it and listen for changes.
 
 import type { Connection } from "./connection";
+import type { Place, Verbs } from "./directing";
 import type { Curves, Explained, Problems, Profile, Scene, Status, Texts } from "./protocol";
 
 export interface Agent {
@@ -28,6 +29,8 @@ export interface Shared {
   neighbours: boolean;
   curvesShown: boolean;
   glass: boolean; // whether solids, stones and walkable meshes are transparent
+  verbs: Verbs | null;
+  picking: { agents: boolean; items: boolean; pick: (place: Place) => void } | null; // a click in the view gives a place
   goto: { file: string; line: number; mistake?: boolean } | null; // a line of the text to display
 }
 
@@ -54,12 +57,15 @@ export class Store {
     neighbours: true,
     curvesShown: true,
     glass: false,
+    verbs: null,
+    picking: null,
     goto: null,
   };
   private readonly listeners = new Map<Key, (() => void)[]>();
 
   constructor(readonly connection: Connection) {
     connection.on("scene", (scene) => this.set("scene", scene));
+    connection.on("verbs", (verbs) => this.set("verbs", verbs));
     connection.on("status", (status) => this.set("status", status));
     connection.on("texts", (texts) => this.set("texts", texts));
     connection.on("problems", (problems) => this.set("problems", problems));

@@ -3,6 +3,7 @@
 import type { Store } from "../store";
 import { el } from "./dom";
 import { breaks } from "./side/breaks";
+import { direct } from "./side/direct";
 import { look } from "./side/look";
 import { machine } from "./side/machine";
 import { profile } from "./side/profile";
@@ -20,6 +21,7 @@ export type Panel = (store: Store, place: HTMLElement, shown: Shown) => void;
 
 const PANELS: [id: string, label: string, title: string, panel: Panel][] = [
   ["why", "Why", "why the selected agent did what it did", why],
+  ["direct", "Direct", "notes for agents: what they do in some frames", direct],
   ["sliders", "Sliders", "numbers of the program, layers and fields", sliders],
   ["view", "View", "what the view displays, and how", look],
   ["machine", "States", "the states and the changes between them", machine],
@@ -61,8 +63,8 @@ export function side(store: Store, place: HTMLElement): void {
   }
   let before = 0;
   store.on("selected", () => {
-    // the first selection opens the panel Why; later selections keep the current panel
-    if (before === 0 && store.now.selected.length === 1) tabs.choose("why");
+    // the first selection opens the panel Why, unless agents are selected for a note; later selections keep the current panel
+    if (before === 0 && store.now.selected.length === 1 && tabs.now !== "direct") tabs.choose("why");
     before = store.now.selected.length;
   });
 }

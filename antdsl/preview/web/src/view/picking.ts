@@ -1,6 +1,7 @@
-// Which agent a click selects: the nearest visible one on the screen; and where an agent is on the screen.
+// Which agent a click selects: the nearest visible one on the screen; where an agent is on the screen; which place is at a pixel.
 
 import * as THREE from "three";
+import type { Place } from "../directing";
 import type { Agent } from "../store";
 import type { Herd } from "./herds/herd";
 import type { Sight } from "./sight";
@@ -39,6 +40,55 @@ export function pick(sight: Sight, x: number, y: number): Agent | null {
   return { species: open.species, id: open.herd.ids[open.row] as number };
 }
 
+/** Return the place at a position of the canvas: an item or agent if they are requested, else the point of the ground. */
+export function pickPlace(sight: Sight, x: number, y: number, wanted: { agents: boolean; items: boolean }): Place {
+  const item = wanted.items ? pickItem(sight, x, y) : "";
+  const agent = wanted.agents && !item ? pick(sight, x, y) : null;
+  return { item, agent, point: item || agent ? null : pickGround(sight, x, y) };
+}
+
+function pickItem(sight: Sight, x: number, y: number): string {
+  const arrays = sight.herds.packet?.arrays;
+  const { camera, width, height, focal } = sight.stage;
+  let [found, least] = ["", Number.POSITIVE_INFINITY];
+  for (const group of sight.store.now.scene?.items ?? []) {
+    const positions = arrays?.get(`item/${group.name}/position`);
+    for (const [k, name] of group.names.entries()) {
+      if (!positions || positions.length < 3 * k + 3) continue;
+      POINT.set(positions[3 * k] as number, positions[3 * k + 1] as number, positions[3 * k + 2] as number);
+      const far = POINT.distanceTo(camera.position);
+      POINT.project(camera);
+      if (POINT.z > 1) continue;
+      const off = Math.hypot(((POINT.x + 1) / 2) * width - x, ((1 - POINT.y) / 2) * height - y);
+      const size = ((arrays?.get(`item/${group.name}/size`)?.[k] as number | undefined) ?? 0) * (focal / far);
+      if (off <= Math.max(REACH, 0.6 * size) && off < least) [found, least] = [name, off];
+    }
+  }
+  return found;
+}
+
+function pickGround(sight: Sight, x: number, y: number): [number, number, number] | null {
+  const { camera, width, height, up } = sight.stage;
+  RAY.setFromCamera(new THREE.Vector2((2 * x) / width - 1, 1 - (2 * y) / height), camera);
+  RAY.near = 0;
+  RAY.far = Number.POSITIVE_INFINITY;
+  const hit = RAY.intersectObjects(surfaces(sight), false)[0]?.point;
+  if (hit) return hit.toArray();
+  // without a mesh, agents walk on the plane through the scene's zero point
+  const origin = sight.store.now.verbs?.origin ?? [0, 0, 0];
+  const plane = new THREE.Plane(up, up.dot(new THREE.Vector3(...origin)));
+  return RAY.ray.intersectPlane(plane, POINT)?.toArray() ?? null;
+}
+
+/** Return the meshes that agents can be hidden by. */
+function surfaces(sight: Sight): THREE.Object3D[] {
+  const things: THREE.Object3D[] = [];
+  sight.stage.scene.traverseVisible((each) => {
+    if (each instanceof THREE.Mesh && each.userData.hides) things.push(each);
+  });
+  return things;
+}
+
 function candidates(sight: Sight, x: number, y: number): Found[] {
   const { camera, width, height } = sight.stage;
   const e = MATRIX.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse).elements;
@@ -65,10 +115,7 @@ function hidden(sight: Sight, found: Found): boolean {
   RAY.set(eye, POINT.sub(eye).divideScalar(far));
   RAY.near = sight.stage.camera.near;
   RAY.far = far - found.herd.size(found.row) * 0.4;
-  const things: THREE.Object3D[] = [];
-  sight.stage.scene.traverseVisible((each) => {
-    if (each instanceof THREE.Mesh && each.userData.hides && !each.material.transparent) things.push(each);
-  });
+  const things = surfaces(sight).filter((each) => !((each as THREE.Mesh).material as THREE.Material).transparent);
   return RAY.intersectObjects(things, false).length > 0;
 }
 

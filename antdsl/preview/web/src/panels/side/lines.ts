@@ -2,7 +2,8 @@
 
 import type { Outcome } from "../../protocol";
 import type { Store } from "../../store";
-import { button, el, keyed, setText } from "../dom";
+import { el, keyed, setText } from "../dom";
+import { copyButton } from "./copying";
 
 interface Line {
   key: string; // identifies the subject: a later line with the same key replaces this one
@@ -56,7 +57,12 @@ export class Lines {
   private row() {
     const code = el("code", { test: "line" });
     const where = el("span", { class: "quiet" });
-    const copy = button("Copy", () => this.copy(code, copy), { class: "small", test: "copy" });
+    const copy = copyButton(
+      "Copy",
+      () => code.textContent ?? "",
+      () => code,
+      "copy",
+    );
     return {
       element: el("li", {}, el("span", {}, code, where), copy),
       update: (line: Line) => {
@@ -65,18 +71,5 @@ export class Lines {
         copy.setAttribute("aria-label", `copy ${line.text}`);
       },
     };
-  }
-
-  /** Copy a line to the clipboard. If the browser has none for this page, select the text for the copy key. */
-  private copy(code: HTMLElement, copied: HTMLButtonElement): void {
-    const done = navigator.clipboard?.writeText(code.textContent ?? "");
-    const mark = () => getSelection()?.selectAllChildren(code);
-    if (done) void done.then(() => this.confirmCopy(copied), mark);
-    else mark();
-  }
-
-  private confirmCopy(copied: HTMLButtonElement): void {
-    setText(copied, "Copied");
-    setTimeout(() => setText(copied, "Copy"), 1500);
   }
 }

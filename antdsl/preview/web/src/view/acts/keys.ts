@@ -31,7 +31,7 @@ const KEYS = new Map<string, Act>([
   ["a", ({ store }) => store.set("paths", !store.now.paths)],
   ["n", (sight) => next(sight, 1)],
   ["p", (sight) => next(sight, -1)],
-  ["Escape", ({ store }) => store.set("selected", [])],
+  ["Escape", ({ store }) => (store.now.picking ? store.set("picking", null) : store.set("selected", []))],
 ]);
 
 export function keys(sight: Sight): void {

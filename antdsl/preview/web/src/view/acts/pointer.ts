@@ -1,8 +1,8 @@
 // Clicks: a click selects the agent at the pointer; with shift it adds or removes the agent. A click beside all agents clears the
-// selection. Dragging with shift selects all agents within a box.
+// selection. Dragging with shift selects all agents within a box. While a panel waits for a place, a click gives it one.
 
 import type { Agent } from "../../store";
-import { onScreen, pick } from "../picking";
+import { onScreen, pick, pickPlace } from "../picking";
 import type { Sight } from "../sight";
 
 const STILL = 5; // px that the pointer may move during a click
@@ -46,8 +46,13 @@ export function pointer(sight: Sight): void {
   }
   canvas.addEventListener("pointerup", up);
   canvas.addEventListener("pointercancel", up);
+  store.on("picking", () => stage.place.classList.toggle("picking", store.now.picking !== null));
 
   function click(event: PointerEvent): void {
+    if (store.now.picking) {
+      store.now.picking.pick(pickPlace(sight, event.offsetX, event.offsetY, store.now.picking));
+      return;
+    }
     const found = pick(sight, event.offsetX, event.offsetY);
     if (!event.shiftKey) {
       store.set("selected", found ? [found] : []);

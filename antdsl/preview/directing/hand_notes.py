@@ -1,0 +1,67 @@
+"""The notes that a page added to a running scene, and the frames that a change of them affects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+from antdsl.diagnostics import Report
+from antdsl.scene.load import Scene
+from antdsl.scene.notes.note_lines import name_note_source
+from antdsl.scene.notes.notes_model import Note
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandNote:
+    """A note that is not in the scene's file.
+
+    `key`: identifies it for pages. `text`: its line. `is_on`: whether the run follows it. `problem`: why it was switched off."""
+
+    key: int
+    text: str
+    note: Note
+    is_on: bool = True
+    problem: str = ""
+
+
+HandNotes = tuple[HandNote, ...]
+
+
+def list_active_lines(notes: Iterable[HandNote]) -> tuple[str, ...]:
+    """Return the lines of the notes that are on."""
+    return tuple(note.text for note in notes if note.is_on)
+
+
+def find_last_unaffected_frame(old: HandNotes, new: HandNotes) -> float:
+    """Return the last frame that is the same with the old and with the new notes; -inf if there is none, inf if all are."""
+    keys = [{note.key for note in notes if note.is_on} for notes in (old, new)]
+    changed = [note.note for note in (*old, *new) if note.key in keys[0] ^ keys[1]]
+    return min((note.first_frame - note.ease_frames - 1 for note in changed), default=inf)
+
+
+def drop_written_notes(notes: HandNotes, scene: Scene) -> HandNotes:
+    """Return the notes that the scene's file does not have by now."""
+    written = scene.model.notes[: len(scene.model.notes) - scene.added_notes]
+    return tuple(each for each in notes if each.note not in written)
+
+
+def switch_off_failed_notes(notes: HandNotes, report: Report) -> HandNotes:
+    """Return the notes, with those off that have errors in a report of all active notes."""
+    problems = {d.span.source.path: d.message for d in reversed(report.errors) if d.span is not None}
+    active = [note for note in notes if note.is_on]
+    failed = {note.key: problems[path] for k, note in enumerate(active) if (path := name_note_source(k)) in problems}
+    return tuple(replace(each, is_on=False, problem=failed[each.key]) if each.key in failed else each for each in notes)
+
+
+def name_switched_notes(old: Sequence[HandNote], new: Sequence[HandNote]) -> list[str]:
+    """Return a text for each note that was on and is off or not there any more."""
+    later = {note.key: note for note in new}
+    texts = []
+    for note in old:
+        other = later.get(note.key)
+        if other is None:
+            texts.append(f"`{note.text}` is now in the scene")
+        elif note.is_on and not other.is_on:
+            texts.append(f"`{note.text}` no longer fits")
+    return texts

@@ -1,0 +1,150 @@
+"""The table of verbs: their keys with kind, unit, default and help, made from the models of notes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
+from types import NoneType
+from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+from pydantic.fields import FieldInfo
+
+from antdsl.scene.notes.notes_model import (
+    NOTE_MODELS,
+    CurveOrPoints,
+    FrameCount,
+    FrameNumber,
+    LookTargets,
+    Note,
+    NoteRegion,
+    Share,
+)
+from antdsl.scene.notes.selectors import NearTarget, Region, SelectorKeys
+from antdsl.scene.values import FrameRangeValue, PositiveLength, ScenePart, SceneWord
+
+
+class KeyKind(NamedTuple):
+    """A kind of value. `name`: as pages know it. `unit`: of numbers. `example`: a value as in a scene. `help`: of keys without a
+    help of their own."""
+
+    name: str
+    unit: str = ""
+    example: str = ""
+    help: str = ""
+
+
+class VerbKey(NamedTuple):
+    """A key of a verb. `default`: as in a scene, empty for none. `narrows`: it selects among the agents."""
+
+    name: str
+    kind: KeyKind
+    is_required: bool
+    default: str
+    help: str
+    narrows: bool
+
+
+class VerbForm(NamedTuple):
+    """A verb with its keys, in the order in which a line has them."""
+
+    verb: str
+    help: str
+    keys: tuple[VerbKey, ...]
+
+    def find_key(self, name: str) -> VerbKey | None:
+        """Return a key by name; None if the verb has none of this name."""
+        return next((key for key in self.keys if key.name == name), None)
+
+
+_CLIP = KeyKind("clip", "", "walk", "a clip of the body")
+_STATE = KeyKind("state", "", "rest", "a state of the program")
+_MAP = KeyKind("map", "", "damp", "a painted map of the world")
+_THING = KeyKind("thing", "", "foot", "a mesh, an item or items")
+_CAMERA = KeyKind("camera", "", "shot", "a camera of the scene")
+_LOOKS = KeyKind("looks", "", "{head: leaf}", "a part of the body, and a point, item, agent or `{direction: [0, 1, 0]}`")
+_KINDS: tuple[tuple[Any, KeyKind], ...] = (
+    (FrameRangeValue, KeyKind("frames", "", "120..143", "the first and the last frame, both included")),
+    (FrameNumber, KeyKind("frame", "", "120", "the frame")),
+    (FrameCount, KeyKind("count", "frames", "6", "a number of frames")),
+    (Share, KeyKind("share", "", "50 %", "a share from 0 % to 100 %")),
+    (PositiveLength, KeyKind("length", "mm", "50 mm", "a length")),
+    (NearTarget, KeyKind("target", "", "[0, 0, 0]", "a point, an item or an agent")),
+    (NoteRegion, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box, a ball, a band along a curve, or a view")),
+    (Region, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box or a ball")),
+    (CurveOrPoints, KeyKind("path", "", "[[0, 0, 0], [50, 0, 0]]", "a curve of the world, or points")),
+    (LookTargets, _LOOKS),
+    (SceneWord, _STATE),
+)
+_KIND_BY_KEY: Mapping[str, KeyKind] = {
+    "play": _CLIP, "clip": _CLIP, "painted": _MAP, "for": _THING, "in_view": _CAMERA,
+    "to": KeyKind("values", "", "{size: 6 mm}", "attributes with their values"), "at": _LOOKS,
+    "share": KeyKind("share", "", "30 %"), "seed": KeyKind("count", "", "4", "the number from which `share` draws"),
+    "without": KeyKind("agents", "", "guards.17"),
+}  # fmt: skip
+_FIRST_KEYS, _LAST_KEYS = ("frames",), ("ease",)  # of the keys that are not required
+_UNFILLED_KEYS = frozenset(("agents", "off"))  # the page has a place for these
+_HELP_PATTERN = re.compile(r"`(\w+)`(?:, `(\w+)`)?: (.*?)(?=\s+`\w+`(?:, `\w+`)?: |\Z)", re.DOTALL)
+
+
+@cache
+def list_note_forms() -> tuple[VerbForm, ...]:
+    """Return the verbs of notes."""
+    return tuple(_make_form(verb, model) for verb, model in NOTE_MODELS.items())
+
+
+def find_note_form(verb: str) -> VerbForm | None:
+    """Return the form of a verb; None for an unknown verb."""
+    return next((form for form in list_note_forms() if form.verb == verb), None)
+
+
+def _make_form(verb: str, model: type[Note]) -> VerbForm:
+    types, helps = get_type_hints(model, include_extras=True), dict(_iterate_helps(model))
+    keys = [
+        _make_key(field.alias or name, name, field, types[name], helps, model)
+        for name, field in model.model_fields.items()
+        if name not in _UNFILLED_KEYS
+    ]
+    own = {model.model_fields[name].alias or name for name in model.__annotations__ if name in model.model_fields}
+    keys.sort(key=lambda k: (k.narrows, not k.is_required, k.name not in _FIRST_KEYS, k.name in _LAST_KEYS, k.name not in own))
+    return VerbForm(verb, _shorten(_HELP_PATTERN.sub("", model.__doc__ or "")), tuple(keys))
+
+
+def _make_key(
+    key: str, field_name: str, field: FieldInfo, value_type: Any, helps: Mapping[str, str], model: type[Note]
+) -> VerbKey:
+    kind = _find_kind(key, value_type)
+    is_selector_key = field_name in SelectorKeys.model_fields and issubclass(model, SelectorKeys)
+    help = helps.get(key) or helps.get(field_name) or kind.help
+    return VerbKey(key, kind, field.is_required(), _format_default(field.default, kind), help, is_selector_key)
+
+
+def _find_kind(key: str, value_type: Any) -> KeyKind:
+    """Return the kind of a key by its type, or where several kinds have the type, by its name."""
+    options = [part for part in get_args(value_type) if part is not NoneType] if get_origin(value_type) is Union else [value_type]
+    own = options[0] if len(options) == 1 else value_type
+    for known, kind in _KINDS:
+        if own == known:
+            return kind
+    return _KIND_BY_KEY[key]
+
+
+def _format_default(value: Any, kind: KeyKind) -> str:
+    """Return a default as text; empty for none."""
+    if isinstance(value, float):
+        return f"{100 * value:g} %"
+    return str(value) if isinstance(value, int | str) else ""
+
+
+def _iterate_helps(model: type[ScenePart]) -> Iterator[tuple[str, str]]:
+    """Yield the names of keys with their helps in the docstrings of a model and its bases, bases first."""
+    for each in reversed(model.__mro__):
+        for first, second, text in _HELP_PATTERN.findall(each.__dict__.get("__doc__") or ""):
+            yield first, _shorten(text)
+            if second:
+                yield second, _shorten(text)
+
+
+def _shorten(text: str) -> str:
+    """Return a text on one line, without a full stop at its end."""
+    return " ".join(text.split()).rstrip(".")

@@ -1,0 +1,77 @@
+"""The messages for directing: the verbs with the names that they may use, and the notes of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from antdsl.preview.directing.verb_forms import VerbKey, list_note_forms
+from antdsl.preview.session import Session
+from antdsl.preview.viewing.body_packets import body_of_key
+from antdsl.scene.checks.scene_checks import list_selector_names
+from antdsl.scene.crowds.initial_values import is_settable
+from antdsl.scene.notes.note_programs import remove_note_machines
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Live
+
+Names = Mapping[str, list[str]]
+_USUAL_PART = "head"  # of bodies that look at something
+_MAX_NAMES = 200  # of one kind
+
+
+def make_verbs_message(live: Live) -> dict[str, Any]:
+    """Return the verbs of notes with their keys, the named crowd lines, and the origin of positions on pages (mm)."""
+    session = live.session
+    names, world = _list_names(session), session.world
+    lines = [
+        {"name": line.name, "species": ids.species, "ranges": [list(each) for each in ids.ranges]}
+        for line, ids in zip(session.shot.scene.model.crowd, world.lines, strict=True)
+        if line.name is not None
+    ]
+    verbs = [
+        {"verb": form.verb, "help": form.help, "keys": [_make_key_entry(key, names) for key in form.keys]}
+        for form in list_note_forms()
+    ]
+    return {"op": "verbs", "notes": verbs, "lines": lines, "origin": [float(x) for x in world.origin]}
+
+
+def make_notes_message(live: Live) -> dict[str, Any]:
+    """Return the notes that pages added to the run."""
+    notes = [{"key": note.key, "line": note.text, "on": note.is_on, "problem": note.problem} for note in live.session.notes]
+    return {"op": "notes", "notes": notes, "file": live.screen.names.get_short_name(live.compiler.scene)}
+
+
+def _make_key_entry(key: VerbKey, names: Names) -> dict[str, Any]:
+    return {
+        "name": key.name, "kind": key.kind.name, "unit": key.kind.unit, "required": key.is_required, "default": key.default,
+        "help": key.help, "example": _make_example(key, names), "narrows": key.narrows,
+        "choices": names.get(key.kind.name, [])[:_MAX_NAMES],
+    }  # fmt: skip
+
+
+def _make_example(key: VerbKey, names: Names) -> str:
+    """Return a value with names of the scene where there are any."""
+    parts, own = names["part"], names.get(key.kind.name, [])
+    if key.kind.name == "looks":
+        return f"{{{parts[0] if parts else 'head'}: {names['target'][0] if names['target'] else '[0, 100, 0]'}}}"
+    return own[0] if own else key.kind.example
+
+
+def _list_names(session: Session) -> Names:
+    """Return the names that values may use, by the kinds of keys. `part`: transform groups of the bodies."""
+    shot, world = session.shot, session.world
+    setting, program = world.setting, remove_note_machines(shot.program)
+    selectors = list_selector_names(shot.scene, program)
+    bodies = [body_of_key(shot, key) for name in world.populations for key in setting.list_body_keys(name)]
+    agents = [*selectors.lines, *sorted(selectors.species)]
+    items = sorted(selectors.items)
+    attributes = {a.name: None for species in program.species.values() for a in species.attributes if is_settable(a)}
+    return {
+        "agents": agents, "target": [*items, *agents], "state": sorted(each for each in selectors.states if "." not in each),
+        "camera": sorted(selectors.cameras), "map": sorted(setting.maps), "path": sorted(setting.curves),
+        "thing": [*sorted(setting.obstacles), *sorted(setting.surfaces), *items],
+        "clip": sorted({clip for body in bodies for clip in body.clips}),
+        "part": sorted({group for body in bodies for group in body.groups}, key=lambda name: (name != _USUAL_PART, name)),
+        "values": [f"{{{name}: }}" for name in attributes],
+    }  # fmt: skip
