@@ -1,4 +1,4 @@
-"""A crowd that walks side by side, and its cache, for tests of settling."""
+"""A crowd that walks on hills, and its cache, for tests of settling."""
 
 from __future__ import annotations
 

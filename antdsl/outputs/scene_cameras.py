@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.frame_agents import get_agent_ids, get_species_numbers
 from antdsl.outputs.cache.manifest import CameraEntry, FollowEntry, Manifest, make_camera_array_name
+from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.pictures.cameras import CAMERA_ANGLES, make_ray_scene, score_camera
@@ -31,6 +33,8 @@ from antdsl.scene.thing_models import UP_VECTORS
 Array = NDArray[np.float64]
 
 _TRACK_ARRAYS = frozenset(("P", "orient", "id", "species"))
+_HEIGHTS = np.array([0.0, 0.15, 0.3, 0.5, 0.8, 1.2, 2.0])  # in distances from its aim: how far a camera may rise above the ground
+_SPARE_DISTANCE, _NEAREST_SHARE = 0.1, 0.1  # in distances from its aim: free space behind a camera, and how near it may come
 _MAX_SCORED_FRAMES = 4  # frames for which a direction is examined
 
 
@@ -68,6 +72,31 @@ class SceneCameras:
         row = min(max(frame - self._gallery.manifest.first, 0), len(static[make_camera_array_name(name, "at")]) - 1)
         at, look_at, up = (to_tuple(static[make_camera_array_name(name, part)][row]) for part in ("at", "look_at", "up"))
         return Camera(at, look_at, focal=float(static[make_camera_array_name(name, "focal")][row]) or DEFAULT_FOCAL_MM, up=up)
+
+    def list_exported(self, frame: int) -> dict[str, str]:
+        """Return the names of the cameras that files can have, by name in the scene: the default one is called `camera`.
+
+        Cameras that are fitted to drawn frames, and those that follow an agent that the cache lacks, are left out."""
+        names = {}
+        for name in self._entries:
+            try:
+                exists = self.make_camera(frame, name) is not None
+            except PictureUnavailable:
+                exists = False
+            if exists:
+                names[name] = "camera" if name == DEFAULT_CAMERA else name
+        return names
+
+
+def find_camera_axes(camera: Camera, up: str) -> tuple[Array, Array]:
+    """Return the position of a camera, and its axes to the right, to the top and backwards as rows. `up`: of the scene."""
+    eye, aim = np.asarray(camera.at, np.float64), np.asarray(camera.look_at, np.float64)
+    back = normalise_or_fallback(eye - aim, np.array([0.0, 0.0, 1.0]))
+    top = np.asarray(camera.up or UP_VECTORS[up], np.float64)
+    if np.linalg.norm(np.cross(top, back)) < 1e-6:
+        top = np.roll(top, 1)
+    side = normalise_or_fallback(np.cross(top, back), np.array([1.0, 0.0, 0.0]))
+    return eye, np.stack([side, np.cross(back, side), back])
 
 
 def find_agent(manifest: Manifest, text: str) -> tuple[int, int]:
@@ -133,10 +162,30 @@ def choose_direction(
     views = [(picture, *place) for picture, place in samples if place is not None]
     body = measure_body(*views[0][1:])
     if offset is not None:
-        return FollowingCamera.of(track, body, focal, offset=offset)
+        return _keep_above_ground(gallery, FollowingCamera.of(track, body, focal, offset=offset))
     cameras = [FollowingCamera.of(track, body, focal, angle, is_close) for angle in CAMERA_ANGLES]
     scores = np.zeros(len(cameras))
     for frame, (picture, crowd, row) in zip(frames, views, strict=True):
         rays = make_ray_scene(picture)
         scores += [score_camera(crowd, row, body.longest, each.make_camera(frame), rays) for each in cameras]
-    return cameras[int(scores.argmax())]
+    return _keep_above_ground(gallery, cameras[int(scores.argmax())])
+
+
+def _keep_above_ground(gallery: Gallery, camera: FollowingCamera) -> FollowingCamera:
+    """Return a camera that is higher, or else nearer, where the ground is between it and its agent, also in the frames around.
+
+    So it is never below the ground that its agent stands on."""
+    ground, frames = Ground(gallery.cache), camera.track.frames.tolist()
+    heights, shares = np.zeros((len(frames), 1)), np.ones((len(frames), 1))
+    for row, frame in enumerate(frames):
+        terrain, plain = ground.at(frame), camera.make_camera(frame)
+        if terrain is None:
+            return camera
+        eye, aim = np.asarray(plain.at), np.asarray(plain.look_at)
+        distance = float(np.linalg.norm(eye - aim))
+        eyes = eye + np.outer(_HEIGHTS, np.asarray(plain.up)) * distance
+        free = terrain.measure_free_shares(np.tile(aim, (len(eyes), 1)), aim + (eyes - aim) * (1 + _SPARE_DISTANCE))
+        is_free = free >= 1
+        heights[row] = distance * _HEIGHTS[int(is_free.argmax())] if is_free.any() else 0.0
+        shares[row] = 1.0 if is_free.any() else max(float(free[0]), _NEAREST_SHARE)
+    return camera.raise_eye(heights, shares)

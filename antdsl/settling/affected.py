@@ -32,19 +32,19 @@ def find_affected(cache: EditedCache, *, with_touched: bool = True) -> dict[int,
 def _find_affected_in_frame(old: Trunks, new: Trunks, with_touched: bool) -> set[int]:
     is_changed = find_changed(old, new)
     at, is_left = match_rows(old.keys, new.keys)
-    is_gone = ~is_left
-    is_gone[is_left] = is_changed[at[is_left]]
-    if not is_changed.any() and not is_gone.any():
+    is_removed = ~is_left
+    is_removed[is_left] = is_changed[at[is_left]]
+    if not is_changed.any() and not is_removed.any():
         return set()
-    changed, gone = set(new.keys[is_changed].tolist()), set(old.keys[is_gone].tolist())
+    changed, removed = set(new.keys[is_changed].tolist()), set(old.keys[is_removed].tolist())
     known = set(find_overlaps(old, np.ones(len(old.keys), np.bool_)))
     pairs = [pair for pair in find_overlaps(new, is_changed) if pair not in known]
     affected = {max(pair) if pair[0] in changed and pair[1] in changed else _pick_other(pair, changed) for pair in pairs}
     if not with_touched:
         return affected
-    touched = [pair for pair in find_overlaps(old, is_gone, _TOUCH_DEPTH) if (pair[0] in gone) != (pair[1] in gone)]
+    touched = [pair for pair in find_overlaps(old, is_removed, _TOUCH_DEPTH) if (pair[0] in removed) != (pair[1] in removed)]
     still = set(find_overlaps(new, is_changed, _TOUCH_DEPTH)) if touched else set()
-    return affected | {_pick_other(pair, gone) for pair in touched if pair not in still}
+    return affected | {_pick_other(pair, removed) for pair in touched if pair not in still}
 
 
 def _pick_other(pair: tuple[int, int], known: set[int]) -> int:

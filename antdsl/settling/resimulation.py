@@ -203,5 +203,5 @@ class _Resimulation:
             own = [names.index(name) for name in sorted(self.world.populations)]
             known = arrays.get("species", np.zeros(len(arrays["id"]), np.int16))
             arrays["species"] = np.array(own, np.int16)[known]
-        kept = keep_rows(arrays, self.cache.manifest, lambda each: np.isin(each, keys))
-        return {name: kept[name] for name, _ in FrameRows(kept, self.cache.manifest).iterate_agent_arrays()}
+        frame = keep_rows(arrays, self.cache.manifest, lambda each: np.isin(each, keys))
+        return {name: frame[name] for name, _ in FrameRows(frame, self.cache.manifest).iterate_agent_arrays()}

@@ -41,8 +41,8 @@ def place_scripted_agents(
         if population is None:
             continue
         own = np.flatnonzero((numbers == number) & ~np.isin(ids, free[entry.name]))
-        kept = np.flatnonzero(np.isin(population.ids, ids[own]) | np.isin(population.ids, free[entry.name]))
-        rows = _place(world, population, arrays, own, manifest, kept, next_ids.get(entry.name, 0))
+        known_rows = np.flatnonzero(np.isin(population.ids, ids[own]) | np.isin(population.ids, free[entry.name]))
+        rows = _place(world, population, arrays, own, manifest, known_rows, next_ids.get(entry.name, 0))
         _aim(world, population, rows, following, number, UNIT_MM[manifest.units])
 
 
@@ -52,7 +52,7 @@ def _place(
     arrays: Arrays,
     own: NDArray[np.intp],
     manifest: Manifest,
-    kept: NDArray[np.intp],
+    known_rows: NDArray[np.intp],
     period: int,
 ) -> NDArray[np.intp]:
     """Put agents of one species, the rows `own` of a frame, into a world, and return their rows there."""
@@ -70,22 +70,22 @@ def _place(
             for array in registers.values():
                 array[added] = array[templates]
         population.normal[added] = population.normal[templates]
-        kept = np.concatenate([kept, np.arange(added.start, added.stop)])
-    if len(kept) < len(population):
-        select_rows(population, kept)
+        known_rows = np.concatenate([known_rows, np.arange(added.start, added.stop)])
+    if len(known_rows) < len(population):
+        select_rows(population, known_rows)
     rows = population.find_rows(ids)
-    found = np.flatnonzero(rows >= 0)
-    rows = rows[found]
-    population.position[rows] = world.ground.position(footing)[found]
-    population.footing.put_rows(rows, footing.take_rows(found))
+    at = np.flatnonzero(rows >= 0)
+    rows = rows[at]
+    population.position[rows] = world.ground.position(footing)[at]
+    population.footing.put_rows(rows, footing.take_rows(at))
     heading, up, _ = np.moveaxis(
-        quaternion_to_matrix(normalise_quaternion(np.asarray(arrays["orient"], np.float64)[own[found]])), 2, 0
+        quaternion_to_matrix(normalise_quaternion(np.asarray(arrays["orient"], np.float64)[own[at]])), 2, 0
     )
     population.normal[rows] = up
     _write_vector(population, "position", rows, population.position[rows])
     _write_vector(population, "heading", rows, heading)
     _write_vector(population, "up", rows, up)
-    size = np.asarray(arrays["pscale"], np.float32)[own[found]] * np.float32(unit_mm)
+    size = np.asarray(arrays["pscale"], np.float32)[own[at]] * np.float32(unit_mm)
     factor = size / np.where(population.now["size"][rows] > 0, population.now["size"][rows], np.float32(1))
     factor = np.where(np.abs(factor - 1) < _SAME_SIZE, np.float32(1), factor)
     for name in ("size", "radius"):

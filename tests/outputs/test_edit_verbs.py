@@ -375,3 +375,25 @@ def test_random_subsets_of_edits_equal_those_where_the_others_were_never_written
         others = np.array([key for key in untouched if key // SPECIES_PER_KEY not in (0, 1, 2, 5)])
         if not chosen[1] or number <= 20:
             assert edit_scenes.take_agents(cache, number, others) == edit_scenes.take_agents(view, number, others)
+
+
+def test_positions_are_means_and_stay_at_their_height_over_the_ground(cache: Cache) -> None:
+    view = edited(cache, "smooth: walker, position: 7")
+    ground = Ground(cache)
+    number = 12
+    old, new = rows_of(cache, number, GUARDS), rows_of(view, number, GUARDS)
+    positions = [rows_of(cache, number + k, GUARDS)["P"].astype(np.float64) for k in range(-3, 4)]
+    weights = 0.5 + 0.5 * np.cos(np.arange(-3, 4) * np.pi / 4)
+    mean = np.einsum("k,kni->ni", weights / weights.sum(), positions)
+    assert np.abs(new["P"] - mean)[:, [0, 2]].max() < 0.05 and (new["P"] != old["P"]).any()
+    terrain = ground.at(number)
+    assert terrain is not None
+    up, reach = np.tile([0.0, 1.0, 0.0], (len(GUARDS), 1)), np.full(len(GUARDS), 20.0)
+    heights = [p[:, 1] - terrain.find_along(p.astype(np.float64), up, reach, reach).position[:, 1] for p in (old["P"], new["P"])]
+    assert np.abs(heights[0] - heights[1]).max() < 0.1
+    assert all((old[name] == new[name]).all() for name in old if name.startswith("feet.") or name == "orient")
+    step = np.linalg.norm(np.diff([rows_of(view, k, GUARDS)["P"] for k in range(8, 20)], n=2, axis=0), axis=2).mean()
+    rough = np.linalg.norm(np.diff([rows_of(cache, k, GUARDS)["P"] for k in range(8, 20)], n=2, axis=0), axis=2).mean()
+    assert step < rough
+    ends = [rows_of(each, 1, GUARDS)["P"] for each in (view, cache)]
+    assert np.abs(ends[0] - ends[1]).max() < 1e-4  # it is the first frame

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import make_frame_path, open_cache
-from antdsl.outputs.edits.verbs.finishing import FrameOrientations, smooth_frame
+from antdsl.outputs.edits.verbs.smoothing import FrameValues, average_rotations
 
 RUN = CliRunner()
 PROGRAM = """ant 1
@@ -40,10 +40,10 @@ def about_y(angle: np.ndarray) -> np.ndarray:
     return np.stack([nothing, np.sin(half), nothing, np.cos(half)], axis=-1)
 
 
-def frames_of(angles: np.ndarray, keys: np.ndarray | None = None) -> dict[int, FrameOrientations]:
+def frames_of(angles: np.ndarray, keys: np.ndarray | None = None) -> dict[int, FrameValues]:
     """Frames (rows) of agents (columns) that face so."""
     every = np.arange(angles.shape[1]) if keys is None else keys
-    return {k: FrameOrientations(every.astype(np.int64), about_y(row)) for k, row in enumerate(angles)}
+    return {k: FrameValues(every.astype(np.int64), about_y(row)) for k, row in enumerate(angles)}
 
 
 def angle_of(orient: np.ndarray) -> np.ndarray:
@@ -53,7 +53,7 @@ def angle_of(orient: np.ndarray) -> np.ndarray:
 def test_an_even_turn_stays_and_a_jerk_is_spread() -> None:
     steps = np.arange(21.0)
     frames = frames_of(np.stack([0.1 * steps, (steps >= 10) * 1.0, 0.3 * (-1.0) ** steps], axis=1))
-    angles = np.array([angle_of(smooth_frame(frames, k, 9)) for k in range(21)])
+    angles = np.array([angle_of(average_rotations(frames, k, 9)) for k in range(21)])
     assert angles[:, 0] == pytest.approx(0.1 * steps, abs=1e-6)  # no agent lags, also not at the ends
     assert (
         np.diff(angles[:, 1]).max() < 0.25 and (np.diff(angles[:, 1]) > -1e-6).all() and angles[9:11, 1].sum() == pytest.approx(1)
@@ -64,7 +64,7 @@ def test_an_even_turn_stays_and_a_jerk_is_spread() -> None:
 def test_the_weights_are_those_of_a_raised_cosine() -> None:
     frames = frames_of(np.array([[0.0], [0.0], [0.02], [0.0], [0.0]]))
     each = [1, 0.5 + 0.5 * np.cos(np.pi / 3), 0.5 + 0.5 * np.cos(2 * np.pi / 3)]
-    assert angle_of(smooth_frame(frames, 2, 5)) == pytest.approx(0.02 / (each[0] + 2 * each[1] + 2 * each[2]), rel=1e-4)
+    assert angle_of(average_rotations(frames, 2, 5)) == pytest.approx(0.02 / (each[0] + 2 * each[1] + 2 * each[2]), rel=1e-4)
 
 
 def test_signs_of_quaternions_and_rows_count_for_nothing() -> None:
@@ -73,8 +73,8 @@ def test_signs_of_quaternions_and_rows_count_for_nothing() -> None:
     other = {}
     for number, frame in frames.items():
         order, sign = rng.permutation(6), rng.choice((-1.0, 1.0), 6)
-        other[number] = FrameOrientations(frame.key[order], frame.orient[order] * sign[:, None])
-    one, two = smooth_frame(frames, 4, 7), smooth_frame(other, 4, 7)
+        other[number] = FrameValues(frame.key[order], frame.values[order] * sign[:, None])
+    one, two = average_rotations(frames, 4, 7), average_rotations(other, 4, 7)
     two = two[np.argsort(other[4].key)]
     assert np.minimum(np.abs(one - two), np.abs(one + two)).max() < 1e-6
     assert np.linalg.norm(one, axis=1) == pytest.approx(np.ones(6), abs=1e-6)
@@ -84,12 +84,12 @@ def test_who_comes_and_goes_has_fewer_frames_and_a_gap_ends_them() -> None:
     angles = np.arange(9.0)[:, None] ** 2 * 0.02
     frames = frames_of(np.repeat(angles, 2, axis=1))
     for number in (0, 1, 2):  # the second one is born in frame 3
-        frames[number] = FrameOrientations(frames[number].key[:1], frames[number].orient[:1])
-    one, two = angle_of(smooth_frame(frames, 3, 9)), angle_of(smooth_frame(frames, 4, 9))
+        frames[number] = FrameValues(frames[number].key[:1], frames[number].values[:1])
+    one, two = angle_of(average_rotations(frames, 3, 9)), angle_of(average_rotations(frames, 4, 9))
     assert one[1] == pytest.approx(angles[3, 0], abs=1e-6) and one[0] > angles[3, 0] + 0.01
     assert two[1] == pytest.approx((angles[3, 0] / 2 + angles[4, 0] + angles[5, 0] / 2) / 2, abs=1e-4)
     del frames[5]
-    assert angle_of(smooth_frame(frames, 4, 9)) == pytest.approx([angles[4, 0]] * 2, abs=1e-6)
+    assert angle_of(average_rotations(frames, 4, 9)) == pytest.approx([angles[4, 0]] * 2, abs=1e-6)
 
 
 @pytest.fixture(scope="module")

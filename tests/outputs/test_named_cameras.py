@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gltf_scene import Scene
 from test_scene_files import PROGRAM, SCENE, folder, opened  # noqa: F401
 from typer.testing import CliRunner
 
@@ -16,6 +17,7 @@ from antdsl.outputs.cache.manifest import FollowEntry, Manifest
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer
 from antdsl.outputs.edits.cache_selection import Selection, list_selector_names
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
+from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.following import AgentTrack, BodySize, FollowingCamera, StableTrack
@@ -242,3 +244,52 @@ def test_cameras_with_mistakes(folder: Path, old: str, new: str, code: str, word
     error = next(each for each in report.errors if each.code == code)
     assert words in error.message and error.span is not None, [each.message for each in report.errors]
     assert error.help or code == "no-such-file"
+
+
+def test_all_named_cameras_are_exported_with_their_motion(cache: Cache, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Gf, Usd, UsdGeom
+
+    cameras, frames = SceneCameras(Gallery(cache)), cache.frames()
+    files = [tmp_path / "shot.usda", tmp_path / "shot.glb"]
+    for path, flags in zip(files, ([], ["--tolerance", "0%"]), strict=True):
+        result = CliRunner().invoke(app, ["export", str(cache.folder), "--to", str(path), "-q", *flags])
+        assert result.exit_code == 0, result.output
+    stage = Usd.Stage.Open(str(files[0]))
+    paths = {str(prim.GetPath()) for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)}
+    assert paths == {"/World/camera", "/World/wide", "/World/dolly", "/World/hero", "/World/side"}
+    tree = Scene(files[1].read_bytes())
+    names = [node["name"] for node in tree.tree["nodes"] if "camera" in node]
+    assert sorted(names) == ["camera", "dolly", "hero", "side", "wide"] and len(tree.tree["cameras"]) == 5
+    for name in ("shot", "wide", "dolly", "hero", "side"):
+        written = "camera" if name == "shot" else name
+        prim = UsdGeom.Camera(stage.GetPrimAtPath(f"/World/{written}"))
+        node = next(k for k, each in enumerate(tree.tree["nodes"]) if each["name"] == written)
+        for frame in frames:
+            own = cameras.make_camera(frame, name)
+            assert own is not None
+            camera = prim.GetCamera(frame)
+            eye = camera.transform.Transform(Gf.Vec3d(0, 0, 0))
+            ahead = camera.transform.TransformDir(Gf.Vec3d(0, 0, -1))
+            direction = np.subtract(own.look_at, own.at) / np.linalg.norm(np.subtract(own.look_at, own.at))
+            assert np.allclose(eye, own.at, atol=1e-4) and np.allclose(ahead, direction, atol=1e-5), (name, frame)
+            assert camera.focalLength == pytest.approx(own.focal * 10, rel=1e-5)  # tenths of the unit, mm
+            world = tree.at((frame - frames[0]) / 24)[0][node]
+            assert np.allclose(world[:3, 3] * 1000, own.at, atol=1e-3), (name, frame)
+            assert np.allclose(-world[:3, 2] / np.linalg.norm(world[:3, 2]), direction, atol=1e-4), (name, frame)
+
+
+def test_a_camera_that_follows_stays_above_the_ground(folder: Path) -> None:  # noqa: F811
+    """The scene places the camera below the hill on which the agent walks."""
+    low = NAMED.replace("by: [30, 20, 10]", "by: [30, -25, 10]")
+    cache = record(folder, low)
+    gallery = Gallery(cache)
+    cameras, ground = SceneCameras(gallery), Ground(cache)
+    eyes = []
+    for frame in cache.frames():
+        camera, terrain = cameras.make_camera(frame, "side"), ground.at(frame)
+        assert camera is not None and terrain is not None
+        eye, aim = (np.array([each], np.float64) for each in (camera.at, camera.look_at))
+        assert terrain.measure_free_shares(aim, eye)[0] == 1, frame
+        eyes.append(eye[0])
+    assert np.linalg.norm(np.diff(eyes, axis=0), axis=1).max() < 4, "it does not jump"

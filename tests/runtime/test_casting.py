@@ -11,6 +11,7 @@ import pytest
 from test_crowd_lines import shot_of, world_of
 from test_scene_files import folder, opened  # noqa: F401
 
+from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.world import AXES, World
 
@@ -152,7 +153,7 @@ def test_values_of_other_agents_do_not_change(project: Path) -> None:
 
 def test_backends_agree(project: Path) -> None:
     lines = (
-        "count: 9, each: {state: {choice: {rest: 1, walk: 1}}, size: {normal: [3 mm, 1 mm]}, load: {painted: damp}}",
+        "count: 9, each: {state: {choice: {rest: 1, walk: 1}}, size: {normal: [3 mm, 0.9 mm]}, load: {painted: damp}}",
         "frames: 2..4, count: 9, each: {mood.state: hot}, place: {along: way, radius: 5 mm, facing: along}",
     )
     shot = shot_of(project, text(*lines))
@@ -303,7 +304,7 @@ def test_wrong_casting(project: Path, line: str, code: str, words: str) -> None:
 
 def test_no_agents(project: Path) -> None:
     lines: tuple[Any, ...] = (
-        "count: 0, each: {size: {normal: [3 mm, 1 mm]}, state: walk}",
+        "count: 0, each: {size: {normal: [3 mm, 0.9 mm]}, state: walk}",
         "count: 0, place: {along: way}",
         "count: 0, place: {ranks: {columns: 3, spacing: 3 mm}}",
         "count: 0, place: {clumps: {number: 3, radius: 3 mm}}",
@@ -312,3 +313,25 @@ def test_no_agents(project: Path) -> None:
     world = begin_world(project, *lines)
     step(world)
     assert len(world) == 0
+
+
+@pytest.mark.parametrize(
+    ("value", "place"),
+    [
+        ("size: 0 mm", "0 mm"),
+        ("size: {uniform: [-1 mm, 4 mm]}", "-1 mm"),
+        ("size: {normal: [3 mm, 1 mm]}", "3 mm"),
+        ("size: {choice: {4 mm: 1, 0 mm: 2}}", "0 mm"),
+        ("size: {painted: damp, from: 0 mm, to: 4 mm}", "0 mm"),
+        ("max_speed: -3 mm/s", "-3 mm/s"),
+        ("mass: 0 g", "0 g"),
+        ("radius: -1 mm", "-1 mm"),
+    ],
+)
+def test_values_that_an_attribute_cannot_have_are_errors(project: Path, value: str, place: str) -> None:
+    (project / "scene.yaml").write_text(text(f"count: 3, each: {{{value}}}"))
+    shot, report = open_scene(project / "scene.yaml")
+    assert shot is None and [each.code for each in report.errors] == ["out-of-range"], report.errors
+    error = report.errors[0]
+    assert f"`{value.partition(':')[0]}` cannot be `{place}`" in error.message and (error.help or "").startswith("write ")
+    assert error.span is not None and place.split()[0] in error.span.text

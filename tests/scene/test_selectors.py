@@ -27,6 +27,16 @@ def read(value: object) -> Any:
     return ADAPTER.validate_python(value)
 
 
+class CameraAtZero:
+    """A camera that sees the first 35 mm."""
+
+    def find_place(self) -> np.ndarray:
+        return np.zeros(3)
+
+    def find_visible(self, position: np.ndarray) -> np.ndarray:
+        return position[:, 0] < 35
+
+
 def frame(**changes: Any) -> SelectableFrame:
     """Forty ants on a line, one every 10 mm, and three beetles. Guards have two ranges of ids: 5 to 9 and 30 to 34."""
     ids = np.random.default_rng(3).permutation(40)  # rows are in no order
@@ -41,7 +51,7 @@ def frame(**changes: Any) -> SelectableFrame:
         lines={"guards": LineIds("ant", ((5, 5), (30, 5))), "armour": LineIds("beetle", ((0, 3),))},
         item_points={"leaf": np.array([[100.0, 0, 0]]), "food": np.array([[100.0, 0, 0], [300.0, 0, 0]])},
         seed=7,
-        find_in_view=lambda camera, position: position[:, 0] < 35,
+        cameras={"shot": CameraAtZero()},
     )
     return SelectableFrame(**{**values, **changes})
 
@@ -68,6 +78,7 @@ def frame(**changes: Any) -> SelectableFrame:
         ({"in": {"from": ["25", "9", "-1"], "to": ["-5", "-9", "1"]}}, [0, 1, 2], []),
         ({"in": {"around": "leaf", "radius": "60 mm"}, "without": "ant"}, [], [1]),
         ({"of": ["guards", "ant.0"], "in_view": "shot"}, [0], []),
+        ({"of": ["guards", "ant.0..2"], "near": "shot", "within": "15 mm"}, [0, 1], []),
         ({"of": {"of": "guards", "state": "rest"}, "without": {"state": "calm"}}, [30, 32, 34], []),
         ({"of": "ant", "share": "0 %"}, [], []),
         ({"share": "100 %"}, list(range(40)), [0, 1, 2]),
@@ -145,7 +156,7 @@ NAMES = SelectorNames(
             {"of": "guards", "state": "ret", "near": "lef", "within": "1", "in_view": "shto", "without": {"state": "rst"}},
             [
                 (("without", "state"), "no species has a state `rst`", "did you mean `rest`?"),
-                (("near",), "no crowd line, species or item is named `lef`", "did you mean `leaf`?"),
+                (("near",), "no crowd line, species, item or camera is named `lef`", "did you mean `leaf`?"),
                 (("state",), "no species has a state `ret`", "did you mean `rest`?"),
                 (("in_view",), "no camera is named `shto`", "did you mean `shot`?"),
             ],

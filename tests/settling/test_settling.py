@@ -63,11 +63,11 @@ def test_an_agent_makes_way_for_one_that_is_moved_onto_it(cache: Cache) -> None:
     assert "settled 1 agent in frames 17 to 48, from the checkpoint of frame 13" in said and "overlap" not in said
     assert sum(count_overlaps(view, number) for number in view.frames()) == 0
     assert "1 agent in frames 17 to 48  settled" in run("info", cache.folder)
-    before, after = find_track(plain, 5), find_track(view, 5)
-    changed = np.flatnonzero((before != after).any(axis=1))
+    old, new = find_track(plain, 5), find_track(view, 5)
+    changed = np.flatnonzero((old != new).any(axis=1))
     assert changed[0] == plain.frames().index(17)
-    assert np.linalg.norm(before - after, axis=1).max() > 2
-    assert np.linalg.norm(np.diff(after, axis=0), axis=1).max() <= 1.005  # mm, its greatest speed
+    assert np.linalg.norm(old - new, axis=1).max() > 2
+    assert np.linalg.norm(np.diff(new, axis=0), axis=1).max() <= 1.005  # mm, its greatest speed
     others = np.array([k * SPECIES_PER_KEY for k in range(COUNT) if k != 5], np.int64)
     for number in plain.frames():
         assert edit_scenes.take_agents(plain, number, others) == edit_scenes.take_agents(view, number, others)

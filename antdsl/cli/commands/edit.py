@@ -162,7 +162,7 @@ def _remove_edits(cache: Path, quiet: bool) -> None:
 
 def _parse_smoothing_width(text: str) -> int:
     """Return the number of frames over which `orient:9` smooths."""
-    from antdsl.outputs.edits.verbs.finishing import MAX_SMOOTHING_FRAMES, MIN_SMOOTHING_FRAMES
+    from antdsl.outputs.edits.verbs.smoothing import MAX_SMOOTHING_FRAMES, MIN_SMOOTHING_FRAMES
 
     name, _, number = text.partition(":")
     if name != "orient":

@@ -4,9 +4,9 @@ Names, shares and `without` depend on ids alone, so they hold in all frames. Pos
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,11 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache, read_camera
 from antdsl.outputs.cache.frame_agents import LongArray, make_agent_keys
 from antdsl.outputs.cache.manifest import CameraEntry, MachineEntry, Manifest, SpeciesEntry
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
-from antdsl.runtime.sensing.sensed_camera import SensedCamera
+from antdsl.runtime.sensing.sensed_camera import CameraInFrame
 from antdsl.scene.crowds.line_ids import LineIds
 from antdsl.scene.notes.selection import SelectableAgents, SelectableFrame, StateColumn, select_rows
 from antdsl.scene.notes.selectors import AnySelector, SelectorNames, reads_frame
 from antdsl.scene.thing_models import UNIT_MM
-
-ViewFinder = Callable[[str, NDArray[np.float64]], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +41,14 @@ class Selection:
     @cached_property
     def _keys_of_frame(self) -> LongArray:
         arrays = self.cache.frame(self.frame)
-        find_in_view = partial(_find_in_view, self.cache, self.frame)
-        return make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest, find_in_view)]
+        names = list_cameras(self.cache.manifest)
+        cameras = {name: CameraInFrame(read_camera(self.cache, name), self.frame) for name in names}
+        return make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest, cameras)]
 
 
-def _find_in_view(cache: Cache, frame: int, camera: str, place: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which positions (n, 3), in mm from the scene's zero point, a camera sees in a frame."""
-    return SensedCamera(read_camera(cache, camera), np.zeros(3)).find_in_view(frame, place)
+def list_cameras(manifest: Manifest) -> frozenset[str]:
+    """Return the cameras that selectors may name: those that follow no agent."""
+    return frozenset(name for name, camera in manifest.named_cameras.items() if isinstance(camera, CameraEntry))
 
 
 def list_selector_names(manifest: Manifest) -> SelectorNames:
@@ -66,7 +65,7 @@ def list_selector_names(manifest: Manifest) -> SelectorNames:
         species=frozenset(species.name for species in manifest.species),
         items=frozenset(name for group in manifest.items for name in (group.name, *group.names)),
         states=frozenset(states),
-        cameras=frozenset(name for name, camera in manifest.named_cameras.items() if isinstance(camera, CameraEntry)),
+        cameras=list_cameras(manifest),
     )
 
 
@@ -77,9 +76,9 @@ def _list_stored_machines(species: SpeciesEntry, manifest: Manifest) -> list[tup
 
 
 def select_agents(
-    selector: AnySelector, arrays: Arrays, manifest: Manifest, find_in_view: ViewFinder | None = None
+    selector: AnySelector, arrays: Arrays, manifest: Manifest, cameras: Mapping[str, CameraInFrame] | None = None
 ) -> NDArray[np.bool_]:
-    """Return which agents of a frame a selector selects. `find_in_view`: as in `SelectableFrame`."""
+    """Return which agents of a frame a selector selects. `cameras`: by name, in this frame."""
     keys, unit_mm = make_agent_keys(arrays), UNIT_MM[manifest.units]
     position = (np.asarray(arrays["P"], np.float64) + manifest.origin) * unit_mm if "P" in arrays else np.zeros((len(keys), 3))
     rows = {entry.name: np.flatnonzero(keys % SPECIES_PER_KEY == number) for number, entry in enumerate(manifest.species)}
@@ -100,7 +99,7 @@ def select_agents(
         find_item_points(arrays, manifest, unit_mm),
         manifest.seed,
         unit_mm,
-        find_in_view,
+        cameras or {},
     )
     is_selected = np.zeros(len(keys), np.bool_)
     for name, mask in select_rows(selector, frame).items():

@@ -9,8 +9,8 @@ from pydantic import BeforeValidator
 
 from antdsl import limits
 from antdsl.program.model import Dimension
-from antdsl.scene.notes.notes_model import DEFAULT_EASE_FRAMES as DEFAULT_EASE_FRAMES
-from antdsl.scene.notes.notes_model import FrameCount as FrameCount
+from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES as DEFAULT_EASE_FRAMES
+from antdsl.scene.notes.note_values import FrameCount as FrameCount
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 from antdsl.scene.values import make_error, parse_integer_between
 

@@ -8,10 +8,10 @@ from antdsl.outputs.edits.edit_layer import EditLayer, EditLine
 from antdsl.outputs.edits.verbs.copies import DuplicateLayer, DuplicateLine
 from antdsl.outputs.edits.verbs.curves import PinLayer, PinLine
 from antdsl.outputs.edits.verbs.dropping import DropLayer, DropLine
-from antdsl.outputs.edits.verbs.finishing import MirrorLayer, MirrorLine, SmoothLayer, SmoothLine
 from antdsl.outputs.edits.verbs.joints import OffsetLayer, OffsetLine
 from antdsl.outputs.edits.verbs.looks import ReplaceLayer, ReplaceLine
 from antdsl.outputs.edits.verbs.merging import MergeLayer, MergeLine
+from antdsl.outputs.edits.verbs.mirroring import MirrorLayer, MirrorLine
 from antdsl.outputs.edits.verbs.placing import (
     ExpandLayer,
     ExpandLine,
@@ -25,6 +25,7 @@ from antdsl.outputs.edits.verbs.placing import (
     ScaleLine,
 )
 from antdsl.outputs.edits.verbs.removal import ClipLayer, ClipLine, KillLayer, KillLine
+from antdsl.outputs.edits.verbs.smoothing import SmoothLayer, SmoothLine
 from antdsl.outputs.edits.verbs.timing import HoldLine, RetimeLine, TimeLayer
 from antdsl.scene.notes.selectors import AgentConditions
 

@@ -13,11 +13,10 @@ from antdsl.bodies.agents.transforms import align_signs, matrix_to_quaternion
 from antdsl.bodies.body import compute_vertex_normals
 from antdsl.bodies.files.gltf.gltf_writer import INDEX_BUFFER_TARGET, VERTEX_BUFFER_TARGET, GltfWriter
 from antdsl.bodies.shapes import build_item_mesh
-from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid
-from antdsl.outputs.scene_cameras import SceneCameras
+from antdsl.outputs.scene_cameras import SceneCameras, find_camera_axes
 from antdsl.scene.scene_model import UNIT_MM
 
 _SENSOR_WIDTH_MM, _DEFAULT_ASPECT = 36.0, 16 / 9
@@ -64,7 +63,7 @@ class GltfStage:
             world["translation"] = [x, z, -y] if gallery.manifest.up == "z" else [x, y, z]  # JSON has double precision
         self._world_node = self.writer.add_part("nodes", world)
         self.scene: dict[str, Any] = {"nodes": [self._world_node]}
-        self._write_camera()
+        self._write_cameras()
 
     def add_note(self, sentence: str) -> None:
         """Add a message about an omission, unless it was added before."""
@@ -225,32 +224,29 @@ class GltfStage:
         if self._channels:
             self.writer.add_part("animations", {"name": "shot", "samplers": self._samplers, "channels": self._channels})
 
-    def _write_camera(self) -> None:
+    def _write_cameras(self) -> None:
         cameras = SceneCameras(self.gallery)
-        first = cameras.make_camera(self.frames[0])
-        if first is None:
-            return
+        for name, written_name in cameras.list_exported(self.frames[0]).items():
+            self._write_camera(cameras, name, written_name)
+
+    def _write_camera(self, cameras: SceneCameras, name: str, written_name: str) -> None:
+        first = cameras.make_camera(self.frames[0], name)
+        assert first is not None
         angle = 2 * np.arctan(_SENSOR_WIDTH_MM / _DEFAULT_ASPECT / 2 / first.focal)
         away = float(np.linalg.norm(np.subtract(first.at, first.look_at))) * UNIT_MM[self.gallery.manifest.units] / 1000
         reach = max(away, 1e-6)  # metres; the scale of a node does not affect its camera
         lens = {"yfov": float(angle), "aspectRatio": _DEFAULT_ASPECT, "znear": reach * 1e-3, "zfar": reach * 1e3}
         number = self.writer.add_part("cameras", {"type": "perspective", "perspective": lens})
-        node = self._add_node(self._world_node, {"name": "camera", "camera": number})
-        moves, turns, camera_frames = [], [], self.frames if cameras.is_moving() else self.frames[:1]
+        node = self._add_node(self._world_node, {"name": written_name, "camera": number})
+        moves, turns, camera_frames = [], [], self.frames if cameras.is_moving(name) else self.frames[:1]
         for frame in camera_frames:
-            camera = cameras.make_camera(frame)
+            camera = cameras.make_camera(frame, name)
             assert camera is not None
-            eye, aim = np.asarray(camera.at, np.float64), np.asarray(camera.look_at, np.float64)
-            upward = (0.0, 1.0, 0.0) if self.gallery.manifest.up == "y" else (0.0, 0.0, 1.0)
-            back = normalise_or_fallback(eye - aim, np.array([0.0, 0.0, 1.0]))
-            up = np.asarray(camera.up or upward, np.float64)
-            if np.linalg.norm(np.cross(up, back)) < 1e-6:
-                up = np.roll(up, 1)
-            side = normalise_or_fallback(np.cross(up, back), np.array([1.0, 0.0, 0.0]))
+            eye, axes = find_camera_axes(camera, self.gallery.manifest.up)
             moves.append(eye)
-            turns.append(matrix_to_quaternion(np.stack([side, np.cross(back, side), back], axis=1)))
+            turns.append(matrix_to_quaternion(axes.T))
             if camera.focal != first.focal:
-                self.add_note("the camera's focal length is that of the first frame")
+                self.add_note(f"the focal length of the camera `{name}` is that of the first frame")
         self.write_keys(node, "translation", np.arange(len(camera_frames)), np.array(moves))
         self.write_keys(node, "rotation", np.arange(len(camera_frames)), np.array(turns))
 

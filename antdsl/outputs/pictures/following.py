@@ -117,7 +117,8 @@ class FollowingCamera:
     `centre` (n, 3): the points of the track that it goes with, never far from the agent.
     `angle`: the direction of the camera from the agent, to the right of its heading in the first frame, in radians.
     `is_close`: the body fills the picture; else the camera is at eye level, with other agents in view.
-    `offset`: from the agent to the camera instead, along the axes of the world."""
+    `offset`: from the agent to the camera instead, along the axes of the world.
+    `rise` (n, 1): how far the camera is above that, along the top of the picture. `nearness` (n, 1): of its distance."""
 
     track: StableTrack
     body: BodySize
@@ -126,6 +127,8 @@ class FollowingCamera:
     angle: float = 0.0
     is_close: bool = True
     offset: Array | None = None
+    rise: Array | None = None
+    nearness: Array | None = None
 
     @classmethod
     def of(
@@ -160,7 +163,21 @@ class FollowingCamera:
         else:
             eye = place + self.body.longest * (_EYE_BACK * level + _EYE_UP * up)
             aim = aim - _EYE_AIM * self.body.longest * level
+        if self.rise is not None and self.nearness is not None:
+            eye = aim + (eye + self.rise[row] * top - aim) * self.nearness[row]
         return Camera(to_tuple(eye), to_tuple(aim), focal=self.focal, up=to_tuple(top))
+
+    def raise_eye(self, heights: Array, shares: Array) -> FollowingCamera:
+        """Return a camera that is at least so much higher (n, 1), and at most at this share (n, 1) of its distance. Both change
+        smoothly."""
+        frames, reach = self.track.frames, max(self.track.reach, 1.0)
+        if not heights.any() and (shares == 1).all():
+            return self
+        spans = [slice(*np.searchsorted(frames, [frame - reach, frame + reach + 1]).tolist()) for frame in frames.tolist()]
+        highest, nearest = (
+            np.array([pick(values[span]) for span in spans])[:, None] for values, pick in ((heights, np.max), (shares, np.min))
+        )
+        return replace(self, rise=_smooth(highest, frames, reach), nearness=_smooth(nearest, frames, reach))
 
     def _find_close_distance(self) -> float:
         """Return the distance at which the body fills the picture, however it turns."""

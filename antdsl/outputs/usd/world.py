@@ -12,7 +12,7 @@ from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
-from antdsl.outputs.scene_cameras import SceneCameras
+from antdsl.outputs.scene_cameras import SceneCameras, find_camera_axes
 from antdsl.outputs.usd.materials import MaterialBinder
 from antdsl.outputs.usd.values import (
     MATERIALS_PATH,
@@ -48,7 +48,13 @@ class WorldWriter:
         self._item_names: set[str] = set()
         self._fields: dict[str, _FieldWriter] = {}
         cameras = SceneCameras(gallery)
-        self._camera = _CameraWriter(out, gallery, cameras) if cameras.make_camera(frames[0]) else None
+        written_names = {
+            name: written if written == "camera" else out.name("camera", written)
+            for name, written in cameras.list_exported(frames[0]).items()
+        }
+        self._cameras = [
+            _CameraWriter(out, gallery, cameras, name, f"{ROOT_PATH}/{written}") for name, written in written_names.items()
+        ]
 
     def frame(self, frame: int, picture: Picture) -> None:
         """Write the world in a frame."""
@@ -68,8 +74,8 @@ class WorldWriter:
             self._fields[trail.name].frame(frame, trail)
         for removed_name in self._fields.keys() - {trail.name for trail in picture.trails}:
             self._fields[removed_name].write_empty_frame(frame)
-        if self._camera is not None:
-            self._camera.frame(frame)
+        for camera in self._cameras:
+            camera.frame(frame)
 
     def _write_item(self, frame: int, number: int, item: Item) -> None:
         """Write the body of an item at its position. Its size shows the remaining amount, as in pictures.
@@ -98,11 +104,11 @@ class WorldWriter:
 
 
 class _CameraWriter:
-    """Writer of the scene's default camera."""
+    """Writer of a camera of the scene. `name`: in the scene. `path`: of its prim."""
 
-    def __init__(self, out: StageOutput, gallery: Gallery, cameras: SceneCameras) -> None:
-        self._gallery, self._cameras, self._has_clipping_range = gallery, cameras, False
-        camera = import_pxr_module("UsdGeom").Camera.Define(out.stage, f"{ROOT_PATH}/camera")
+    def __init__(self, out: StageOutput, gallery: Gallery, cameras: SceneCameras, name: str, path: str) -> None:
+        self._gallery, self._cameras, self._name, self._has_clipping_range = gallery, cameras, name, False
+        camera = import_pxr_module("UsdGeom").Camera.Define(out.stage, path)
         self._tenths_per_mm = 10.0 / UNIT_MM[gallery.manifest.units]  # tenths of the stage's unit per millimetre
         camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths_per_mm)
         camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths_per_mm)
@@ -116,17 +122,12 @@ class _CameraWriter:
 
     def frame(self, frame: int) -> None:
         """Write the camera's transform and lens in a frame."""
-        camera = self._cameras.make_camera(frame)
+        camera = self._cameras.make_camera(frame, self._name)
         assert camera is not None
-        eye, aim = np.asarray(camera.at), np.asarray(camera.look_at)
-        upward = camera.up or ((0.0, 1.0, 0.0) if self._gallery.manifest.up == "y" else (0.0, 0.0, 1.0))
-        back, up = normalise_or_fallback(eye - aim, np.array([0.0, 0.0, 1.0])), np.asarray(upward, np.float64)
-        if np.linalg.norm(np.cross(up, back)) < 1e-6:
-            up = np.roll(up, 1)
-        side = normalise_or_fallback(np.cross(up, back), np.array([0.0, 0.0, 1.0]))
+        eye, axes = find_camera_axes(camera, self._gallery.manifest.up)
         rows = np.zeros((4, 4))
-        rows[0, :3], rows[1, :3], rows[2, :3], rows[3] = side, np.cross(back, side), back, (*eye, 1)
-        far = float(np.linalg.norm(aim - eye))
+        rows[:3, :3], rows[3] = axes, (*eye, 1)
+        far = float(np.linalg.norm(np.asarray(camera.look_at) - eye))
         self._transform.set(frame, rows)
         self._focal.set(frame, [camera.focal * self._tenths_per_mm])
         self._focus_distance.set(frame, [far])

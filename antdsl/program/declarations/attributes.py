@@ -35,7 +35,13 @@ from antdsl.program.tables.editions import (
     SWITCH_EDITION,
     SWITCH_HELP,
 )
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, BUILTINS_BY_NAME, REDUCER_HELP, SENSE_REPLACEMENTS
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTE_BY_NAME,
+    BUILTINS_BY_NAME,
+    REDUCER_HELP,
+    SENSE_REPLACEMENTS,
+    explain_range,
+)
 from antdsl.program.types.descriptions import describe_type, quote_source
 from antdsl.program.types.folding import find_constant
 from antdsl.program.types.operators import type_value, type_value_as
@@ -44,7 +50,6 @@ from antdsl.syntax import nodes
 from antdsl.syntax.words import LANGUAGE_WORDS
 
 _STORABLE_KINDS = (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BOOL, TypeKind.ITEM, TypeKind.AGENT, TypeKind.BAD)
-_ZERO_ALLOWED_ATTRIBUTES = ("radius", "clearance", "min_speed", "upright", "max_slope")
 _TOO_EARLY_REASON = "starting values are computed before the animal has sensed anything"
 
 
@@ -238,12 +243,6 @@ def _builtin_default(scope: NameScope, node: nodes.AnimalProperty, type: model.V
 
 def _check_positive(scope: NameScope, node: nodes.AnimalProperty, default: Expr) -> None:
     constant = find_constant(default)
-    most = BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].most
-    if constant is not None and constant.number > most:
-        message = f"`{node.name.text}` cannot be {quote_source(node.value.span)}"
-        scope.report.error("out-of-range", message, node.value.span, f"write `{node.name.text} {100 * most:g} %` or less")
-    elif constant is not None and (
-        constant.number < 0 or (constant.number == 0 and node.name.text not in _ZERO_ALLOWED_ATTRIBUTES)
-    ):
-        help = "write 0 or more" if node.name.text in _ZERO_ALLOWED_ATTRIBUTES else "write more than 0"
+    help = None if constant is None else explain_range(node.name.text, constant.number)
+    if help is not None:
         scope.report.error("out-of-range", f"`{node.name.text}` cannot be {quote_source(node.value.span)}", node.value.span, help)

@@ -92,6 +92,7 @@ class BuiltinAttribute:
     limits: bool = False  # whether `none` says that there is no limit
     stands: bool = False  # whether only species with standing bodies, which set it, have it
     most: float = inf  # the greatest value, in base units
+    may_be_zero: bool = False
 
 
 BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
@@ -113,16 +114,26 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         "length", True, None, "body height, of a species that stands; `size` follows from its body", edition=2, stands=True
     ),
     "mass": BuiltinAttribute("mass", True, "1 g", "inertia"),
-    "radius": BuiltinAttribute("length", True, "size / 2", "how much room it takes"),
-    "clearance": BuiltinAttribute("length", True, "0 mm", "height of the body over the surface"),
+    "radius": BuiltinAttribute("length", True, "size / 2", "how much room it takes", may_be_zero=True),
+    "clearance": BuiltinAttribute("length", True, "0 mm", "height of the body over the surface", may_be_zero=True),
     "max_speed": BuiltinAttribute("speed", True, "30 mm/s", "fastest"),
     "min_speed": BuiltinAttribute(
-        "speed", True, None, "its lowest speed, along its velocity or else its heading; may stand still if not set"
+        "speed",
+        True,
+        None,
+        "its lowest speed, along its velocity or else its heading; may stand still if not set",
+        may_be_zero=True,
     ),
     "max_force": BuiltinAttribute("force", True, "mass * max_speed / response", "force of a push of 1"),
     "max_turn": BuiltinAttribute("angle / time", True, None, "fastest turn of the heading; `none`: no limit", limits=True),
     "upright": BuiltinAttribute(
-        "number", True, "0 %", "how its body stands: 0 % along the normal of the ground, 100 % vertical", edition=2, most=1
+        "number",
+        True,
+        "0 %",
+        "how its body stands: 0 % along the normal of the ground, 100 % vertical",
+        edition=2,
+        most=1,
+        may_be_zero=True,
     ),
     "max_slope": BuiltinAttribute(
         "angle",
@@ -131,6 +142,7 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         "steepest ground that it walks on; steeper ground is a wall; `none`: no limit",
         edition=2,
         limits=True,
+        may_be_zero=True,
     ),
     "response": BuiltinAttribute("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
 }
@@ -143,6 +155,18 @@ _BUILTINS_BY_EDITION = {
 def builtin_attributes(edition: int) -> Mapping[str, BuiltinAttribute]:
     """Return the attributes that every agent has in an edition, by name."""
     return _BUILTINS_BY_EDITION[edition]
+
+
+def explain_range(name: str, number: float) -> str | None:
+    """Return what to write instead, if a built-in attribute cannot have a value, in base units; None if it can."""
+    row = BUILTIN_ATTRIBUTE_BY_NAME.get(name)
+    if row is None or not row.is_settable:
+        return None
+    if number > row.most:
+        return f"write {100 * row.most:g} % or less"
+    if number < 0 or (number == 0 and not row.may_be_zero):
+        return "write 0 or more" if row.may_be_zero else "write more than 0"
+    return None
 
 
 def is_limit(name: str) -> bool:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary, randomness
 from antdsl.plan import ir
 from antdsl.runtime.world import Population, World
-from antdsl.scene.crowds.crowd_data import CrowdData, ValueDraw
+from antdsl.scene.crowds.crowd_data import MAX_DEVIATIONS, CrowdData, ValueDraw
 
 Rows = NDArray[np.intp]
 _F = np.float32
-_MAX_DEVIATIONS = _F(3)
 _FULL_TURN = _F(2 * np.pi)
 
 
@@ -51,5 +50,5 @@ def _draw_values(world: World, population: Population, rows: Rows, name: str, dr
         return np.asarray(draw.values, _F)[picked]
     # G. E. P. Box, M. E. Muller, A note on the generation of random normal deviates, 1958
     deviations = np.sqrt(_F(-2) * elementary.log(_F(1) - u)) * elementary.cos(v * _FULL_TURN)
-    values: NDArray[np.float32] = low + high * np.clip(deviations, -_MAX_DEVIATIONS, _MAX_DEVIATIONS)
+    values: NDArray[np.float32] = low + high * np.clip(deviations, _F(-MAX_DEVIATIONS), _F(MAX_DEVIATIONS))
     return values

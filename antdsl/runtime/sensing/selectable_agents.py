@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-import numpy as np
-from numpy.typing import NDArray
-
-from antdsl.runtime.sensing.sensed_camera import SensedCamera
+from antdsl.runtime.sensing.sensed_camera import CameraInFrame
 from antdsl.runtime.world import Population, World
 from antdsl.scene.notes.selection import SelectableAgents, SelectableFrame, StateColumn
 
@@ -22,12 +17,8 @@ def collect_selectable_frame(world: World) -> SelectableFrame:
         single | points,
         world.setting.seed,
         world.setting.unit_mm,
-        partial(_find_in_view, world),
+        {name: CameraInFrame(data, world.frame) for name, data in world.setting.cameras.items()},
     )
-
-
-def _find_in_view(world: World, camera: str, place: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return SensedCamera(world.setting.cameras[camera], np.zeros(3)).find_in_view(world.frame, place)
 
 
 def _collect_agents(world: World, population: Population) -> SelectableAgents:

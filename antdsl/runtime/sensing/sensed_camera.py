@@ -58,3 +58,17 @@ class SensedCamera:
         for axis, tangent in sides:
             is_in_view &= np.abs(vec.dot(offset, axis)) - depth * tangent <= margin * np.sqrt(1 + tangent * tangent)
         return is_in_view
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraInFrame:
+    """A camera in one frame, for selectors: positions are in mm, from the scene's zero point."""
+
+    data: CameraData
+    frame: int
+
+    def find_place(self) -> Floats:
+        return SensedCamera(self.data, np.zeros(3)).find_position(self.frame)
+
+    def find_visible(self, position: Floats) -> NDArray[np.bool_]:
+        return SensedCamera(self.data, np.zeros(3)).find_in_view(self.frame, position)

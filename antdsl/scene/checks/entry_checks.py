@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import find_nearest_name
-from antdsl.program.model import Constant, Dimension, Program, TypeKind, WorldThing
+from antdsl.program.model import AttributeDecl, Constant, Dimension, Program, TypeKind, WorldThing
 from antdsl.program.tables.units import choose_default_unit, describe_dimension, format_with_unit
+from antdsl.program.tables.vocabulary import explain_range
 from antdsl.scene.document import PathKey
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
@@ -98,6 +99,20 @@ def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimensio
         help = f"write a value in `{unit}`" if unit else "write the number alone"
         report.error("wrong-unit", f"{words}, not {describe_dimension(value.dim)}", scene.span(*path), help)
     return False
+
+
+def check_value(
+    scene: Scene, report: Report, value: Quantity, attribute: AttributeDecl, *path: PathKey, deviation: float = 0.0
+) -> bool:
+    """Return whether an attribute can have a value less `deviation` (base units); report an error otherwise."""
+    if not check_dimension(scene, report, value, attribute.type.dimension, attribute.name, *path):
+        return False
+    help = explain_range(attribute.name, value.to_base_units(scene.model.unit_mm, float(1 / scene.model.fps)) - deviation)
+    if help is not None:
+        words = f"`{attribute.name}` cannot be `{value.text}`"
+        words += ", less three deviations" if deviation and explain_range(attribute.name, value.number) is None else ""
+        report.error("out-of-range", words, scene.span(*path, key=path[-2:-1] == ("choice",)), help)
+    return help is None
 
 
 def convert_constant(const: Constant, scene: Scene) -> float:

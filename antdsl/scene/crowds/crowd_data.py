@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 PointMm = tuple[float, float, float]
 
 
+MAX_DEVIATIONS = 3  # draws of a normal distribution are at most so many deviations from its mean
+
+
 @dataclass(frozen=True, slots=True)
 class ItemCentre:
     """A centre of a place that is an item of `items`. It moves with the item."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import AttributeDecl, Dimension, Machine, Program, Species, TypeKind
-from antdsl.scene.checks.entry_checks import check_dimension, check_map_name, report_unknown
+from antdsl.scene.checks.entry_checks import check_dimension, check_map_name, check_value, report_unknown
 from antdsl.scene.crowds.casting_model import ChoiceDraw, NormalDraw, PaintedDraw, UniformDraw
-from antdsl.scene.crowds.crowd_data import ValueDraw
+from antdsl.scene.crowds.crowd_data import MAX_DEVIATIONS, ValueDraw
 from antdsl.scene.document import PathKey
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 from antdsl.scene.values import ScenePart
@@ -84,7 +84,10 @@ def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Ma
         return None
     if isinstance(value, UniformDraw | NormalDraw):
         word, pair = ("uniform", value.uniform) if isinstance(value, UniformDraw) else ("normal", value.normal)
-        low, high = (_convert_quantity(line, each, target, *path, word, k) for k, each in enumerate(pair))
+        if word == "normal":
+            low, high = _convert_mean(line, pair, target, *path, word)
+        else:
+            low, high = (_convert_quantity(line, each, target, *path, word, k) for k, each in enumerate(pair))
         if low is None or high is None:
             return None
         if (word == "uniform" and high < low) or (word == "normal" and high < 0):
@@ -112,12 +115,25 @@ def _stage_painted(line: _Line, value: PaintedDraw, target: AttributeDecl, *path
     return None if low is None or high is None else ValueDraw("painted", low, high, of=value.painted)
 
 
-def _convert_quantity(line: _Line, quantity: Quantity, target: AttributeDecl, *path: PathKey) -> float | None:
-    """Return a quantity in base units; None, with an error, for another dimension."""
+def _convert_quantity(
+    line: _Line, quantity: Quantity, target: AttributeDecl, *path: PathKey, deviation: float = 0.0
+) -> float | None:
+    """Return a quantity in base units; None, with an error, if the attribute cannot have it, less `deviation`."""
     model = line.scene.model
-    if not check_dimension(line.scene, line.report, quantity, target.type.dimension, target.name, *path):
+    if not check_value(line.scene, line.report, quantity, target, *path, deviation=deviation):
         return None
     return quantity.to_base_units(model.unit_mm, float(1 / model.fps))
+
+
+def _convert_mean(
+    line: _Line, pair: tuple[Quantity, Quantity], target: AttributeDecl, *path: PathKey
+) -> tuple[float | None, float | None]:
+    """Return the mean and the deviation of a normal distribution, of which no draw is more than three deviations away."""
+    model, (mean, deviation) = line.scene.model, pair
+    if not check_dimension(line.scene, line.report, deviation, target.type.dimension, target.name, *path, 1):
+        return None, None
+    width = deviation.to_base_units(model.unit_mm, float(1 / model.fps))
+    return _convert_quantity(line, mean, target, *path, 0, deviation=MAX_DEVIATIONS * max(width, 0.0)), width
 
 
 def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path: PathKey) -> float | None:

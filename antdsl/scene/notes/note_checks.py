@@ -8,7 +8,7 @@ from math import isfinite
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program, TypeKind
-from antdsl.scene.checks.entry_checks import check_dimension, report_unknown
+from antdsl.scene.checks.entry_checks import check_value, report_unknown
 from antdsl.scene.crowds.casting_model import FacingDirection
 from antdsl.scene.crowds.initial_values import is_settable
 from antdsl.scene.document import PathKey
@@ -150,7 +150,7 @@ class _NoteCheck:
                 help = "write `true` or `false`" if fitting[0].type.kind is TypeKind.BOOL else "write a number"
                 self.report.error("wrong-value", f"`{name}` cannot have this value", self.scene.span(*path), help)
             elif not isinstance(value, bool):
-                check_dimension(self.scene, self.report, value, fitting[0].type.dimension, name, *path)
+                check_value(self.scene, self.report, value, fitting[0], *path)
 
 
 def _find_species(selector: AnySelector | None, scene: Scene) -> set[str]:

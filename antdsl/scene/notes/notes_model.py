@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.crowds.casting_model import FacingDirection
+from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, FrameCount, FrameNumber, Share, SpeedShare
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
 from antdsl.scene.notes.selectors import AgentName, AnySelector, Ball, Box, NearTarget, Selector, SelectorKeys, combine_selector
 from antdsl.scene.quantities import Quantity
@@ -26,17 +27,10 @@ from antdsl.scene.values import (
     SceneWord,
     make_error,
     parse_any_quantity,
-    parse_integer_between,
     parse_one_of,
-    parse_share,
 )
 
-DEFAULT_EASE_FRAMES = 6
 NOTE_TAG_SUFFIX = "-note"  # of the tag of a verb's model
-_MAX_EASE_FRAMES = 10_000
-FrameNumber = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
-FrameCount = Annotated[int, BeforeValidator(parse_integer_between(0, _MAX_EASE_FRAMES))]
-Share = Annotated[float, BeforeValidator(parse_share)]
 
 
 def _find_curve_tag(value: Any) -> str:
@@ -203,7 +197,7 @@ class RetimeNote(TimedNote, SelectorKeys):
 
     verb = "retime"
     agents: Selector = Field(alias="retime")
-    speed: Share
+    speed: SpeedShare
 
 
 class ReleaseNote(EasedNote, SelectorKeys):
@@ -300,7 +294,7 @@ class SlowNote(RegionNote):
 
     verb = "slow"
     agents: Selector = Field(alias="slow")
-    speed: Share = 0.5
+    speed: SpeedShare = 0.5
 
 
 class ForbidNote(RegionNote):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,20 +38,29 @@ class SelectableAgents:
     states: Mapping[str, StateColumn] = field(default_factory=dict)
 
 
+class SelectableCamera(Protocol):
+    """A camera in one frame. Positions are in mm, from the scene's zero point."""
+
+    def find_place(self) -> Floats:
+        """Return its position (3,)."""
+
+    def find_visible(self, position: Floats) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) it sees."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SelectableFrame:
     """All that selectors read of one frame.
 
     `lines`: the ids of named crowd lines. `item_points` (k, 3): by item, and by items, in mm from the scene's zero point.
-    `seed`: of shares without a seed. `unit_mm`: the scene's unit of length. `find_in_view`: returns which positions (n, 3) a
-    camera sees, by the camera's name."""
+    `seed`: of shares without a seed. `unit_mm`: the scene's unit of length. `cameras`: by name, in this frame."""
 
     agents: Mapping[str, SelectableAgents]
     lines: Mapping[str, LineIds] = field(default_factory=dict)
     item_points: Mapping[str, Floats] = field(default_factory=dict)
     seed: int = 0
     unit_mm: float = 1.0
-    find_in_view: Callable[[str, Floats], NDArray[np.bool_]] | None = None
+    cameras: Mapping[str, SelectableCamera] = field(default_factory=dict)
 
 
 def select_ids(selector: AnySelector, frame: SelectableFrame) -> dict[str, NDArray[np.int64]]:
@@ -102,8 +111,8 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
         if conditions.share is not None:
             seed = frame.seed if conditions.seed is None else conditions.seed
             mask &= draw_uniform(seed, 0, name, SHARE_SITE, 0, agents.ids) < np.float32(conditions.share)
-        if conditions.in_view is not None and frame.find_in_view is not None:
-            mask &= frame.find_in_view(conditions.in_view, agents.position)
+        if conditions.in_view is not None:
+            mask &= frame.cameras[conditions.in_view].find_visible(agents.position)
         if without is not None:
             mask &= ~without[name]
     return masks
@@ -127,6 +136,8 @@ def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[
         return np.array([convert_point(near, frame.unit_mm)], np.float64), None
     if near.first is None and near.name in frame.item_points:
         return frame.item_points[near.name], None
+    if near.first is None and near.name in frame.cameras and near.name not in frame.lines and near.name not in frame.agents:
+        return frame.cameras[near.name].find_place()[None], None
     masks = select_rows(near, frame)
     return np.concatenate([np.empty((0, 3)), *(frame.agents[name].position[mask] for name, mask in masks.items())]), masks
 

@@ -115,7 +115,7 @@ class SelectorKeys(ScenePart):
     """Conditions that narrow a selection. Lines of notes and edits have them as their own keys.
 
     `state`: agents in this state now, `rest` or `MACHINE.rest`.
-    `near`, `within`: agents within this distance of a point, an item, the nearest of some items, or of other agents.
+    `near`, `within`: agents within this distance of a point, an item, the nearest of some items, a camera, or of other agents.
     `in`: agents in a box or a ball.
     `share`: each agent with this probability, drawn from `seed` (default: the scene's seed), its species and its id.
     `in_view`: agents in view of this camera.
@@ -208,8 +208,9 @@ def find_problems(selector: AnySelector | SelectorKeys, names: SelectorNames, *p
             inner = getattr(selector, key, None)
             if inner is not None:
                 yield from find_problems(inner, names, *path, key)
-        if isinstance(selector.near, AgentName) and (selector.near.first is not None or selector.near.name not in names.items):
-            yield from _find_name_problems(selector.near, names, (*path, "near"), names.items)
+        points = names.items | names.cameras
+        if isinstance(selector.near, AgentName) and (selector.near.first is not None or selector.near.name not in points):
+            yield from _find_name_problems(selector.near, names, (*path, "near"), points)
         if isinstance(selector.region, Ball) and isinstance(selector.region.around, str):
             yield from find_unknown_name(selector.region.around, names.items, "no item is named", (*path, "in", "around"))
         for key, known, words in (
@@ -225,7 +226,7 @@ def _find_name_problems(
 ) -> Iterator[SelectorProblem]:
     count = names.lines.get(name.name)
     if count is None:
-        what = "no crowd line, species or item is named" if others else "no crowd line or species is named"
+        what = "no crowd line, species, item or camera is named" if others else "no crowd line or species is named"
         yield from find_unknown_name(name.name, names.species | names.lines.keys() | others, what, path)
     elif name.last is not None and name.last >= count:
         numbers = f"write a number from 0 to {count - 1}" if count else "this line has no agents"

@@ -64,6 +64,12 @@ class Terrain:
         normal = np.where((normal * up).sum(axis=1, keepdims=True) < 0, -normal, normal)
         return GroundPoints(is_hit, points + up * np.where(is_hit, distance, 0.0)[:, None], np.where(is_hit[:, None], normal, up))
 
+    def measure_free_shares(self, start: Floats, end: Floats) -> Floats:
+        """Return the share of the way from start [n, 3] to end [n, 3] before the first ground; 1 if there is none."""
+        hits = self._rays.find_first_hits(start * self._unit_mm, (end - start) * self._unit_mm)
+        shares: Floats = np.minimum(hits.t, 1.0)
+        return shares
+
     def _cast(self, points: Floats, direction: Floats, reach: Floats) -> tuple[Floats, Floats]:
         """Return the distances of first hits within `reach` (inf for none), and the normals there."""
         hits = self._rays.find_first_hits(points * self._unit_mm, direction * self._unit_mm)
