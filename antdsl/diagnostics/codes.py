@@ -107,6 +107,7 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "at-start-alone": "`at_start` is used without another side of a comparison",
     "constant-attribute": "an attribute is read, but always has its first value",
     "draw-in-condition": "a condition compares a number that is drawn again in every step",
+    "draw-in-steering": "a path depends on a number that is drawn again in every step",
     "draw-in-spec": "a spec draws a random number",
     "empty-program": "a file declares a world but no species",
     "empty-spec": "a spec expects nothing",

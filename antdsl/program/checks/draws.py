@@ -1,5 +1,5 @@
-"""Reports random draws inside conditions. They are repeated in every step, so the frame rate changes how often a condition
-holds."""
+"""Reports random draws that are repeated in every step. In a condition, the frame rate changes how often it holds. In steering,
+the frame rate changes the path: with n times as many draws a second, the mean of a second varies 1 / sqrt(n) as much."""
 
 from __future__ import annotations
 
@@ -8,24 +8,111 @@ from collections.abc import Collection, Iterator
 
 from antdsl.diagnostics import Fix, Report
 from antdsl.program.checks.analysis.check_context import CheckContext
-from antdsl.program.model import BindingRef, Constant, Expr, OperationExpr
+from antdsl.program.checks.analysis.timestep_limits import depends_on_step
+from antdsl.program.model import (
+    Assign,
+    AttributeRef,
+    BindingRef,
+    Constant,
+    Expr,
+    FaceLine,
+    InlinedBehaviour,
+    OperationExpr,
+    Species,
+    Steer,
+)
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import find_constant
+from antdsl.syntax import nodes
+from antdsl.syntax.words import QUANTITY_PATTERN
 
 _DRAW_OPERATIONS = frozenset(("uniform", "normal", "pick"))
 _ARITHMETIC_OPERATIONS = frozenset(("neg", "add", "sub", "mul", "div", "abs", "clamp", "min", "max", "mix", "if"))
 _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
+# Operations after which a draw no longer depends on the frame rate if another operand has `dt`: `drawn * sqrt(dt / 1 s)`.
+_SCALING_OPERATIONS = _COMPARISON_OPERATIONS | {"mul", "div"}
 _FILM_FPS = 24  # frames per second of film
 
 
 def check_draws(checked: CheckContext, report: Report) -> None:
-    """Report conditions that depend on a random draw in each step."""
+    """Report conditions and steering that depend on a random draw in each step."""
+    has_library = any(
+        isinstance(item, nodes.Use) and item.library is not None for file in checked.files for item in file.node.items
+    )
     for species in checked.program.species.values():
+        _check_steering(species, has_library, report)
         tests = [change.condition for machine in species.machines for state in machine.states for change in state.transitions]
         tests += [layer.condition for layer in species.layers.layers]
         for test in tests:
             if test is not None:
                 _check_test(test, report)
+
+
+def _check_steering(species: Species, has_library: bool, report: Report) -> None:
+    """Report draws in what states and layers steer or face, and in attributes that a state draws again in every step."""
+    lines = [line for machine in species.machines for state in machine.states for line in state.body]
+    drawn = {
+        line.attribute: draws
+        for line in lines
+        if isinstance(line, Assign) and line.op == "=" and line.of is None and (draws := _find_step_draws(line.value, {}))
+    }
+    pushes = [line.push for line in lines if isinstance(line, Steer)]
+    pushes += [line.direction for line in lines if isinstance(line, FaceLine)]
+    pushes += [layer.push for layer in species.layers.layers if layer.push is not None]
+    for draw in {str(draw.span): draw for push in pushes for draw in _find_step_draws(push, drawn)}.values():
+        text, addition = _format_jitter(draw), "" if has_library else ", and `use steering`"
+        report.warning(
+            "draw-in-steering",
+            f"{quote_source(draw.span)} draws a new number in every step, so the path depends on the frames per second",
+            draw.span,
+            f"write `{text}`, which is as much at {_FILM_FPS} frames a second{addition}" if text
+            else "write `wander()` from `steering`, or draw once: an attribute, set in `enter`",
+            fix=Fix(draw.span, text) if text and has_library else None,
+        )  # fmt: skip
+
+
+def _find_step_draws(root: Expr, drawn: dict[str, list[OperationExpr]]) -> list[OperationExpr]:
+    """Return the draws that are repeated in every step, if their sum over a second depends on the frame rate.
+
+    Draws that `dt` scales are left out, and those inside sets. `drawn`: by attribute, the draws that a state assigns to it."""
+    draws: list[OperationExpr] = []
+    stack, visited = [root], set[int]()
+    while stack:
+        part = stack.pop()
+        if id(part) in visited:
+            continue
+        visited.add(id(part))
+        if isinstance(part, AttributeRef) and part.of is None:
+            draws += drawn.get(part.name, [])
+        elif isinstance(part, BindingRef):
+            value = part.binding.then if part.binding.role == "keep" else part.binding.value
+            stack += [value] if value is not None and part.binding.role in ("let", "argument", "keep") else []
+        elif isinstance(part, InlinedBehaviour):
+            stack.append(part.result)
+        elif isinstance(part, OperationExpr) and part.name in _DRAW_OPERATIONS:
+            draws.append(part)
+        elif isinstance(part, OperationExpr):
+            args = [arg for arg in part.args if arg is not None]
+            if part.name not in _SCALING_OPERATIONS or not any(depends_on_step(arg) for arg in args):
+                stack += args
+    return draws
+
+
+def _format_jitter(draw: OperationExpr) -> str | None:
+    """Return `jitter(73.5 deg)` for `normal(0 deg, 15 deg)` or an even draw about 0; None for other draws.
+
+    The spread of a second at film's frame rate is the same."""
+    if draw.name not in ("uniform", "normal") or len(draw.args) < 2:
+        return None
+    first, second = draw.args[:2]
+    low, high = find_constant(first) if first is not None else None, find_constant(second) if second is not None else None
+    written = QUANTITY_PATTERN.fullmatch(second.span.text) if second is not None else None
+    if low is None or high is None or written is None or written[2] not in ("deg", "rad"):
+        return None
+    if not (low.number == 0 if draw.name == "normal" else low.number == -high.number):
+        return None
+    spread = float(written[1]) * math.sqrt(_FILM_FPS / (1 if draw.name == "normal" else 3))
+    return f"jitter({spread:.3g} {written[2]})"
 
 
 def _check_test(test: Expr, report: Report) -> None:
