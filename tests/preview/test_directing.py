@@ -48,7 +48,7 @@ def page(scene: Path) -> Iterator[Page]:
 
 
 def directed(page: Page, verb: str, agents: str, apply: bool = False, **values: str) -> Message:
-    """What the page is told about a note."""
+    """The answer of the server about a note."""
     number = len(page.told)
     page.ask("direct", verb=verb, agents=agents, values=values, apply=apply)
     return page.until(lambda: next((m for m in page.told[number:] if m["op"] in ("directed", "refused")), None))
@@ -195,23 +195,23 @@ def test_several_notes_go_on_and_off_in_any_order(scene: Path, plain: Track, tmp
     session = opened(scene)
     one = note(session, "hold", "guards.7", {"frames": "14..22"})
     other = note(session, "retime", "guards", {"frames": "30..40", "speed": "50 %"}, 1)
-    gone = note(session, "without", "guards.20..24", {}, 2)
+    absence = note(session, "without", "guards.20..24", {}, 2)
     future = note(session, "hold", "guards.1", {"frames": "60..70"}, 3)
     assert direct(session, one) == 7
     assert direct(session, one, other) == 23
     assert direct(session, one, other, future) == LAST
-    assert direct(session, one, other, future, gone) == 1
+    assert direct(session, one, other, future, absence) == 1
     all_hash = session.hash
-    written = open_directed(tmp_path / "written", one.text, other.text, future.text, gone.text, count=30)
+    written = open_directed(tmp_path / "written", one.text, other.text, future.text, absence.text, count=30)
     assert all_hash == follow(written, LAST).hashes[-1]
     assert len(session.world) == 25
-    direct(session, other, gone)
+    direct(session, other, absence)
     direct(session, other)
-    direct(session, one, other, future, gone)
+    direct(session, one, other, future, absence)
     assert session.hash == all_hash
     session.seek(10)  # before the later ones begin
     assert session.set("ant.nothing", "1").report.errors
-    assert [each.text for each in session.notes] == [one.text, other.text, future.text, gone.text]
+    assert [each.text for each in session.notes] == [one.text, other.text, future.text, absence.text]
     direct(session)
     while session.frame < LAST:
         session.step()
@@ -244,11 +244,11 @@ def test_a_note_that_is_written_into_the_scene_is_no_longer_added(scene: Path) -
         note(session, "hold", "guards.7", {}, 1),
     )
     direct(session, slow, held)
-    before = session.hash
+    first_hash = session.hash
     scene.write_text(f"{scene.read_text()}notes:\n  - {slow.text}\n")
     outcome = session.reload()
     assert outcome.ok and f"`{slow.text}` is now in the scene" in outcome.line
-    assert session.notes == (held,) and session.hash == before
+    assert session.notes == (held,) and session.hash == first_hash
 
 
 def test_a_note_that_no_longer_fits_is_switched_off(scene: Path) -> None:

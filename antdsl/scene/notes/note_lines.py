@@ -1,4 +1,4 @@
-"""Notes in addition to those of a scene's file: lines of text, each with locations in a source of its own."""
+"""Notes in addition to those of a scene's file: lines of text, each with locations in a separate source."""
 
 from __future__ import annotations
 
