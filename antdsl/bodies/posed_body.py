@@ -34,6 +34,7 @@ COARSE_CELLS_PER_SHAPE = 3  # minimum number of grid cells along the longest sid
 
 BODY_LAYER, CLOSE_LAYER, COLLISION_LAYER = "body", "close", "collision"  # layers
 NO_DRIVEN_POSE = DrivenPose()
+NEUTRAL_COLOUR = (0.1, 0.1, 0.1)  # linear; of surfaces without a colour
 _GOLDEN_RATIO_FRACTION = (5**0.5 - 1) / 2  # its multiples, modulo 1, are spread evenly over 0 to 1
 
 
@@ -44,7 +45,8 @@ class PosedBody:
     if it exists, else the first layer not called `collision`.
 
     `faces`: int32[m, 3].
-    `material_colours`: float32[v, 3], linear colours of materials, times those of points (`Cd`), which textures become.
+    `material_colours`: float32[v, 3], linear colours of materials, times those of points (`Cd`), which textures become. Those of
+        the material `state` and of vertices without a material are natural colours.
     `tint_weights`: float32[v]. 1 takes the agent's colour, 0 that of the material. Vertices without a material, or with one named
         `state`, have 1.
     `material_names`: [v], names.
@@ -78,10 +80,20 @@ class PosedBody:
         self.material_names = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
     def compute_colours(self, driven: DrivenPose) -> Floats:
-        """Return linear colours of materials, float32[n, v, 3], or [1, v, 3] if all agents have the same."""
-        return compute_vertex_colours(
-            self._definition.variation, driven.variation_draws, self.material_names, self.material_colours
-        )
+        """Return linear colours of materials, float32[n, v, 3], or [1, v, 3] if all agents have the same. The variation of the
+        material `state` is left out, see `compute_natural_colours`."""
+        variation = self._definition.variation
+        own = replace(variation, materials={n: c for n, c in variation.materials.items() if n != STATE_MATERIAL})
+        return compute_vertex_colours(own, driven.variation_draws, self.material_names, self.material_colours)
+
+    def compute_natural_colours(self, driven: DrivenPose, count: int) -> Floats:
+        """Return the linear colour of the material `state` for `count` agents, float32[count, 3], with their variation.
+
+        Bodies without this material give a neutral grey."""
+        own = np.array([self._full_definition.materials.get(STATE_MATERIAL, NEUTRAL_COLOUR)], np.float32)
+        variation = self._full_definition.variation
+        colours = compute_vertex_colours(variation, driven.variation_draws, np.array([STATE_MATERIAL]), own)
+        return np.broadcast_to(colours[:, 0], (count, 3))
 
     @cached_property
     def reach(self) -> float:
@@ -276,9 +288,8 @@ def _split_by_material(
     pairs = shape.faces.astype(np.int64) * len(names) + material[:, None]
     kinds, faces = np.unique(pairs, return_inverse=True)
     point, of = kinds // len(names), kinds % len(names)
-    known = [None if name == STATE_MATERIAL else colours.get(name) for name in names]
-    own = np.array([(0.0, 0.0, 0.0) if each is None else each for each in known], np.float32)[of]
-    tint = np.array([each is None for each in known], np.float32)[of]
+    own = np.array([colours.get(name, NEUTRAL_COLOUR) for name in names], np.float32)[of]
+    tint = np.array([name == STATE_MATERIAL or name not in colours for name in names], np.float32)[of]
     colour = shape.attributes.get("Cd")
     if colour is not None and colour.shape == (len(shape.points), 3):  # from a texture or from vertex colours
         bare = np.array([name == "" for name in names])[of]

@@ -1,6 +1,6 @@
 """Small meshes computed from numbers: spheres, stones, and the shapes of items.
 
-The items are an apple, a ring (a donut), a crumb of bread, a lump of sugar, a nest mound, and a plain ball.
+`ITEM_SHAPES` has a function for each shape of items.
 """
 
 from collections.abc import Callable
@@ -143,12 +143,129 @@ def _build_ball() -> ColouredMesh:
     return vertices, faces, np.full((len(vertices), 3), (0.86, 0.80, 0.62), np.float32)
 
 
+def _build_leaf() -> ColouredMesh:
+    """Return a leaf that lies on the ground: pointed, curled, with a midrib and a stalk. It is 2 long."""
+    along, across = 28, 13
+    u, v = np.meshgrid(np.linspace(0, 1, along), np.linspace(-1, 1, across), indexing="ij")
+    half = 0.52 * np.sin(np.pi * u**0.8) ** 0.75 * (1 + 0.05 * np.cos(22 * np.pi * u))
+    x, z = 2 * u - 1, v * half
+    vein = np.cos(15 * (x - 0.8 * np.abs(z)) * np.pi / 2)
+    high = 0.10 + 0.22 * z**2 + 0.10 * np.sin(2.2 * u + 0.3) + 0.012 * vein * (np.abs(v) < 0.95)
+    top = np.stack([x, high, z], axis=2).reshape(-1, 3)
+    faces = _join_grid(along, across)
+    rib = np.exp(-((z / 0.035) ** 2)) + 0.45 * np.clip(vein - 0.75, 0, 1) * 4 * np.exp(-np.abs(z))
+    tone = 0.5 + 0.5 * compute_wave_noise(top, 91, 0.9, 2)
+    green, pale, brown = np.array([0.28, 0.46, 0.12]), np.array([0.58, 0.66, 0.28]), np.array([0.50, 0.40, 0.16])
+    colour = green + (pale - green) * np.clip(rib.reshape(-1), 0, 1)[:, None]
+    colour = colour + (brown - colour) * np.clip(1.2 * np.abs(v.reshape(-1)) ** 6 * tone, 0, 0.7)[:, None]
+    bottom = top - [0, 0.03, 0]
+    stalk_points, stalk_faces = build_sphere(1)
+    stalk = stalk_points * [0.18, 0.03, 0.03] + [-1.1, 0.14, 0]
+    points, triangles = join_meshes([(top, faces), (bottom, faces[:, ::-1]), (stalk, stalk_faces)])
+    shade = np.concatenate([colour, 0.85 * colour + 0.1, np.tile(pale, (len(stalk), 1))])
+    return points, triangles, np.clip(shade, 0, 1).astype(np.float32)
+
+
+def _build_stick() -> ColouredMesh:
+    """Return a dry twig with a fork, lying on the ground. It is 2 long."""
+    parts, shades = [], []
+    for start, end, width in (
+        ((-1.0, 0.11, 0.0), (1.0, 0.16, 0.08), 0.11),
+        ((0.1, 0.15, 0.03), (0.75, 0.42, -0.45), 0.07),
+        ((-0.45, 0.13, 0.02), (-0.2, 0.3, 0.3), 0.05),
+    ):
+        around, along = 12, 18
+        u, turn = np.meshgrid(np.linspace(0, 1, along), np.arange(around + 1) * 2 * np.pi / around, indexing="ij")
+        first, last = np.array(start), np.array(end)
+        axis = (last - first) / np.sqrt(((last - first) ** 2).sum())
+        side = np.cross(axis, [0.0, 1.0, 0.0])
+        side /= np.sqrt((side**2).sum())
+        reach = width * (1 - 0.45 * u) * np.where((u == 0) | (u == 1), 0.02, 1.0)
+        bend = 0.05 * np.sin(np.pi * u)
+        ring = np.cos(turn)[..., None] * side + np.sin(turn)[..., None] * np.cross(side, axis)
+        points = (first + (last - first) * u[..., None] + bend[..., None] * side + reach[..., None] * ring).reshape(-1, 3)
+        points += 0.012 * compute_wave_noise(points * [0.3, 1, 1], 92, 0.12, 2)[:, None] * ring.reshape(-1, 3)
+        parts.append((points, _join_grid(along, around + 1)[:, ::-1]))
+        tone = 1 + 0.25 * compute_wave_noise(points * [0.3, 1, 1], 93, 0.1, 2)[:, None]
+        shades.append(np.array([0.43, 0.33, 0.24]) * tone)
+    vertices, triangles = join_meshes(parts)
+    return vertices, triangles, np.clip(np.concatenate(shades), 0, 1).astype(np.float32)
+
+
+def _build_seed() -> ColouredMesh:
+    """Return a striped seed, pointed at one end. It is 2 long."""
+    vertices, faces = build_sphere(4)
+    taper = 1 - 0.45 * np.clip(vertices[:, 0], 0, 1) ** 1.5
+    points = vertices * np.array([1.0, 0.36, 0.52]) * np.stack([np.ones(len(taper)), taper, taper], axis=1)
+    points[:, 1] += 0.33
+    stripe = np.clip(1.6 * np.cos(9 * np.arctan2(vertices[:, 2], vertices[:, 1])) - 0.4, 0, 1)[:, None]
+    dark, pale = np.array([0.20, 0.17, 0.15]), np.array([0.80, 0.74, 0.62])
+    tone = 1 + 0.08 * compute_wave_noise(vertices, 94, 0.3, 2)[:, None]
+    return points, faces, np.clip((dark + (pale - dark) * stripe) * tone, 0, 1).astype(np.float32)
+
+
+def _build_stone() -> ColouredMesh:
+    """Return a grey stone, sunk a little into the ground."""
+    points, faces = build_stone(95, (1.0, 0.7, 0.85), detail=3, roughness=0.12)
+    points = points - [0, points[:, 1].min() + 0.15, 0]
+    tone = 1 + 0.10 * compute_wave_noise(points, 96, 0.5, 3)[:, None]
+    return points, faces, np.clip(np.array([0.55, 0.54, 0.52]) * tone, 0, 1).astype(np.float32)
+
+
+def _build_egg() -> ColouredMesh:
+    """Return a pale egg, as ants carry them: an ellipsoid that lies on its side."""
+    vertices, faces = build_sphere(3)
+    points = vertices * np.array([1.0, 0.55, 0.55]) + [0, 0.5, 0]
+    return points, faces, np.tile(np.array([0.93, 0.90, 0.82], np.float32), (len(points), 1))
+
+
+def _build_lamp() -> ColouredMesh:
+    """Return a glowing bulb on a short post."""
+    bulb, bulb_faces = build_sphere(3)
+    post, post_faces = build_sphere(2)
+    parts = [(bulb * 0.92 + [0, 1.75, 0], bulb_faces), (post * [0.15, 0.6, 0.15] + [0, 0.45, 0], post_faces)]
+    points, faces = join_meshes([*parts, (post * [0.6, 0.1, 0.6], post_faces)])
+    shade = np.concatenate([np.tile([1.0, 0.93, 0.72], (len(bulb), 1)), np.tile([0.20, 0.20, 0.22], (2 * len(post), 1))])
+    return points, faces, shade.astype(np.float32)
+
+
+def _build_flag() -> ColouredMesh:
+    """Return a small flag on a post, which marks a place."""
+    post, post_faces = build_sphere(2)
+    u, v = np.meshgrid(np.linspace(0, 1, 14), np.linspace(0, 1, 7), indexing="ij")
+    wave = 0.10 * u * np.sin(7 * u + 1.5 * v)
+    front = np.stack([0.05 + 0.95 * u, 1.3 + 0.6 * v - 0.08 * u, wave], axis=2).reshape(-1, 3)
+    faces = _join_grid(14, 7)
+    points, triangles = join_meshes(
+        [(post * [0.045, 1.0, 0.045] + [0, 0.95, 0], post_faces), (front, faces), (front - [0, 0, 0.01], faces[:, ::-1])]
+    )
+    stripe = (v.reshape(-1) > 0.5)[:, None]
+    cloth = np.where(stripe, [[0.80, 0.16, 0.12]], [[0.93, 0.91, 0.86]])
+    shade = np.concatenate([np.tile([0.45, 0.34, 0.24], (len(post), 1)), cloth, cloth])
+    return points, triangles, shade.astype(np.float32)
+
+
+def _join_grid(rows: int, columns: int) -> NDArray[np.int32]:
+    """Return the triangles of a grid of points, row by row. They face the direction of (rows × columns) by the left hand."""
+    row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
+    a = (row * columns + column).reshape(-1)
+    b, c, d = a + 1, a + columns, a + columns + 1
+    return np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)]).astype(np.int32)
+
+
 ITEM_SHAPES: dict[str, Callable[[], ColouredMesh]] = {
     "apple": _build_apple,
     "ring": _build_ring,
     "crumb": _build_crumb,
     "cube": _build_cube,
     "mound": _build_mound,
+    "leaf": _build_leaf,
+    "stick": _build_stick,
+    "seed": _build_seed,
+    "stone": _build_stone,
+    "egg": _build_egg,
+    "lamp": _build_lamp,
+    "flag": _build_flag,
     "sphere": _build_ball,
 }
 
@@ -160,6 +277,26 @@ _SHAPE_WORDS: tuple[tuple[str, str], ...] = (
     ("doughnut", "ring"),
     ("ring", "ring"),
     ("sugar", "cube"),
+    ("leaf", "leaf"),
+    ("leaves", "leaf"),
+    ("seed", "seed"),
+    ("grain", "seed"),
+    ("twig", "stick"),
+    ("stick", "stick"),
+    ("branch", "stick"),
+    ("log", "stick"),
+    ("stone", "stone"),
+    ("rock", "stone"),
+    ("pebble", "stone"),
+    ("egg", "egg"),
+    ("brood", "egg"),
+    ("larva", "egg"),
+    ("lamp", "lamp"),
+    ("bulb", "lamp"),
+    ("exit", "flag"),
+    ("gate", "flag"),
+    ("goal", "flag"),
+    ("target", "flag"),
     ("crumb", "crumb"),
     ("bread", "crumb"),
     ("food", "crumb"),  # for any name

@@ -78,7 +78,8 @@ class DrawRequest:
         """Return a gallery that builds the cache's pictures. Raises PictureUnavailable as `Gallery` does."""
         window = PathWindow.parse(self.window) if "paths" in self.show else None
         cut = CutPlane.parse(self.cut) if self.cut is not None else None
-        return Gallery(cache, cut, window, blurred=self.blur > 0, full=dict(self.full))
+        states = "states" in self.show or self.marks > 0
+        return Gallery(cache, cut, window, shows_states=states, blurred=self.blur > 0, full=dict(self.full))
 
 
 class FrameDrawer:

@@ -7,12 +7,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError
+from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.body import rotate_vectors
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.shapes import choose_item_shape
@@ -28,17 +28,12 @@ from antdsl.outputs.cut_plane import CutPlane
 from antdsl.outputs.feelers import compute_feeler_rays
 from antdsl.outputs.flow_arrows import read_flow_arrows
 from antdsl.outputs.pictures.camera import to_tuple
-from antdsl.outputs.pictures.model import Crowd, FlowArrows, Item, ItemShapeName, LegendRow, Picture, Solid, SurfaceKind, Trail
+from antdsl.outputs.pictures.light import LightSettings, encode_srgb_values
+from antdsl.outputs.pictures.model import Crowd, FlowArrows, Item, LegendRow, Picture, Solid, Trail
 from antdsl.outputs.pictures.trail_colours import estimate_full_strength
+from antdsl.scene.looks import INVISIBLE_LOOK, KIND_BY_LOOK, find_kind_by_name
 from antdsl.scene.thing_models import UP_VECTORS
 
-_SURFACE_KIND_BY_NAME: tuple[tuple[str, SurfaceKind], ...] = (
-    ("boulder", "boulder"),
-    ("rock", "boulder"),
-    ("hill", "hill"),
-    ("stone", "stone"),
-)
-_SURFACE_KIND_BY_MATERIAL: dict[str, SurfaceKind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
 REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
 # colours of the fields, in their order
 _FIELD_COLOURS = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))
@@ -65,6 +60,7 @@ class Gallery:
     units).
 
     `window`: the seconds before and after a frame for which pictures have the agents' paths; None for no paths.
+    `shows_states`: agents have the colours of their states, instead of the natural colours of their bodies.
     `blurred`: pictures also have the agents' positions in the next frame.
     `full`: by field, the strength drawn strongest.
     Raises PictureUnavailable for a cache without the data for pictures, or without a field in `full`."""
@@ -75,6 +71,7 @@ class Gallery:
         cut: CutPlane | None = None,
         window: PathWindow | None = None,
         *,
+        shows_states: bool = False,
         blurred: bool = False,
         full: Mapping[str, float] | None = None,
     ) -> None:
@@ -89,6 +86,8 @@ class Gallery:
         if strange:
             raise PictureUnavailable(f"the cache has no field `{strange[0]}`")
         self._has_motion_blur, self._requested_strengths = blurred, dict(full or {})
+        self.shows_states = shows_states
+        self.light = LightSettings(**self.manifest.light.model_dump())
         above, below = self.manifest.fps.split("/")
         self.dt = int(below) / int(above)
         self._agent_paths = None if window is None else AgentPaths(cache, self.dt, window)
@@ -121,6 +120,7 @@ class Gallery:
             up=UP_VECTORS[self.manifest.up],
             legend=legend,
             frame=frame,
+            light=self.light,
             grain=self._measure_grain(self._first_frame),
         )
         return whole if self._cut_plane is None else self._cut_plane.cut_picture(whole)
@@ -162,9 +162,9 @@ class Gallery:
         """Return the solids as dug at a frame."""
         looks = {mesh.name: mesh.look for mesh in self.manifest.meshes if mesh.look is not None}
         return tuple(
-            solid if solid.name not in looks else replace(solid, kind=_SURFACE_KIND_BY_MATERIAL[str(looks[solid.name])])
+            solid if solid.name not in looks else replace(solid, kind=KIND_BY_LOOK[str(looks[solid.name])])
             for solid in self._dug_solids.at(frame)
-            if looks.get(solid.name) != "none"
+            if looks.get(solid.name) != INVISIBLE_LOOK
         )
 
     def _make_solids(self, arrays: Arrays) -> tuple[Solid, ...]:
@@ -179,10 +179,9 @@ class Gallery:
 
     def _make_solid(self, mesh: MeshEntry) -> Solid:
         name = mesh.name
-        look = next((k for word, k in _SURFACE_KIND_BY_NAME if word in name.lower()), mesh.row.look)
         vertices = np.asarray(self.static[f"mesh.{name}.vertices"], np.float64)
         faces = np.asarray(self.static[f"mesh.{name}.faces"], np.int32)
-        return Solid(name, vertices, faces, look if mesh.look is None else _SURFACE_KIND_BY_MATERIAL[mesh.look])
+        return Solid(name, vertices, faces, KIND_BY_LOOK[mesh.look] if mesh.look else find_kind_by_name(name) or mesh.row.look)
 
     def _make_crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
         crowds: list[Crowd] = []
@@ -201,7 +200,12 @@ class Gallery:
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
-                    LegendRow(state.label or state.name, _convert_colour_to_bytes(state.colour), int(n), species.name)
+                    LegendRow(
+                        state.label or state.name,
+                        _convert_colour_to_bytes(state.colour) if self.shows_states else None,
+                        int(n),
+                        species.name,
+                    )
                     for state, n in zip(species.machines[0].states, counts, strict=False)
                 ]
         return tuple(crowds), tuple(legend)
@@ -217,14 +221,16 @@ class Gallery:
         for which, key in enumerate(keys):
             body = self.load_body(number, 0, which)
             own = np.arange(count) if len(keys) == 1 else np.flatnonzero(numbers == which)
-            subset = rows[own]
+            subset, own_driven = rows[own], take_rows(driven, own) if len(keys) > 1 else driven
+            colour, is_marked = self._choose_colours(species, arrays, subset, body, own_driven)
             crowds.append(
                 Crowd(
                     species=species.name,
                     position=np.asarray(arrays["P"], np.float64)[subset],
                     orient=np.asarray(arrays["orient"], np.float64)[subset],
                     scale=np.asarray(arrays["pscale"], np.float64)[subset],
-                    colour=np.asarray(arrays["Cd"], np.float64)[subset] if "Cd" in arrays else np.full((len(subset), 3), 0.35),
+                    colour=colour,
+                    is_marked=is_marked,
                     ids=ids[own],
                     velocity=np.asarray(arrays["v"], np.float64)[subset] if "v" in arrays else None,
                     body=body,
@@ -233,11 +239,30 @@ class Gallery:
                         *(take_rows(plays, own) if len(keys) > 1 else plays),
                     ),
                     feet=read_feet(key, arrays, len(own), 0 if body.leg_solver is None else body.leg_solver.count),
-                    driven=take_rows(driven, own) if len(keys) > 1 else driven,
+                    driven=own_driven,
                     body_key=key,
                 )
             )
         return tuple(crowds)
+
+    def _choose_colours(
+        self, species: SpeciesEntry, arrays: Arrays, rows: NDArray[np.intp], body: PosedBody, driven: DrivenPose
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the display colours (n, 3) of some rows of a frame, and whether each is that of a state or of an edit (n,).
+
+        Without `shows_states`, a colour is the natural one of the body. A colour that differs from that of the agent's state
+        was set by an edit and stays."""
+        natural = encode_srgb_values(body.compute_natural_colours(driven, len(rows)))
+        if "Cd" not in arrays:
+            return natural, np.zeros(len(rows), np.bool_)
+        stored = np.asarray(arrays["Cd"], np.float32)[rows]
+        if self.shows_states:
+            return stored.astype(np.float64), np.ones(len(rows), np.bool_)
+        states = species.machines[0].states if species.machines and "state" in arrays else ()
+        palette = np.array([state.colour for state in states] or [(1.0, 1.0, 1.0)], np.float32)
+        number = np.clip(np.asarray(arrays["state"])[rows], 0, len(palette) - 1) if states else np.zeros(len(rows), np.int64)
+        is_edited = (stored != palette[number]).any(axis=1)
+        return np.where(is_edited[:, None], stored, natural), is_edited
 
     def _split_by_layers(self, crowd: Crowd, number: int, which: int, arrays: Arrays) -> list[Crowd]:
         """Return one crowd for each set of layers that some agents wear. `which`: the body of the crowd."""
@@ -277,12 +302,12 @@ class Gallery:
             positions = group.position if moved is None else [to_tuple(place) for place in moved]
             for number, (name, position, radius) in enumerate(zip(group.names, positions, group.radius, strict=True)):
                 look = group.looks[number] if number < len(group.looks) else None
-                shape = cast(ItemShapeName, choose_item_shape(group.name, name))
+                shape = choose_item_shape(group.name, name)
                 if look == "none" or (shape == "none" and look is not None):
                     # an item with a look but no shape is shown as a sphere
-                    shape = "none" if look == "none" else "sphere"
+                    shape = "none" if look == INVISIBLE_LOOK else "sphere"
                 left = self._compute_remaining_share(group.name, group.attributes, number, arrays)
-                items.append(Item(name, position, radius, left, shape, None if look == "none" else look))
+                items.append(Item(name, position, radius, left, shape, None if look == INVISIBLE_LOOK else look))
         return tuple(items)
 
     def _compute_remaining_share(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:

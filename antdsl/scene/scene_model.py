@@ -16,6 +16,7 @@ from antdsl.scene.crowds.casting_model import Clumps, Ranks
 from antdsl.scene.crowds.crowd_model import CrowdLine as CrowdLine
 from antdsl.scene.crowds.crowd_model import Placement as Placement
 from antdsl.scene.crowds.crowd_model import Walk as Walk
+from antdsl.scene.light_model import Light
 from antdsl.scene.notes.notes_model import AnyNote
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.thing_models import UNIT_MM as UNIT_MM
@@ -119,8 +120,8 @@ class StartFrom(ScenePart):
 
 
 MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by key
-    "place": Placement, "camera": Camera, "lod": LevelOfDetail, "output": Output, "from": StartFrom, "crowd": CrowdLine,
-    "walk": Walk, "ranks": Ranks, "clumps": Clumps,
+    "place": Placement, "camera": Camera, "light": Light, "lod": LevelOfDetail, "output": Output, "from": StartFrom,
+    "crowd": CrowdLine, "walk": Walk, "ranks": Ranks, "clumps": Clumps,
 }  # fmt: skip
 
 
@@ -146,6 +147,7 @@ class SceneModel(ScenePart):
     layers: dict[SceneName, tuple[str, ...]] = {}
     camera: CameraValue | None = None
     cameras: Cameras = {}
+    light: Light = Light()
     lod: LevelOfDetail | None = None
     output: Output = Output()
 

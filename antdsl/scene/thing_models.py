@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
+from antdsl.scene.looks import LOOKS
 from antdsl.scene.values import (
     Angle,
     AnyQuantity,
@@ -30,7 +31,6 @@ Unit = Annotated[str, BeforeValidator(parse_one_of(*UNIT_MM))]
 Axis = Annotated[str, BeforeValidator(parse_one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(parse_one_of("render", "proxy"))]
 
-LOOKS = ("metal", "soil", "leaf", "light", "none")
 Look = Annotated[str, BeforeValidator(parse_one_of(*LOOKS))]  # keys for the thing in pictures
 
 

@@ -19,11 +19,19 @@ FRAMES_PER_TASK = 8  # frames per task
 
 
 def make_export_tasks(
-    cache: Path, file_pattern: str, form: str, ids: frozenset[int] | None, frames: Sequence[int], destination: Destination
+    cache: Path,
+    file_pattern: str,
+    form: str,
+    ids: frozenset[int] | None,
+    frames: Sequence[int],
+    destination: Destination,
+    *,
+    shows_states: bool = False,
 ) -> Iterator[Task]:
     """Yield tasks that write all frames. `file_pattern`: the pattern of the file names. `cache`: an absolute path without
-    links."""
-    document = {"cache": str(cache), "name": file_pattern, "form": form, "ids": None if ids is None else sorted(ids)}
+    links. `shows_states`: agents have the colours of their states."""
+    chosen = None if ids is None else sorted(ids)
+    document = {"cache": str(cache), "name": file_pattern, "form": form, "ids": chosen, "states": shows_states}
     return destination.make_frame_tasks(export_frames, document, frames, FRAMES_PER_TASK)
 
 
@@ -38,6 +46,6 @@ def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[st
         if document["ids"] is not None:
             cache = AgentSubset.of(cache, frozenset(document["ids"]))
         place = to.choose_task_folder(worker, document["key"])
-        notes = export.forms[document["form"]](Gallery(cache), document["frames"], place / name)
+        notes = export.forms[document["form"]](Gallery(cache, shows_states=document["states"]), document["frames"], place / name)
     worker.notes += notes or ()
     return to.describe_files(worker, place, document["key"])

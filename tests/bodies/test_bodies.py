@@ -40,7 +40,8 @@ def test_bodies_face_outwards_and_stand_on_the_ground(name):
 @pytest.mark.parametrize("shape", sorted(ITEM_SHAPES))
 def test_placed_shapes_face_outwards_with_colours(shape):
     vertices, faces, colour = build_item_mesh(shape)
-    assert volume(vertices, faces) > (0.2 if shape == "mound" else 0.5)  # a nest lies flat, lower than an ant
+    flat = {"mound": 0.2, "flag": 0.005, "leaf": 0.01, "stick": 0.02}  # a nest lies flat, lower than an ant
+    assert volume(vertices, faces) > flat.get(shape, 0.5)
     assert colour.shape == vertices.shape and colour.min() >= 0 and colour.max() <= 1
     assert 0.9 < np.hypot(vertices[:, 0], vertices[:, 2]).max() < 1.3
 
@@ -52,8 +53,16 @@ def test_names_choose_bodies_and_shapes():
         "arrow",
         "hunter",
     ]
-    names = (("food", "apple"), ("food", "donut"), ("nest", "home"), ("food", "a"), ("food", "sugar_lump"), ("exits", "east"))
-    assert [choose_item_shape(*each) for each in names] == ["apple", "ring", "mound", "crumb", "cube", "sphere"]
+    names = (
+        ("food", "apple"),
+        ("food", "donut"),
+        ("nest", "home"),
+        ("food", "a"),
+        ("food", "sugar_lump"),
+        ("exits", "east"),
+        ("rugs", "red"),
+    )
+    assert [choose_item_shape(*each) for each in names] == ["apple", "ring", "mound", "crumb", "cube", "flag", "sphere"]
 
 
 def test_orientation_turns_x_to_the_heading_and_y_to_up():

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.creases import find_candidates, mark_rows_near
-from antdsl.ground.mesh.footings import write_positions, write_sides
+from antdsl.ground.mesh.footings import find_max_step_and_size, write_positions, write_sides
 
 N = 2000
 FIRST = 0, 11, 30  # the first face of each of two meshes, and the number of faces
@@ -33,6 +34,7 @@ def test_positions_are_those_of_corners_to_the_sign_of_zero() -> None:
     first, normal = embed(FIRST[:2], 0), rng.choice([-1.0, -0.0, 0.5, 1.0], (3, 30))
     b1, b2, over = rng.choice([0.0, -0.0, 0.5, 1.0], (3, N))
     over[::2] *= 0.0
+    b1[:600] = b2[:600] = -0.0  # so that a corner's negative zero is not lost before the normal is added
     tables, place = (vertices.ravel(), faces, normal, first), np.full((N, 3), 7.0)
     assert write_positions(*tables, mesh, face, b1, b2, over, place)
     known = (mesh >= 0) & (face >= 0)
@@ -54,6 +56,23 @@ def test_sides_are_those_of_faces() -> None:
     expected = np.where(known, side[np.where(known, first[np.maximum(mesh, 0)] + face, 0)], 0)
     expected[:5] = expected[-5:] = 7
     assert np.array_equal(sides, expected)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_the_greatest_step_and_size_ignore_what_is_not_finite(axis: int) -> None:
+    rng = np.random.default_rng(axis)
+    displacements, sizes = rng.uniform(-1, 1, (3, 50)), embed(rng.uniform(0.5, 2, 50), 1e9)
+    displacements[axis, 20] = -7.5
+    displacements[(axis + 1) % 3, 30], displacements[axis, 31] = np.nan, np.inf
+    sizes[3] = np.nan
+    displacements[:, 49], sizes[49] = (3, -4, 12), 2.5
+    assert find_max_step_and_size(displacements, sizes) == (169.0, 2.5)
+    displacements[:, 49], sizes[49] = 0, 0.1
+    x, y, z = displacements[:, 20]
+    assert find_max_step_and_size(displacements, sizes) == ((x * x + y * y) + z * z, np.nanmax(sizes))
+    most, widest = find_max_step_and_size(np.full((3, 2), np.nan), np.full(2, np.nan))
+    assert most == 0 and np.isnan(widest)
+    assert find_max_step_and_size(np.zeros((3, 0)), np.zeros(0))[0] == 0
 
 
 def test_candidates_have_the_rung_of_their_reach() -> None:

@@ -79,7 +79,7 @@ def exported(cache: Path, path: Path, *words: str) -> str:
 
 @pytest.mark.parametrize("ending", [".glb", ".gltf"])
 def test_points_are_where_pictures_draw_them(cache: Path, tmp_path: Path, ending: str) -> None:
-    output = exported(cache, tmp_path / f"bugs{ending}", "--tolerance", "0%")
+    output = exported(cache, tmp_path / f"bugs{ending}", "--tolerance", "0%", "--show", "states")
     assert "frames 3..26" in output and "keep the colour of their first state" in output
     scene = Scene((tmp_path / f"bugs{ending}").read_bytes())
     scene.check()

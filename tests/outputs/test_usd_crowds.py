@@ -100,11 +100,11 @@ def carriers(tmp_path_factory: pytest.TempPathFactory) -> Cache:
     return recorded(folder, 6)
 
 
-def exported(cache: Cache, path: Path, *, xforms: bool = False, **options: object):  # type: ignore[no-untyped-def]
+def exported(cache: Cache, path: Path, *, xforms: bool = False, states: bool = False, **options: object):  # type: ignore[no-untyped-def]
     from pxr import Usd
 
     export = export_xforms if xforms else export_instances
-    notes = export(Gallery(cache), cache.frames(), path, UsdOptions(**options))  # type: ignore[arg-type]
+    notes = export(Gallery(cache, shows_states=states), cache.frames(), path, UsdOptions(**options))  # type: ignore[arg-type]
     assert notes == []
     return Usd.Stage.Open(str(path))
 
@@ -233,7 +233,7 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
 
     from antdsl.outputs.pictures.light import decode_srgb
 
-    stage = exported(people, tmp_path / "out.usdc", skeletons=0)
+    stage = exported(people, tmp_path / "out.usdc", skeletons=0, states=True)
     instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
     paths = instancer.GetPrototypesRel().GetTargets()
     states = people.manifest.species[0].machines[0].states
@@ -532,6 +532,8 @@ def layers_by_id(picture: Picture) -> dict[int, tuple[str, ...]]:
 def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
     from pxr import Usd
 
+    from antdsl.outputs.cache.manifest import LightEntry
+    from antdsl.outputs.pictures.light import DEFAULT_LIGHT
     from antdsl.outputs.pictures.model import Item, Trail
     from antdsl.outputs.usd.values import StageOutput
     from antdsl.outputs.usd.world import WorldWriter
@@ -541,7 +543,8 @@ def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
     assert out.name("mesh", "ant") == "ant"
 
     class Nothing:
-        manifest = type("Manifest", (), {"up": "y", "units": "mm", "named_cameras": {}})
+        manifest = type("Manifest", (), {"up": "y", "units": "mm", "named_cameras": {}, "light": LightEntry()})
+        light = DEFAULT_LIGHT
         static = None
 
     writer = WorldWriter(out, Nothing(), [1, 2, 3])  # type: ignore[arg-type]

@@ -99,6 +99,7 @@ notes:
 set: {walker.pace: 30 mm/s}
 fields: {trail: {start: 2, around: [1, 2, 3], radius: 30 mm}}
 camera: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm}
+light: {sun: 50 %, sky: 60 %, haze: 70 %, lamps: 80 %, elevation: 30 deg, azimuth: 100 deg}
 lod: {near: 100 mm, far: 200 mm}
 output: {checkpoint: 50}
 """

@@ -89,6 +89,9 @@ def export(
         help="glTF: largest distance of a joint from its pose, in percent of the body's length; 0% writes all keys. "
         "[default: 0.5%]",
     ),
+    show: str = typer.Option(
+        None, "--show", metavar="states", help="USD, glTF, meshes: the colours of states. [default: natural colours of bodies]"
+    ),
     scheduler: str = SCHEDULER_OPTION,
     tls: Path = TLS_OPTION,
     no_tls: bool = NO_TLS_OPTION,
@@ -136,6 +139,10 @@ def export(
         raise typer.BadParameter(
             f"`{to.name}` as `{word}` does not support this option; {', '.join(forms)} does", param_hint=f"--{name}"
         )
+    if show not in (None, "states"):
+        raise typer.BadParameter(f"cannot show `{show}`: there is `states`", param_hint="--show")
+    if show is not None and word not in export.coloured_forms:
+        raise typer.BadParameter(f"`{to.name}` as `{word}` has no colours: leave `--show` out", param_hint="--show")
     if "samples" in set_options and "shutter" not in set_options:
         raise typer.BadParameter("state the range of the samples: `--shutter -0.25..0.25`", param_hint="--samples")
     if scheduler and word not in export.per_frame_forms:
@@ -162,7 +169,8 @@ def export(
             else:
                 with protect_inputs({"--to": to}) as inputs:
                     inputs += opened_cache.find_source_files()
-            gallery = Gallery(opened_cache if chosen is None else AgentSubset.of(opened_cache, chosen))
+            subset = opened_cache if chosen is None else AgentSubset.of(opened_cache, chosen)
+            gallery = Gallery(subset, shows_states=show is not None)
             create_folder_durably(to.parent)
             notes: Sequence[str] | None
             if scheduler:
@@ -171,7 +179,9 @@ def export(
                     where,
                     cache,
                     to.parent,
-                    lambda real_cache, place: make_export_tasks(real_cache, to.name, word, chosen, cache_frames, place),
+                    lambda real_cache, place: make_export_tasks(
+                        real_cache, to.name, word, chosen, cache_frames, place, shows_states=show is not None
+                    ),
                 )
                 notes = tuple(dict.fromkeys(note for answered in task_answers for note in answered.notes))
             else:

@@ -50,7 +50,10 @@ def render(
     ),
     film: bool = typer.Option(False, "--film", help="Make an .mp4 film; needs the extra [video]."),
     show: str = typer.Option(
-        "trail", "--show", metavar="WORD,…", help="Overlays: trail, flow, feelers, velocity, paths, ids; `none`: no overlays."
+        "trail",
+        "--show",
+        metavar="WORD,…",
+        help="Overlays: trail, flow, feelers, velocity, paths, ids; states: agents in their states' colours; `none`: nothing.",
     ),
     window: str = typer.Option(
         "1..2", "--window", metavar="A..B", help="Length of paths in seconds before and after the frame, at most 60."

@@ -16,6 +16,7 @@ from antdsl.atomic_write import write_atomically
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, ThingKindRow
 from antdsl.safe_read import FileTooLarge, read_size_limited
 from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.looks import LOOKS
 
 FORMAT_VERSION = 1
 MANIFEST_FILE_NAME = "manifest.json"
@@ -27,7 +28,7 @@ _MAX_MANIFEST_BYTES = 16 * limits.MIB
 Word = Annotated[str, Field(max_length=500)]
 ScenePath = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
 Triple = tuple[float, float, float]
-Look = Literal["metal", "soil", "leaf", "light", "none"]
+Look = Annotated[Word, Field(pattern=f"^({'|'.join(LOOKS)})$")]
 MeshKind = Annotated[Word, Field(pattern=f"^({'|'.join(KINDS_WITH_FACES)})$")]
 
 
@@ -268,6 +269,17 @@ def make_camera_array_name(camera: str, part: str) -> str:
     return f"camera.{part}" if camera == DEFAULT_CAMERA else f"camera.{camera}.{part}"
 
 
+class LightEntry(ManifestPart):
+    """The light of pictures: strengths of sun, sky, haze and lamps, and the direction to the sun in degrees."""
+
+    sun: Annotated[float, Field(ge=0)] = 1.0
+    sky: Annotated[float, Field(ge=0)] = 1.0
+    haze: Annotated[float, Field(ge=0)] = 1.0
+    lamps: Annotated[float, Field(ge=0)] = 1.0
+    elevation: float = 40.0
+    azimuth: float = 280.0
+
+
 class Provenance(ManifestPart):
     """The environment in which a cache was made. Readers do not depend on it.
 
@@ -295,6 +307,7 @@ class Manifest(ManifestPart):
     `state_hash`: the method of state hashes, a `STATE_HASH_VERSION`.
     `scene_path`: the path from the cache's folder to the scene file; None if `find_relative_path` returned none.
     `origin`: the point, in scene units, that all positions are relative to; the zero point in caches without it.
+    `light`: the light of pictures.
     `camera`: the default camera if it does not depend on agents. `cameras`: all cameras of the scene, by name."""
 
     format: Literal[1] = 1
@@ -326,6 +339,7 @@ class Manifest(ManifestPart):
     edits: EditsEntry | None = None
     camera: CameraEntry | Literal["fit"] | None = None
     cameras: dict[Word, AnyCameraEntry] = {}
+    light: LightEntry = LightEntry()
 
     @property
     def named_cameras(self) -> Mapping[str, AnyCameraEntry]:

@@ -31,6 +31,7 @@ class ExportFormat:
     `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return
     messages about omissions and changes.
     `per_frame_forms`: the forms that write one file per frame, with the frame number in the name.
+    `coloured_forms`: the forms that write colours of agents, natural ones or those of states.
     `options`: by form, the dataclass of its additional options.
     `forbidden_strings`: strings that file names must not contain, because they have a special meaning for the export's
     libraries."""
@@ -38,6 +39,7 @@ class ExportFormat:
     endings: tuple[str, ...]
     forms: Mapping[str, Callable[..., Sequence[str] | None]]
     per_frame_forms: frozenset[str] = frozenset()
+    coloured_forms: frozenset[str] = frozenset()
     options: Mapping[str, type] = field(default_factory=dict)
     forbidden_strings: tuple[str, ...] = ()
 
@@ -54,16 +56,24 @@ EXPORT_FORMATS = (
     ExportFormat(
         (".usdc", ".usda", ".usd"),
         {"instances": export_instances, "xforms": export_xforms, "meshes": export_usd_meshes},
+        coloured_forms=frozenset({"instances", "xforms", "meshes"}),
         options={"instances": UsdOptions, "xforms": XformOptions},
         forbidden_strings=("\\", ":SDF_FORMAT_ARGS:"),
     ),
-    ExportFormat((".glb", ".gltf"), {"skinned": export_gltf}, options={"skinned": GltfOptions}),
+    ExportFormat(
+        (".glb", ".gltf"), {"skinned": export_gltf}, coloured_forms=frozenset({"skinned"}), options={"skinned": GltfOptions}
+    ),
     ExportFormat((".geo",), {"points": export_geo}, frozenset({"points"})),
     ExportFormat((".csv",), {"keyframes": export_csv, "events": export_csv_events}),
     ExportFormat(
         (".npz",), {"arrays": export_arrays, "poses": export_poses, "volume": export_volumes, "events": export_npz_events}
     ),
-    ExportFormat((".ply", ".obj"), {"meshes": export_meshes, "solids": export_solids}, frozenset({"meshes", "solids"})),
+    ExportFormat(
+        (".ply", ".obj"),
+        {"meshes": export_meshes, "solids": export_solids},
+        frozenset({"meshes", "solids"}),
+        frozenset({"meshes"}),
+    ),
 )
 
 

@@ -17,12 +17,15 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid
 from antdsl.outputs.scene_cameras import SceneCameras, find_camera_axes
+from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS
 from antdsl.scene.scene_model import UNIT_MM
 
 _SENSOR_WIDTH_MM, _DEFAULT_ASPECT = 36.0, 16 / 9
 _SQRT_HALF = float(np.sqrt(0.5))
 _DEFAULT_BY_PATH = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 _RIGID_TOLERANCE = 1e-4  # share of the mesh's size; a motion with smaller deviations counts as rigid
+
+_BODY_ROUGHNESS, _ITEM_ROUGHNESS = 0.55, 0.9
 
 Floats = NDArray[np.float64]
 
@@ -135,15 +138,13 @@ class GltfStage:
             self._samplers.append({"input": accessors[0], "output": accessors[1], "interpolation": interpolation})
         self._channels.append({"sampler": self._sampler_numbers[key], "target": {"node": node, "path": path}})
 
-    def find_or_add_material(self, name: str, colour: tuple[float, ...], *, has_vertex_colours: bool = False) -> int:
+    def find_or_add_material(
+        self, name: str, colour: tuple[float, ...], roughness: float = _BODY_ROUGHNESS, metalness: float = 0.0
+    ) -> int:
         """Return the number of the material with this name and base colour (linear). It is added at its first use."""
         key = (name, tuple(round(part, 6) for part in colour))
         if key not in self._materials:
-            pbr = {
-                "baseColorFactor": [*key[1], 1.0],
-                "metallicFactor": 0.0,
-                "roughnessFactor": 0.55 if not has_vertex_colours else 0.9,
-            }
+            pbr = {"baseColorFactor": [*key[1], 1.0], "metallicFactor": metalness, "roughnessFactor": roughness}
             self._materials[key] = self.writer.add_part(
                 "materials", {"name": name, "pbrMetallicRoughness": pbr, "doubleSided": True}
             )
@@ -166,7 +167,9 @@ class GltfStage:
     def _add_solid(self, frame: int, solid: Solid) -> None:
         vertices = np.asarray(solid.vertices, np.float64)
         if solid.name not in self._solids:
-            node = self.add_body(self._world_node, solid.name, self._write_mesh(solid.name, vertices, solid.faces, None), None)
+            node = self.add_body(
+                self._world_node, solid.name, self._write_mesh(solid.name, vertices, solid.faces, solid.kind), None
+            )
             self._solids[solid.name] = _MovingNode(node), vertices
         moving, first = self._solids[solid.name]
         turn, move, off = _fit_rigid(first, vertices)
@@ -185,7 +188,10 @@ class GltfStage:
             if self.gallery.manifest.up == "z":
                 points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
             node = self.add_body(
-                self._world_node, item.name, self._write_mesh(item.name, points, faces, decode_srgb(colours)), None
+                self._world_node,
+                item.name,
+                self._write_mesh(item.name, points, faces, KIND_BY_LOOK.get(item.look or ""), decode_srgb(colours)),
+                None,
             )
             self._items[number] = _MovingNode(node)
         moving = self._items[number]
@@ -193,16 +199,22 @@ class GltfStage:
         moving.translations.append(np.asarray(item.position, np.float64))
         moving.scales.append(np.full(3, item.radius * max(min(item.remaining_share, 1.0), 0.0) ** (1 / 3)))
 
-    def _write_mesh(self, name: str, points: Floats, faces: NDArray[Any], colours: NDArray[Any] | None) -> int:
+    def _write_mesh(
+        self, name: str, points: Floats, faces: NDArray[Any], kind: str | None, colours: NDArray[Any] | None = None
+    ) -> int:
+        """Write a mesh and return its number. `kind`: a kind of surface; None for one in the colours of its points."""
         attributes = {
             "POSITION": self.writer.add_accessor(points, "f4", VERTEX_BUFFER_TARGET, bounds=True),
             "NORMAL": self.writer.add_accessor(_normalise(compute_vertex_normals(points, faces)), "f4", VERTEX_BUFFER_TARGET),
         }
-        if colours is not None:
+        if colours is not None and kind is None:
             attributes["COLOR_0"] = self.writer.add_accessor(colours, "f4", VERTEX_BUFFER_TARGET)
         indices = self.writer.add_accessor(np.ravel(faces), "u4", INDEX_BUFFER_TARGET)
-        tone = (1.0, 1.0, 1.0) if colours is not None else (0.36, 0.31, 0.25)
-        material = self.find_or_add_material("painted" if colours is not None else "ground", tone, has_vertex_colours=True)
+        if kind is None:
+            material = self.find_or_add_material("painted", (1.0, 1.0, 1.0), _ITEM_ROUGHNESS)
+        else:
+            row = SURFACE_KINDS[kind]
+            material = self.find_or_add_material(kind, tuple(decode_srgb(row.colour).tolist()), row.roughness, row.metalness)
         return self.writer.add_part(
             "meshes", {"name": name, "primitives": [{"attributes": attributes, "indices": indices, "material": material}]}
         )
@@ -217,7 +229,7 @@ class GltfStage:
                 if values:
                     self.write_keys(moving.node, path, frames, np.array(values))
         for name, solid in self._dug_solids.items():
-            self.add_body(self._world_node, name, self._write_mesh(name, solid.vertices, solid.faces, None), None)
+            self.add_body(self._world_node, name, self._write_mesh(name, solid.vertices, solid.faces, solid.kind), None)
             self.add_note(f"`{name}` is written as in frame {self.frames[-1]}")
         if self.gallery.manifest.fields:
             self.add_note("fields are left out")

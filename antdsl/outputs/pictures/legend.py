@@ -55,8 +55,10 @@ def add_legend(image: Image, picture: Picture, legend_width: int, show: tuple[st
             draw.line((edge, top + line, legend_width - edge, top + line), fill=(78, 80, 84))
             top += round(1.25 * line)
         for row in rows:
-            draw.ellipse((edge, top + size * 0.15, edge + size * 0.9, top + size * 1.05), fill=row.colour)
-            _draw_line(draw, row.name, f"{row.count:,}", (edge + round(1.4 * size), top), legend_width - edge, small)
+            if row.colour is not None:
+                draw.ellipse((edge, top + size * 0.15, edge + size * 0.9, top + size * 1.05), fill=row.colour)
+            indent = round(1.4 * size) if row.colour is not None else 0
+            _draw_line(draw, row.name, f"{row.count:,}", (edge + indent, top), legend_width - edge, small)
             top += line
         top += round(0.45 * line)
     for trail in trails:

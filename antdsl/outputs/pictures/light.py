@@ -15,19 +15,46 @@ BOUNCE_LIGHT = np.array([0.34, 0.28, 0.21], np.float32)
 ZENITH_COLOUR = np.array([0.30, 0.58, 1.05], np.float32)
 HORIZON_COLOUR = np.array([1.12, 1.20, 1.24], np.float32)
 _SRGB_TABLE_STEPS = 1 << 14  # linear values with an entry in the table; the error is less than half a byte in dark tones
-LAMP_LIGHT = np.array([0.95, 0.84, 0.68], np.float32)  # a lamp at the camera
+HEADLAMP_LIGHT = np.array([0.95, 0.84, 0.68], np.float32)  # a lamp at the camera
 SUN_HALF_ANGLE_TANGENT = 0.03  # wider than the real sun, for soft edges
+
+
+@dataclass(frozen=True, slots=True)
+class LightSettings:
+    """The light of a picture: strengths of sun, sky, haze and lamps, and the direction to the sun in degrees."""
+
+    sun: float = 1.0
+    sky: float = 1.0
+    haze: float = 1.0
+    lamps: float = 1.0
+    elevation: float = 40.0
+    azimuth: float = 280.0
+
+
+DEFAULT_LIGHT = LightSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SunLight:
-    """The sun. `direction`: unit direction to it; `first_axis`, `second_axis`: unit axes perpendicular to `direction`; `up`: the
-    world's up."""
+    """The sun and the sky.
+
+    `direction`: unit direction to the sun; `first_axis`, `second_axis`: unit axes perpendicular to it; `up`: the world's up.
+    `settings`: how strong they are."""
 
     direction: Floats
     first_axis: Floats
     second_axis: Floats
     up: Floats
+    settings: LightSettings
+
+    @property
+    def sunlight(self) -> Floats:
+        """Return the light (3,) of the sun."""
+        return SUN_LIGHT * np.float32(self.settings.sun)
+
+    def aim(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
+        """Return directions (n, 3) to points of the sun's disc, those with `numbers` (n,) of `count`."""
+        return np.asarray(self.sample_disc(count)[numbers])
 
     def sample_disc(self, count: int) -> Floats:
         """Return directions (count, 3) to points that cover the sun's disc evenly. Consecutive points are far from each other."""
@@ -42,23 +69,24 @@ class SunLight:
         return np.asarray(directions, np.float32)
 
 
-def make_sun(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> SunLight:
-    """Return a sun at `elevation` and `azimuth` degrees above the plane perpendicular to `up`."""
+def make_sun(up: NDArray[np.float64], settings: LightSettings = DEFAULT_LIGHT) -> SunLight:
+    """Return the sun and the sky above the plane perpendicular to `up`."""
     upward = up / np.linalg.norm(up)
     first = np.roll(upward, 1) - upward * float(np.dot(np.roll(upward, 1), upward))
     first /= np.linalg.norm(first)
     second = np.cross(upward, first)
-    turn, high = np.radians(azimuth), np.radians(elevation)
+    turn, high = np.radians(settings.azimuth), np.radians(settings.elevation)
     towards = np.cos(high) * (np.cos(turn) * first + np.sin(turn) * second) + np.sin(high) * upward
     a = np.cross(towards, upward)
     a /= np.linalg.norm(a)
-    return SunLight(*(v.astype(np.float32) for v in (towards, a, np.cross(a, towards), upward)))
+    direction, side, other, axis = (v.astype(np.float32) for v in (towards, a, np.cross(a, towards), upward))
+    return SunLight(direction, side, other, axis, settings)
 
 
-def compute_ambient_light(upness: Floats) -> Floats:
+def compute_ambient_light(upness: Floats, sun: SunLight) -> Floats:
     """Return ambient light (n, 3) from sky and ground for normals with the vertical component `upness` (−1..1)."""
     share = (0.5 + 0.5 * upness)[:, None]
-    return SKY_LIGHT * share + BOUNCE_LIGHT * (1 - share)
+    return (SKY_LIGHT * share + BOUNCE_LIGHT * (1 - share)) * np.float32(sun.settings.sky)
 
 
 def compute_sky_light(direction: Floats, sun: SunLight) -> Floats:
@@ -66,7 +94,8 @@ def compute_sky_light(direction: Floats, sun: SunLight) -> Floats:
     high = direction @ sun.up
     share = np.sqrt(np.clip(high, 0.0, 1.0))[:, None]
     glow = np.clip(direction @ sun.direction, 0.0, 1.0)[:, None]
-    light: Floats = HORIZON_COLOUR * (1 - share) + ZENITH_COLOUR * share + np.array([0.22, 0.17, 0.10], np.float32) * glow**8
+    glare = np.array([0.22, 0.17, 0.10], np.float32) * np.float32(sun.settings.sun) * glow**8
+    light: Floats = (HORIZON_COLOUR * (1 - share) + ZENITH_COLOUR * share) * np.float32(sun.settings.sky) + glare
     return light
 
 
@@ -75,7 +104,8 @@ def compute_environment_light(direction: Floats, sun: SunLight) -> Floats:
     high = (direction @ sun.up)[:, None]
     share = np.sqrt(np.clip(high, 0.0, 1.0))
     above = HORIZON_COLOUR * (1 - share) + ZENITH_COLOUR * share
-    return np.asarray(BOUNCE_LIGHT + (above - BOUNCE_LIGHT) * np.clip(0.5 + 4 * high, 0.0, 1.0), np.float32)
+    light = BOUNCE_LIGHT + (above - BOUNCE_LIGHT) * np.clip(0.5 + 4 * high, 0.0, 1.0)
+    return np.asarray(light * np.float32(sun.settings.sky), np.float32)
 
 
 def apply_haze(colour: Floats, distances: Floats, direction: Floats, sun: SunLight, reach: float) -> Floats:
@@ -83,8 +113,8 @@ def apply_haze(colour: Floats, distances: Floats, direction: Floats, sun: SunLig
 
     Haze hides half of the colour at about 0.7 `reach`."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
-    amount = (1 - np.exp(-distances / np.float32(reach))) * level * level * level
-    through: Floats = colour + (HORIZON_COLOUR - colour) * amount[:, None]
+    amount = (1 - np.exp(-distances * np.float32(sun.settings.haze / reach))) * level * level * level
+    through: Floats = colour + (HORIZON_COLOUR * np.float32(sun.settings.sky) - colour) * amount[:, None]
     return through
 
 
@@ -103,9 +133,13 @@ def encode_srgb(linear: Floats) -> NDArray[np.uint8]:
 
 @cache
 def _make_srgb_table() -> NDArray[np.uint8]:
-    linear = np.arange(_SRGB_TABLE_STEPS + 1) / _SRGB_TABLE_STEPS
-    display = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.asarray(display * 255 + 0.5, np.uint8)
+    return np.asarray(encode_srgb_values(np.arange(_SRGB_TABLE_STEPS + 1) / _SRGB_TABLE_STEPS) * 255 + 0.5, np.uint8)
+
+
+def encode_srgb_values(linear: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return sRGB display values 0..1 of linear values 0..1."""
+    linear = np.asarray(linear, np.float64)
+    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def decode_srgb(display: NDArray[np.floating] | tuple[float, ...]) -> Floats:

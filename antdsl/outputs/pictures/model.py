@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,25 +13,23 @@ from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.numerics.records import take_rows
+from antdsl.outputs.pictures.light import DEFAULT_LIGHT, LightSettings
 
 Array = NDArray[np.float64]
-# A ground that is not a floor is drawn as a clay figure; a hill is bare soil.
-SurfaceKind = Literal["ground", "stone", "boulder", "hill", "metal", "leaf", "light"]
-MaterialName = Literal["metal", "soil", "leaf", "light"]
-ItemShapeName = Literal["apple", "ring", "crumb", "cube", "mound", "sphere", "none"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
     """A mesh that is static between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
 
+    `kind`: a key of SURFACE_KINDS. A `ground` that is not a floor is drawn as a clay figure.
     `colour`: sRGB display values 0..1, one colour (3,) or one per vertex (n, 3). None, or NaN for a vertex, selects the look of
     the solid's `kind`."""
 
     name: str
     vertices: Array
     faces: NDArray[np.int32]
-    kind: SurfaceKind = "ground"
+    kind: str = "ground"
     colour: Array | None = None
 
 
@@ -59,7 +56,8 @@ class Crowd:
     `position` (n, 3): in world units.
     `orient` (n, 4): quaternions x, y, z, w that rotate +x to the heading and +y to up.
     `scale` (n,): body lengths in world units.
-    `colour` (n, 3): display values 0..1.
+    `colour` (n, 3): display values 0..1, of vertices without a material or with the material `state`.
+    `is_marked` (n,): whether small bodies show `colour` on all parts, since it means something. None: all do.
     `body`: the body (by default an ant). `body_key`: its key among the bodies of all species; empty means the species' name.
     `plays`: the clips that each machine plays.
     `driven`: channels and looks that states set.
@@ -82,6 +80,7 @@ class Crowd:
     driven: DrivenPose = NO_DRIVEN_POSE
     next_crowd: "Crowd | None" = None
     body_key: str = ""
+    is_marked: NDArray[np.bool_] | None = None
 
     def compute_poses(self, local: bool = False) -> Poses:
         """Return transforms and channels of all agents in the space of their body."""
@@ -120,8 +119,8 @@ class Item:
     position: tuple[float, float, float]
     radius: float
     remaining_share: float = 1.0
-    shape: ItemShapeName = "sphere"
-    look: MaterialName | None = None
+    shape: str = "sphere"
+    look: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,10 +169,10 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class LegendRow:
-    """One state in the legend: its name, its colour (display values 0..255), and the number of agents in it."""
+    """One state in the legend: its name, its number of agents, and its colour (display values 0..255) if pictures show it."""
 
     name: str
-    colour: tuple[int, int, int]
+    colour: tuple[int, int, int] | None
     count: int
     species: str = ""
 
@@ -184,6 +183,7 @@ class Picture:
 
     `up`: the world's up.
     `legend`, `frame`: written next to the picture, with the scales of the trails.
+    `light`: sun, sky, haze and lamps.
     `grain`: the reference length of the ground's grain and pebbles; None means the body length of the first crowd."""
 
     solids: tuple[Solid, ...] = ()
@@ -195,3 +195,4 @@ class Picture:
     legend: tuple[LegendRow, ...] = field(default=())
     frame: int | None = None
     grain: float | None = None
+    light: LightSettings = DEFAULT_LIGHT

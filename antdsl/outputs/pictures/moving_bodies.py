@@ -17,6 +17,7 @@ from antdsl.outputs.pictures.light import SunLight, decode_srgb
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
 from antdsl.outputs.pictures.shading_rows import Floats
 from antdsl.outputs.pictures.static_setting import StaticSetting
+from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS
 
 Array = NDArray[np.float64]
 
@@ -255,8 +256,9 @@ def _pose_crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -
     sizes = np.minimum(np.maximum(scale, least * view.compute_pixel_size(near)), enlarged * scale)
     tiny = is_visible & (sizes < DISTANT_BODY_PIXELS * view.compute_pixel_size(near))
     far = np.setdiff1d(np.flatnonzero(is_visible & ~tiny), close)
-    # On a body a few pixels long, parts with their own colours would hide the state's colour.
-    plain = np.where(pixels < CLOSE_BODY_PIXELS, np.clip(1 - pixels / CLOSE_BODY_PIXELS, 0.0, 1.0) ** 2, 0.0)
+    # On a body a few pixels long, parts with their own colours would hide the agent's colour.
+    is_plain = (pixels < CLOSE_BODY_PIXELS) & (crowd.is_marked if crowd.is_marked is not None else True)
+    plain = np.where(is_plain, np.clip(1 - pixels / CLOSE_BODY_PIXELS, 0.0, 1.0) ** 2, 0.0)
     levels = (("fine", close), ("coarse", far), ("distant", np.setdiff1d(np.flatnonzero(tiny), close)))
     bodies = [(getattr(crowd.body, level), rows) for level, rows in levels if len(rows)]
     return [_pose_bodies(crowd, body, rows, sizes, plain) for body, rows in bodies if len(body.faces)]
@@ -335,13 +337,10 @@ def _find_item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
     """Return linear colours (n, 3) and the gloss of an item, by its look."""
     if item.look is None:
         return colour, 0.0 if item.shape == "mound" else 0.5
-    plain, gloss = {
-        "metal": (surface_materials.STEEL_COLOUR, METAL_GLOSS),
-        "soil": (decode_srgb((0.55, 0.42, 0.30)), 0.0),
-        "leaf": (surface_materials.LEAF_COLOUR, 0.4),
-        "light": (surface_materials.LIGHT_COLOUR, LIGHT_GLOSS),
-    }[item.look]
-    return np.broadcast_to(plain, colour.shape), gloss
+    kind = KIND_BY_LOOK[item.look]
+    row = SURFACE_KINDS[kind]
+    gloss = LIGHT_GLOSS if kind == "light" else METAL_GLOSS if row.metalness else max(0.0, 1.0 - row.roughness - 0.1)
+    return np.broadcast_to(decode_srgb(row.colour), colour.shape), gloss
 
 
 def _find_ground_heights(points: Array, base_point: Array, up: Array, size: float, ground: StaticSetting) -> Array:

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureHits
+from antdsl.outputs.pictures.lamps import compute_lamp_light
 from antdsl.outputs.pictures.light import SUN_HALF_ANGLE_TANGENT, apply_tone_curve
 from antdsl.outputs.pictures.shading import PictureLighting, compute_moving_light, compute_static_light, compute_sun_visibility
 from antdsl.outputs.pictures.shading_rows import Floats, run_each, split_rows
-from antdsl.outputs.pictures.soft_shadows import compute_open_share, compute_sun_share
+from antdsl.outputs.pictures.soft_shadows import compute_open_share, compute_visible_share
 from antdsl.outputs.pictures.static_stage import StaticStage, SurfaceSamples, compute_pixel_offset
 from antdsl.outputs.pictures.trail_colours import FieldColours
 
@@ -47,7 +48,7 @@ def sample_centres(still: StaticStage, lighting: PictureLighting, dyes: FieldCol
         shadowed, around = cast.find_shadable_points(
             samples.point, lighting.sun, (SUN_HALF_ANGLE_TANGENT * cast.soft_edge_reach, reach)
         )
-        visible = compute_sun_share(
+        visible = compute_visible_share(
             still.grid,
             samples.sun_cosine,
             lighting.sun,
@@ -61,8 +62,12 @@ def sample_centres(still: StaticStage, lighting: PictureLighting, dyes: FieldCol
     albedo = dyes.colour_samples(samples)
     behind = np.empty_like(samples.direction)
 
+    lamp_light = _compute_lamp_light(still, lighting)
+
     def fill(own: slice) -> None:
-        behind[own] = apply_tone_curve(compute_static_light(lighting, samples, own, albedo[own], visible[own], opened[own]))
+        lamps = None if lamp_light is None else lamp_light[own]
+        lit = compute_static_light(lighting, samples, own, albedo[own], visible[own], opened[own], lamps)
+        behind[own] = apply_tone_curve(lit)
 
     run_each(fill, split_rows(len(samples)), threads)
     light = behind.copy()
@@ -85,6 +90,22 @@ def sample_centres(still: StaticStage, lighting: PictureLighting, dyes: FieldCol
         lit = compute_moving_light(lighting, part, place[own], direction[own], len(every) // 2, lighting.sun.direction)
         light[rows[own]] = apply_tone_curve(lit)
     return FirstPass(light, behind, opened, front, swept)
+
+
+def _compute_lamp_light(still: StaticStage, lighting: PictureLighting) -> Floats | None:
+    """Return the light (h · w, 3) of lamps at the pixels' surfaces, with soft shadows; None without lamps."""
+    if not lighting.lamps:
+        return None
+    samples, light = still.centre_samples, np.zeros_like(still.centre_samples.direction)
+    middle = lighting.actors.rays[len(lighting.actors.rays) // 2]
+    for lamp in lighting.lamps:
+        own = lamp.compute_light(samples.point, samples.normal)
+        facing = own.max(axis=1, initial=0) - np.float32(1e-4)
+        for rays in (lighting.ground, middle):
+            own *= compute_visible_share(still.grid, facing, lamp, [rays], 1.0, lighting.threads)[:, None]
+        light += own
+    light[~np.isfinite(samples.distance)] = 0
+    return light
 
 
 def find_moving_hits(
@@ -128,7 +149,7 @@ def refine_pixels(
     # Shutter times have a different order than positions in the pixel.
     order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
     for number, time_index in enumerate(order.tolist()):
-        one = _EdgeSample(still, lighting, compute_pixel_offset(number, count), time_index, spots[number])
+        one = _EdgeSample(still, lighting, compute_pixel_offset(number, count), time_index, spots[number], number, count)
         total[edges] += one.compute_light(dyes, first, still.sample_edges(number, count, lighting.threads))
         # Where the surface continues, the static light of the pixel's centre is used.
         total[others] += one.add_moving_light(
@@ -140,19 +161,28 @@ def refine_pixels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _EdgeSample:
-    """One sample of several pixels: its position in the pixel, its shutter time, and its point on the sun's disc."""
+    """One sample of several pixels, with its `number` of `count`: its position in the pixel, its shutter time, and its point on
+    the sun's disc."""
 
     stage: StaticStage
     lighting: PictureLighting
     position_in_pixel: tuple[float, float]
     time_index: int
     sun_point: Floats
+    number: int
+    count: int
 
     def compute_light(self, dyes: FieldColours, first: FirstPass, samples: SurfaceSamples) -> Floats:
         """Return display-linear light (n, 3) of samples of static surfaces, and of moving bodies in front of them."""
         visible = compute_sun_visibility(self.lighting, samples, self.time_index, self.sun_point)
+        shot, lamps = self.lighting, None
+        if shot.lamps:
+            occluders = (shot.ground, shot.actors.rays[self.time_index])
+            lamps = compute_lamp_light(
+                shot.lamps, samples.point, samples.normal, shot.ray_offset, occluders, self.number, self.count, shot.threads
+            )
         light = compute_static_light(
-            self.lighting, samples, slice(None), dyes.colour_samples(samples), visible, first.open_share[samples.pixel]
+            shot, samples, slice(None), dyes.colour_samples(samples), visible, first.open_share[samples.pixel], lamps
         )
         return self.add_moving_light(samples.pixel, samples.distance, apply_tone_curve(light))
 

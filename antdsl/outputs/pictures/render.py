@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.camera import CameraView, make_view
+from antdsl.outputs.pictures.lamps import find_lamps
 from antdsl.outputs.pictures.light import SunLight, encode_srgb, make_sun
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.moving_bodies import SceneActors, make_actors
@@ -25,7 +26,7 @@ from antdsl.outputs.pictures.trail_colours import FieldColours
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-DISPLAY_OPTIONS = ("trail", "flow", "feelers", "velocity", "paths", "ids")
+DISPLAY_OPTIONS = ("trail", "flow", "feelers", "velocity", "paths", "ids", "states")
 
 
 @dataclass(slots=True)
@@ -75,7 +76,7 @@ class Renderer:
         if wrong:
             raise ValueError(f"cannot show `{wrong[0]}`: there are {', '.join(DISPLAY_OPTIONS)}")
         up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
-        sun = make_sun(up)
+        sun = make_sun(up, picture.light)
         camera_view = make_view(camera, self.width, self.height, picture.up)
         still = self._get_setting(picture, up)
         scales = PictureScales(still.extent, _choose_grain(picture, still.extent))
@@ -83,7 +84,9 @@ class Renderer:
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
         cast = make_actors(bodied, camera_view, self.least, still, self.blur, self.enlarged)
         camera_cache.field_colours.set_trails(picture.trails if "trail" in options else ())
-        image = self._compute_image(camera_cache, cast, PictureLighting(cast, still.rays, sun, scales, camera_view, self.threads))
+        lamps = find_lamps(picture.items, picture.up, picture.light.lamps)
+        lighting = PictureLighting(cast, still.rays, sun, scales, camera_view, self.threads, lamps)
+        image = self._compute_image(camera_cache, cast, lighting)
         return draw_overlay(
             image,
             picture,
@@ -115,7 +118,7 @@ class Renderer:
         scales: PictureScales,
     ) -> _CameraCache:
         """Return the cached samples for a camera, or compute and cache them."""
-        key = (id(setting), camera, picture.up, scales)
+        key = (id(setting), camera, picture.up, picture.light, scales)
         if key not in self._cached_stages:
             new_stage = make_stage(setting, camera_view, sun, scales, self.threads)
             # The samples of two cameras stay cached, for films that alternate between them.

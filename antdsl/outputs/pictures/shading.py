@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from antdsl.casting.picture_rays import PictureHits, PictureRays
 from antdsl.outputs.pictures import surface_materials
 from antdsl.outputs.pictures.camera import CameraView
-from antdsl.outputs.pictures.light import LAMP_LIGHT, SUN_LIGHT, SunLight, apply_haze, compute_ambient_light, compute_sky_light
+from antdsl.outputs.pictures.lamps import Lamp, compute_lamp_light
+from antdsl.outputs.pictures.light import HEADLAMP_LIGHT, SunLight, apply_haze, compute_ambient_light, compute_sky_light
 from antdsl.outputs.pictures.moving_bodies import SceneActors
 from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, interpolate_vertices, normalise_rows
 from antdsl.outputs.pictures.static_stage import SurfaceSamples
@@ -23,7 +24,8 @@ _RAY_OFFSET_EXTENTS = 2e-5  # extents; distance of ray origins from a surface
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLighting:
-    """The inputs for the light of a frame. `actors`: the moving bodies; `ground`: the static surfaces."""
+    """The inputs for the light of a frame. `actors`: the moving bodies; `ground`: the static surfaces; `lamps`: items that emit
+    light."""
 
     actors: SceneActors
     ground: PictureRays
@@ -31,19 +33,34 @@ class PictureLighting:
     scales: PictureScales
     view: CameraView
     threads: int
+    lamps: tuple[Lamp, ...] = ()
+
+    @property
+    def ray_offset(self) -> float:
+        """Return the distance of ray origins from a surface, in world units."""
+        return _RAY_OFFSET_EXTENTS * self.scales.extent
 
 
 def compute_static_light(
-    lighting: PictureLighting, samples: SurfaceSamples, rows: slice, albedo: Floats, sun_share: Floats, open_share: Floats
+    lighting: PictureLighting,
+    samples: SurfaceSamples,
+    rows: slice,
+    albedo: Floats,
+    sun_share: Floats,
+    open_share: Floats,
+    lamp_light: Floats | None = None,
 ) -> Floats:
     """Return the light (n, 3) of the samples `rows` of static surfaces.
 
-    `sun_share` (n,): the share of the sun that reaches the samples; `open_share` (n,): the share of the sky."""
+    `sun_share` (n,): the share of the sun that reaches the samples; `open_share` (n,): the share of the sky. `lamp_light` (n, 3):
+    the light of lamps at the samples; None for no lamps."""
     sun, extent = lighting.sun, lighting.scales.extent
     far, direction = samples.distance[rows], samples.direction[rows]
     direct = samples.sun_cosine[rows] * sun_share
-    light = compute_ambient_light(samples.up_cosine[rows]) * open_share[:, None] + direct[:, None] * SUN_LIGHT
-    light += compute_lamp_light(samples.view_cosine[rows], direct, open_share)
+    light = compute_ambient_light(samples.up_cosine[rows], sun) * open_share[:, None] + direct[:, None] * sun.sunlight
+    light += compute_headlamp_light(samples.view_cosine[rows], direct, open_share)
+    if lamp_light is not None:
+        light += lamp_light
     light *= albedo
     light += samples.extra_light[rows] * (0.25 + 0.75 * open_share)[:, None]
     light = apply_haze(light, far, direction, sun, _HAZE_EXTENTS * extent)
@@ -57,12 +74,12 @@ def compute_static_light(
     return light
 
 
-def compute_lamp_light(facing: Floats, direct: Floats, open_share: Floats) -> Floats:
+def compute_headlamp_light(facing: Floats, direct: Floats, open_share: Floats) -> Floats:
     """Return the light (n, 3) of a lamp next to the camera, at points without light from the sun or the sky.
 
     It makes tunnels and chambers visible."""
     dark = np.clip(1.15 - 1.5 * open_share, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
-    return np.asarray(LAMP_LIGHT * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
+    return np.asarray(HEADLAMP_LIGHT * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 
 def compute_sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, sun_point: Floats) -> Floats:
@@ -114,13 +131,19 @@ def compute_moving_light(
     # Undersides mostly reflect the ground nearby, which the body shades.
     near = 0.42 + 0.58 * np.clip(0.55 + 0.75 * upness, 0, 1)
     metal = gloss > 1
-    light: Floats = colour * (facing[:, None] * SUN_LIGHT + compute_ambient_light(upness) * near[:, None])
+    arriving = facing[:, None] * sun.sunlight + compute_ambient_light(upness, sun) * near[:, None]
+    if lighting.lamps:
+        occluders = lighting.actors.rays[time_index], lighting.ground
+        arriving += compute_lamp_light(
+            lighting.lamps, where, normal, lighting.ray_offset, occluders, 0, 1, lighting.threads, hits.normal
+        )
+    light: Floats = colour * arriving
     coat = surface_materials.compute_reflected_share(normal, direction, 0.04) * gloss
     coat[metal] = surface_materials.compute_reflected_share(normal[metal], direction[metal], 0.8)
     tint = np.where(metal[:, None], surface_materials.STEEL_COLOUR, np.float32(1))
     light *= np.where(metal, np.float32(0.3), np.float32(1))[:, None]
     light += surface_materials.compute_reflection(normal, direction, sun) * (coat * near)[:, None] * tint
-    light += shine[:, None] * SUN_LIGHT
+    light += shine[:, None] * sun.sunlight
     light[gloss < 0] = surface_materials.LIGHT_COLOUR * surface_materials.LIGHT_BRIGHTNESS
     return apply_haze(light, hits.t, direction, sun, _HAZE_EXTENTS * lighting.scales.extent)
 

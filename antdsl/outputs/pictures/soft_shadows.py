@@ -5,16 +5,16 @@ Neighbouring pixels cast rays in different directions. Pixels of one surface sha
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures.camera import CameraView
-from antdsl.outputs.pictures.light import SunLight
 from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, run_each, split_rows
 
-_SUN_RAYS_PER_EDGE_PIXEL = 4  # rays to the sun per pixel at the edge of a shadow
+_RAYS_PER_EDGE_PIXEL = 4  # rays to the light per pixel at the edge of a shadow
 _PIXEL_ORDER = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])  # order in 4 × 4 pixels: neighbours differ most
 _SHADOW_EDGE_PIXELS = 2  # pixels around a shadow's edge; all sixteen directions occur among them
 _SAME_SURFACE_COSINE = 0.8  # cosine between normals; above it, two pixels are on one surface
@@ -63,20 +63,28 @@ def _make_half_view(view: CameraView) -> CameraView:
     return CameraView(view.eye, view.right_axis, view.up_axis, view.forward_axis, view.half_extent, wide, high, view.is_parallel)
 
 
-def compute_sun_share(
+class LightSource(Protocol):
+    """A light with an extent, so that its shadows have soft edges."""
+
+    def aim(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
+        """Return vectors (n, 3) from `points` towards points of the light, those with `numbers` (n,) of `count`."""
+        ...
+
+
+def compute_visible_share(
     grid: PixelGrid,
     facing: Floats,
-    sun: SunLight,
+    source: LightSource,
     occluders: Sequence[PictureRays],
     max_distance: float,
     threads: int,
     candidates: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Return the share (h · w,) of the sun that is visible from each pixel's surface; 1 for surfaces that face away from it.
+    """Return the share (h · w,) of a light that is visible from each pixel's surface; 1 for surfaces that face away from it.
 
-    `facing` (h · w,): cosine of the angle to the sun; surfaces face away where it is ≤ 0.
+    `facing` (h · w,): cosine of the angle to the light; surfaces face away where it is ≤ 0.
     `occluders`: ray scenes of the occluders at several times; pixels are distributed over them.
-    `max_distance`: the greatest distance of occluders.
+    `max_distance`: the greatest distance of occluders, in lengths of what `source.aim` returns.
     `candidates` (h · w,): the pixels that may be occluded; None for all."""
     high, wide = grid.view.height, grid.view.width
     lit = grid.hits_surface & (facing > 0)
@@ -85,25 +93,24 @@ def compute_sun_share(
     if not len(pixels):
         return share
     row, column = np.divmod(pixels, wide)
-    spots = sun.sample_disc(16)[_PIXEL_ORDER]
     hidden = np.zeros(high * wide, np.bool_)
     number = (row % 4) * 4 + column % 4
     for turn, cast in enumerate(occluders):
         own = slice(None) if len(occluders) == 1 else np.flatnonzero(_PIXEL_ORDER[number] % len(occluders) == turn)
-        hidden[pixels[own]] = _find_occluded(grid, pixels[own], spots[number[own]], cast, max_distance, threads)
+        aim = source.aim(grid.point[pixels[own]], _PIXEL_ORDER[number[own]], 16)
+        hidden[pixels[own]] = _find_occluded(grid, pixels[own], aim, cast, max_distance, threads)
     share[hidden] = 0
     mixed = pixels[_find_partly_hidden(hidden.reshape(high, wide)).reshape(-1)[pixels]]
     if not len(mixed):
         return share
     row, column = np.divmod(mixed, wide)
     block = (row % 2) * 2 + column % 2
-    spots = sun.sample_disc(4 * _SUN_RAYS_PER_EDGE_PIXEL)
+    total = 4 * _RAYS_PER_EDGE_PIXEL
     occlusion = np.zeros(len(mixed), np.float32)
-    for k in range(_SUN_RAYS_PER_EDGE_PIXEL):
-        occlusion += _find_occluded(
-            grid, mixed, spots[4 * k + (block + k) % 4], occluders[k % len(occluders)], max_distance, threads
-        )
-    share[mixed] = 1 - occlusion / _SUN_RAYS_PER_EDGE_PIXEL
+    for k in range(_RAYS_PER_EDGE_PIXEL):
+        aim = source.aim(grid.point[mixed], 4 * k + (block + k) % 4, total)
+        occlusion += _find_occluded(grid, mixed, aim, occluders[k % len(occluders)], max_distance, threads)
+    share[mixed] = 1 - occlusion / _RAYS_PER_EDGE_PIXEL
     share[mixed] = _filter_values(share.reshape(high, wide), mixed, grid, _NARROW_TAPS, facing > 0)
     return share
 

@@ -37,7 +37,7 @@ _TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same without a floor: things are
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettingPart:
-    """A mesh of one `kind` (an index in SURFACE_KINDS). `vertex_colours` (n, 4): its own colours, if it has any."""
+    """A mesh of one `kind` (an index in KIND_NAMES). `vertex_colours` (n, 4): its own colours, if it has any."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -86,7 +86,7 @@ def make_setting(solids: tuple[Solid, ...], up: Array) -> StaticSetting:
             painted[~np.isfinite(painted).all(axis=1)] = 0
         vertices = np.asarray(solid.vertices, np.float64)
         kind = "figure" if solid.kind == "ground" and not floor else solid.kind
-        parts.append(SettingPart(vertices, solid.faces, surface_materials.SURFACE_KINDS.index(kind), painted))
+        parts.append(SettingPart(vertices, solid.faces, surface_materials.KIND_NAMES.index(kind), painted))
         if floor:
             parts += _make_edge_walls(vertices, solid.faces, up, base)
     middle = (low + high) / 2

@@ -19,7 +19,7 @@ from antdsl.outputs.pictures.shading_rows import (
     run_each,
     split_rows,
 )
-from antdsl.outputs.pictures.soft_shadows import PixelGrid, compute_open_share, compute_sun_share
+from antdsl.outputs.pictures.soft_shadows import PixelGrid, compute_open_share, compute_visible_share
 from antdsl.outputs.pictures.static_setting import StaticSetting, add_pebbles
 from antdsl.outputs.pictures.surface_materials import PictureScales, make_surface_material
 
@@ -38,7 +38,7 @@ class SurfaceSamples:
     `point`, `normal`, `albedo` (n, 3): position, smooth normal and colour.
     `sun_cosine`: cosine of the angle between the sun and the normal; 0 in shadow.
     `up_cosine`, `view_cosine`: cosines of the normal with up, and with the direction back to the camera.
-    `kind`: index in SURFACE_KINDS.
+    `kind`: index in KIND_NAMES.
     `extra_light` (n, 3): emitted and reflected light."""
 
     pixel: NDArray[np.int64]
@@ -118,7 +118,7 @@ def make_stage(setting: StaticSetting, view: CameraView, sun: SunLight, scales: 
     solid = np.isfinite(middle.distance)
     edge = _find_edges(view, middle, solid)
     grid = PixelGrid(view, middle.point, middle.normal, solid, edge, 3e-5 * scales.extent)
-    middle.sun_cosine[:] *= compute_sun_share(grid, middle.sun_cosine, sun, [setting.rays], np.inf, threads)
+    middle.sun_cosine[:] *= compute_visible_share(grid, middle.sun_cosine, sun, [setting.rays], np.inf, threads)
     shade = compute_open_share(grid, setting.rays, _SHADE_REACH_PER_BODY * scales.grain, SHADE_RAYS_PER_PIXEL, threads)
     return StaticStage(setting, view, middle, grid, shade, np.flatnonzero(edge), sun, scales)
 

@@ -10,26 +10,18 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import SunLight, compute_environment_light, decode_srgb
 from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, normalise_rows
+from antdsl.scene.looks import SURFACE_KINDS
 
 # Rotated, so that no plane across an axis of the world follows the lattice.
 _PATTERN_ROTATION = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)
 _PATTERN_PERIOD = 32  # the pattern repeats after this many wavelengths
-SURFACE_KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light")
-(
-    GROUND_KIND,
-    STONE_KIND,
-    BOULDER_KIND,
-    HILL_KIND,
-    TABLE_KIND,
-    EDGE_KIND,
-    GRAIN_KIND,
-    FIGURE_KIND,
-    METAL_KIND,
-    LEAF_KIND,
-    LIGHT_KIND,
-) = range(len(SURFACE_KINDS))
+KIND_NAMES = tuple(SURFACE_KINDS)
+GROUND_KIND, HILL_KIND, TABLE_KIND, EDGE_KIND, GRAIN_KIND, FIGURE_KIND, METAL_KIND, LEAF_KIND, LIGHT_KIND, SAND_KIND = (
+    KIND_NAMES.index(name) for name in ("ground", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light", "sand")
+)
 # kinds of surfaces that can show a field's colour
-TRAIL_KINDS = (GROUND_KIND, BOULDER_KIND, HILL_KIND, FIGURE_KIND, METAL_KIND, LEAF_KIND)
+TRAIL_KINDS = tuple(number for number, row in enumerate(SURFACE_KINDS.values()) if row.shows_fields)
+_BUMPS = np.array([row.bumps for row in SURFACE_KINDS.values()], np.float32)
 
 SOIL_COLOUR = decode_srgb((0.68, 0.60, 0.48))
 _DRY_SOIL_COLOUR = decode_srgb((0.755, 0.70, 0.59))
@@ -49,8 +41,13 @@ STEEL_COLOUR, LEAF_COLOUR, LIGHT_COLOUR = (
     decode_srgb((1.0, 0.93, 0.78)),
 )
 _LEAF_VEIN_COLOUR = decode_srgb((0.52, 0.64, 0.30))
+_WOOD_COLOUR, _LATE_WOOD_COLOUR = decode_srgb((0.70, 0.52, 0.33)), decode_srgb((0.47, 0.30, 0.17))
+_BARK_COLOUR, _FURROW_COLOUR = decode_srgb((0.47, 0.38, 0.30)), decode_srgb((0.19, 0.14, 0.11))
+_SAND_COLOUR = decode_srgb((0.80, 0.71, 0.54))
+_GRASS_COLOUR, _DRY_GRASS_COLOUR = decode_srgb((0.29, 0.42, 0.14)), decode_srgb((0.55, 0.54, 0.26))
+_CRUMB_COLOUR, _CRUST_COLOUR = decode_srgb((0.86, 0.70, 0.44)), decode_srgb((0.56, 0.33, 0.16))
 _QUARTZ_COLOUR, _BASALT_COLOUR = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
-_GRAINY_KINDS = (GROUND_KIND, HILL_KIND, EDGE_KIND)  # kinds of surfaces made of grains
+_GRAINY_KINDS = (GROUND_KIND, HILL_KIND, EDGE_KIND, SAND_KIND)  # kinds of surfaces made of grains
 LIGHT_BRIGHTNESS = 2.6  # brightness of a light source; several times that of a white surface in the sun
 
 
@@ -81,7 +78,7 @@ def make_surface_material(
 ) -> SurfaceMaterial:
     """Return the material of n samples.
 
-    `kind` (n,): index in SURFACE_KINDS.
+    `kind` (n,): index in KIND_NAMES.
     `points`, `normal` (n, 3): positions and smooth normals.
     `pixel_width` (n,): width of a pixel at the sample, in world units.
     `vertex_colours` (n, 4): the mesh's own colour, and its weight (0 or 1)."""
@@ -108,7 +105,7 @@ def _add_grain(
     albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
 ) -> SurfaceMaterial:
     """Add bumps and specks to a surface. Each size is added only where pixels are small enough to show it."""
-    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.8, 0.45, 0.05, 0.25, 0.0], np.float32)[kind]
+    rough = _BUMPS[kind]
     for wavelength, height, speck, seed in (
         (2.4, 0.30, 0.10, 5),
         (0.6, 0.34, 0.14, 6),
@@ -220,19 +217,59 @@ def _colour_light(points: Floats, upness: Floats, large: Floats, patch: Floats, 
     return np.broadcast_to(LIGHT_COLOUR, points.shape)
 
 
-_COLOUR_FUNCTIONS = (
-    _colour_ground,
-    _colour_stone,
-    _colour_boulder,
-    _colour_hill,
-    _colour_table,
-    _colour_edge,
-    _colour_grain,
-    _colour_figure,
-    _colour_metal,
-    _colour_leaf,
-    _colour_light,
-)
+def _colour_wood(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    """Return the colour of planed wood: annual rings around a long axis, wavy by noise."""
+    axis = _PATTERN_ROTATION[0]
+    across = points - (points @ axis)[:, None] * axis
+    rings = np.linalg.norm(across, axis=1) / np.float32(scales.grain * 0.35) + 1.4 * large + 0.5 * patch
+    share = (rings % 1.0) ** 2
+    fine, _ = compute_value_noise(points, scales.grain * 0.25, 13)
+    return _mix_colours(_WOOD_COLOUR * (1 + 0.10 * patch + 0.06 * fine)[:, None], _LATE_WOOD_COLOUR, 0.75 * share)
+
+
+def _colour_bark(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    """Return the colour of bark: dark furrows between plates, with lichen in patches."""
+    ridge, _ = compute_value_noise(points * (1 - 0.75 * up), scales.grain * 1.1, 14)
+    fine, _ = compute_value_noise(points * (1 - 0.6 * up), scales.grain * 0.35, 15)
+    plate = _mix_colours(_FURROW_COLOUR, _BARK_COLOUR, 1.3 * np.sqrt(np.abs(ridge + 0.3 * fine)))
+    return _mix_colours(plate * (1 + 0.15 * large)[:, None], _LICHEN_COLOUR, (patch + 0.4 * large - 0.5) * 0.9)
+
+
+def _colour_sand(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return _SAND_COLOUR * (1 + 0.08 * patch + 0.07 * large)[:, None]
+
+
+def _colour_grass(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    blades, _ = compute_value_noise(points * (1 - 0.8 * up), scales.grain * 0.3, 16)
+    green = _mix_colours(_GRASS_COLOUR, _DRY_GRASS_COLOUR, 0.45 + 0.6 * patch + 0.5 * large)
+    bare = _mix_colours(green * (1 + 0.35 * blades)[:, None], SOIL_COLOUR, 1.5 * (0.7 * patch - large - 0.6))
+    return _mix_colours(bare, _ROCK_COLOUR, (0.7 - upness) * 3.0)
+
+
+def _colour_food(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    pores, _ = compute_value_noise(points, scales.grain * 0.4, 17)
+    return _mix_colours(_CRUMB_COLOUR * (1 + 0.10 * patch)[:, None], _CRUST_COLOUR, 0.5 * large + 0.6 * np.clip(pores, 0, 1))
+
+
+_COLOUR_FUNCTION_BY_KIND = {
+    "ground": _colour_ground,
+    "stone": _colour_stone,
+    "boulder": _colour_boulder,
+    "hill": _colour_hill,
+    "table": _colour_table,
+    "edge": _colour_edge,
+    "grain": _colour_grain,
+    "figure": _colour_figure,
+    "metal": _colour_metal,
+    "leaf": _colour_leaf,
+    "light": _colour_light,
+    "wood": _colour_wood,
+    "bark": _colour_bark,
+    "sand": _colour_sand,
+    "grass": _colour_grass,
+    "food": _colour_food,
+}
+_COLOUR_FUNCTIONS = tuple(_COLOUR_FUNCTION_BY_KIND[name] for name in KIND_NAMES)
 
 
 def compute_glow(kind: NDArray[np.uint8], look: SurfaceMaterial, direction: Floats, sun: SunLight) -> Floats:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,18 @@ _DEFAULT_COLOUR = (0.35, 0.35, 0.35)  # for surfaces without a colour
 
 
 class MaterialBinder:
-    """The materials below one prim. Each is created at its first use."""
+    """The materials below one prim. Each is created at its first use.
 
-    def __init__(self, stage: Any, path: str, colours: Mapping[str, tuple[float, float, float]]) -> None:
-        self._stage, self._path, self._colour_by_material = stage, path, colours
+    `colours`: linear colours by name. `finishes`: roughness and metalness by name, where they differ from those of bodies."""
+
+    def __init__(
+        self,
+        stage: Any,
+        path: str,
+        colours: Mapping[str, tuple[float, float, float]],
+        finishes: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    ) -> None:
+        self._stage, self._path, self._colour_by_material, self._finishes = stage, path, colours, finishes
         for scope in (path.rpartition("/")[0], path):
             import_pxr_module("UsdGeom").Scope.Define(stage, scope)
         self._materials: dict[str, Any] = {}
@@ -39,7 +48,8 @@ class MaterialBinder:
         known = name if own else STATE_MATERIAL
         if known not in self._materials:
             colour = self._colour_by_material[name] if own else None
-            self._materials[known] = _make_material(self._stage, f"{self._path}/{to_identifier(known)}", colour)
+            finish = self._finishes.get(known, (_MATERIAL_ROUGHNESS, 0.0))
+            self._materials[known] = _make_material(self._stage, f"{self._path}/{to_identifier(known)}", colour, *finish)
         import_pxr_module("UsdShade").MaterialBindingAPI.Apply(prim).Bind(self._materials[known])
         return not own
 
@@ -59,13 +69,14 @@ class MaterialBinder:
         return tinted
 
 
-def _make_material(stage: Any, path: str, colour: tuple[float, float, float] | None) -> Any:
+def _make_material(stage: Any, path: str, colour: tuple[float, float, float] | None, roughness: float, metalness: float) -> Any:
     """Return a material of one colour (linear). If `colour` is None, it takes the colour of the primvar displayColor."""
     shade, types, gf = import_pxr_module("UsdShade"), import_pxr_module("Sdf").ValueTypeNames, import_pxr_module("Gf")
     material = shade.Material.Define(stage, path)
     surface = shade.Shader.Define(stage, f"{path}/surface")
     surface.CreateIdAttr("UsdPreviewSurface")
-    surface.CreateInput("roughness", types.Float).Set(_MATERIAL_ROUGHNESS)
+    surface.CreateInput("roughness", types.Float).Set(roughness)
+    surface.CreateInput("metallic", types.Float).Set(metalness)
     diffuse = surface.CreateInput("diffuseColor", types.Color3f)
     if colour is not None:
         diffuse.Set(gf.Vec3f(*colour))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.definition import Clip
 from antdsl.bodies.agents.machine_clips import PlayedClip
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
@@ -51,7 +51,7 @@ class PrototypeBank:
         self.paths: list[str] = []
         self.max_reach = 0.0
         states = species.machines[0].states if species.machines else ()
-        self._colours = decode_srgb(np.array([state.colour for state in states] or [(0.35, 0.35, 0.35)]))
+        self._colours = decode_srgb(np.array([state.colour for state in states])) if out.shows_states and states else None
         self._states = [to_identifier(state.name) for state in states]
 
     def find_prototypes(self, agents: SpeciesSample) -> NDArray[np.int32]:
@@ -110,8 +110,10 @@ class PrototypeBank:
             self._prototype_by_key[key] = len(self.paths)
             named = self._states[state] if 0 <= state < len(self._states) else "none"
             path = f"{ROOT_PATH}/{self._name}/prototypes/p{len(self.paths):04d}_{named}"
-            colour = self._colours[state if 0 <= state < len(self._colours) else 0]
-            add_coloured_mesh(self._stage, path, self._find_or_write_pose(body, *played)).Set(to_vector_array(colour[None]))
+            colour = self._bodies[body][0].compute_natural_colours(NO_DRIVEN_POSE, 1)
+            if self._colours is not None:
+                colour = self._colours[[state if 0 <= state < len(self._colours) else 0]]
+            add_coloured_mesh(self._stage, path, self._find_or_write_pose(body, *played)).Set(to_vector_array(colour))
             self.paths.append(path)
         return self._prototype_by_key[key]
 

@@ -120,7 +120,7 @@ def _export_stage(
             stage = import_pxr_module("Usd").Stage.CreateNew(str(part))
         except import_pxr_module("Tf").ErrorException as problem:
             raise OSError(None, "cannot be written", str(path)) from problem
-        out = StageOutput(stage)
+        out = StageOutput(stage, gallery.shows_states)
         with ValueFiles(out, path, frames, options.chunk) as files:
             _write_metadata(stage, gallery, frames)
             crowds = [choose_writer(number)(out, species, number) for number, species in enumerate(gallery.manifest.species)]

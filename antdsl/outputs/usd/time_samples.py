@@ -148,12 +148,16 @@ def _read_agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int
         np.nan_to_num(np.asarray(arrays[key], np.float64)[rows]) if key in arrays else np.zeros((len(rows), 3))
         for key in ("v", "v_ground")
     )
-    colour = np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35)
     state = np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None
     numbers = {key: values[rows] for key, values in iterate_other_numbers(arrays, "usd")}
     if "v" in arrays:
         numbers["speed"] = np.linalg.norm(own, axis=1)
-    parts = tuple(_find_part_rows(crowd, ids) for crowd in picture.crowds if crowd.species == name)
+    parts, colour = (
+        tuple(_find_part_rows(crowd, ids) for crowd in picture.crowds if crowd.species == name),
+        np.zeros((len(rows), 3)),
+    )
+    for crowd, part_rows in parts:
+        colour[part_rows] = crowd.colour
     if any(crowd.feet is not None for crowd, _ in parts):
         phase = np.zeros(len(rows), np.float32)
         for crowd, part_rows in parts:

@@ -83,15 +83,17 @@ class ValueSamples:
 class StageOutput:
     """The written stage, and the layer that receives values over time.
 
+    `shows_states`: agents have the colours of their states, not natural ones.
     `clip`: the layer that receives values; None for the stage itself.
     `manifest_layer`: a layer that lists all attributes with values in clips."""
 
-    def __init__(self, stage: Any) -> None:
+    def __init__(self, stage: Any, shows_states: bool = False) -> None:
         self.stage: Any = stage
+        self.shows_states = shows_states
         self.clip: Any = None
         self.manifest_layer: Any = None
         self.file_number = 0
-        self._used_names = {"items", "fields", "camera", "looks", "world"}
+        self._used_names = {"items", "fields", "camera", "lights", "looks", "world"}
         self._name_by_thing: dict[tuple[str, str], str] = {}
 
     def name(self, kind: str, name: str) -> str:

@@ -13,6 +13,7 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
 from antdsl.outputs.scene_cameras import SceneCameras, find_camera_axes
+from antdsl.outputs.usd.lights import LightWriter
 from antdsl.outputs.usd.materials import MaterialBinder
 from antdsl.outputs.usd.values import (
     MATERIALS_PATH,
@@ -28,13 +29,11 @@ from antdsl.outputs.usd.values import (
     to_vector_array,
 )
 from antdsl.scene.geometry.usd import import_pxr_module
+from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS
 from antdsl.scene.scene_model import UNIT_MM
 
 _APERTURE_MM = 36.0  # mm
 _CREASE_COSINE = np.cos(np.radians(40.0))  # edges that are sharper stay sharp
-_COLOUR_BY_KIND = {
-    "ground": (0.27, 0.19, 0.12), "stone": (0.30, 0.29, 0.27), "boulder": (0.33, 0.31, 0.28), "hill": (0.32, 0.20, 0.11),
-}  # fmt: skip
 
 
 class WorldWriter:
@@ -42,12 +41,13 @@ class WorldWriter:
 
     def __init__(self, out: StageOutput, gallery: Gallery, frames: list[int]) -> None:
         self._out, self._gallery, self._first_frame = out, gallery, frames[0]
-        self._materials = MaterialBinder(out.stage, f"{MATERIALS_PATH}/world", _COLOUR_BY_KIND)
+        self._materials = MaterialBinder(out.stage, f"{MATERIALS_PATH}/world", *_list_surfaces())
         self._meshes: dict[str, _MeshWriter] = {}
         self._items: dict[int, tuple[ValueSamples, ValueSamples]] = {}
         self._item_names: set[str] = set()
         self._fields: dict[str, _FieldWriter] = {}
         cameras = SceneCameras(gallery)
+        self._lights = LightWriter(out, gallery)
         written_names = {
             name: written if written == "camera" else out.name("camera", written)
             for name, written in cameras.list_exported(frames[0]).items()
@@ -74,6 +74,7 @@ class WorldWriter:
             self._fields[trail.name].frame(frame, trail)
         for removed_name in self._fields.keys() - {trail.name for trail in picture.trails}:
             self._fields[removed_name].write_empty_frame(frame)
+        self._lights.frame(frame, picture)
         for camera in self._cameras:
             camera.frame(frame)
 
@@ -97,10 +98,16 @@ class WorldWriter:
             ops = (shape.AddTranslateOp(), shape.AddScaleOp(geom.XformOp.PrecisionDouble))
             self._items[number] = (self._out.add_samples(ops[0], _to_usd_vector), self._out.add_samples(ops[1], _to_usd_vector))
             shape.CreateDisplayColorPrimvar("vertex").Set(to_vector_array(decode_srgb(colour)))
-            self._materials.bind_material(shape.GetPrim(), "")
+            self._materials.bind_material(shape.GetPrim(), "" if item.look is None else KIND_BY_LOOK[item.look])
         move, scale = self._items[number]
         move.set(frame, item.position)
         scale.set(frame, np.full(3, item.radius * max(min(item.remaining_share, 1.0), 1e-9) ** (1 / 3)))
+
+
+def _list_surfaces() -> tuple[dict[str, tuple[float, float, float]], dict[str, tuple[float, float]]]:
+    """Return the linear colours of the kinds of surfaces, and their roughness and metalness."""
+    colours = {kind: tuple(decode_srgb(row.colour).tolist()) for kind, row in SURFACE_KINDS.items()}
+    return colours, {kind: (row.roughness, row.metalness) for kind, row in SURFACE_KINDS.items()}
 
 
 class _CameraWriter:

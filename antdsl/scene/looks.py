@@ -1,0 +1,53 @@
+"""Surfaces as they look: the words of `look` in scenes, and the materials of pictures, USD and glTF. One row for each kind."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class SurfaceKind(NamedTuple):
+    """A kind of surface.
+
+    `colour`: the mean colour, sRGB display values 0..1, for files without the pattern of pictures.
+    `roughness`, `metalness`: 0..1, as in glTF 2.0.
+    `bumps`: the height of its grain, relative to that of soil.
+    `shows_fields`: whether the colour of a pheromone may lie on it.
+    `look`: the word that selects it; None if only pictures select it.
+    `words`: parts of the names of meshes that have this look by themselves."""
+
+    colour: tuple[float, float, float]
+    roughness: float
+    metalness: float = 0.0
+    bumps: float = 0.0
+    shows_fields: bool = True
+    look: str | None = None
+    words: tuple[str, ...] = ()
+
+
+SURFACE_KINDS: dict[str, SurfaceKind] = {
+    "ground": SurfaceKind((0.70, 0.65, 0.53), 0.95, bumps=1.0),
+    "stone": SurfaceKind((0.57, 0.56, 0.55), 0.9, bumps=0.8, shows_fields=False, look="stone", words=("stone",)),
+    "boulder": SurfaceKind((0.60, 0.575, 0.545), 0.9, bumps=0.9, words=("boulder", "rock")),
+    "hill": SurfaceKind((0.55, 0.42, 0.30), 0.95, bumps=1.2, look="soil", words=("hill",)),
+    "table": SurfaceKind((0.80, 0.80, 0.79), 0.6, shows_fields=False),
+    "edge": SurfaceKind((0.42, 0.33, 0.25), 0.95, bumps=0.9, shows_fields=False),
+    "grain": SurfaceKind((0.64, 0.58, 0.49), 0.9, bumps=0.8, shows_fields=False),
+    "figure": SurfaceKind((0.80, 0.73, 0.64), 0.8, bumps=0.45),
+    "metal": SurfaceKind((0.70, 0.71, 0.73), 0.25, 1.0, bumps=0.05, look="metal"),
+    "leaf": SurfaceKind((0.35, 0.51, 0.19), 0.5, bumps=0.25, look="leaf", words=("leaf",)),
+    "light": SurfaceKind((1.0, 0.93, 0.78), 1.0, shows_fields=False, look="light"),
+    "wood": SurfaceKind((0.65, 0.48, 0.30), 0.6, bumps=0.15, look="wood", words=("plank", "wood")),
+    "bark": SurfaceKind((0.40, 0.31, 0.24), 0.95, bumps=1.2, look="bark", words=("bark", "trunk", "twig", "branch")),
+    "sand": SurfaceKind((0.80, 0.71, 0.54), 0.95, bumps=0.7, look="sand", words=("sand", "dune")),
+    "grass": SurfaceKind((0.44, 0.48, 0.22), 0.8, bumps=1.0, look="grass", words=("grass", "meadow", "lawn")),
+    "food": SurfaceKind((0.83, 0.66, 0.41), 0.7, bumps=0.5, look="food"),
+}
+INVISIBLE_LOOK = "none"
+KIND_BY_LOOK = {row.look: name for name, row in SURFACE_KINDS.items() if row.look is not None}
+LOOKS = (*KIND_BY_LOOK, INVISIBLE_LOOK)
+
+
+def find_kind_by_name(mesh: str) -> str | None:
+    """Return the kind of surface that the name of a mesh says; None for other names. Words are looked for in table order."""
+    name = mesh.lower()
+    return next((kind for kind, row in SURFACE_KINDS.items() if any(word in name for word in row.words)), None)
