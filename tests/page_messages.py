@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from antdsl.preview.binary_packets import pack_arrays
+from antdsl.preview.directing.verb_forms import list_note_forms
+from antdsl.preview.viewing.directing_messages import make_key_entry
 
 TEXT = """ant 1
 # 🐜 a comment with a letter of two units
@@ -101,3 +103,28 @@ def frame(states: list[int], number: int = 20) -> bytes:
 def curves(frames: list[int], walk: list[float], **other: Any) -> dict[str, Any]:
     values = {"ant": [3.0] * len(walk), "ant.main.walk": walk, "spec: all is well": [1.0] * len(walk)}
     return {"op": "curves", "reset": False, "frames": frames, "values": values, "branches": None, **other}
+
+
+def verbs(line: str = "guards", item: str = "leaf") -> dict[str, Any]:
+    """The verbs of notes, for a crowd of the agents 10 to 14 in a line."""
+    names = {"part": ["head"], "target": [item, line], "clip": ["walk"], "state": ["rest"]}
+    forms = [
+        {"verb": form.verb, "help": form.help, "keys": [make_key_entry(key, names) for key in form.keys]}
+        for form in list_note_forms()
+    ]
+    lines = [{"name": line, "species": "ant", "ranges": [[0, 5]]}]
+    return {"op": "verbs", "notes": forms, "lines": lines, "origin": [0, 0, 0]}
+
+
+def notes(*lines: str, problem: str = "") -> dict[str, Any]:
+    """The notes of a run. The last one is off if there is a problem."""
+    listed = [{"key": k, "line": line, "on": not problem or k < len(lines) - 1, "problem": ""} for k, line in enumerate(lines)]
+    if problem:
+        listed[-1]["problem"] = problem
+    return {"op": "notes", "notes": listed, "file": "walk.yaml"}
+
+
+def directed(line: str, *problems: tuple[str, str], applied: bool = False) -> dict[str, Any]:
+    """The answer to a draft. `problems`: keys with messages."""
+    found = [{"key": key, "severity": "error", "message": message, "help": ""} for key, message in problems]
+    return {"op": "directed", "line": line, "ok": not problems, "applied": applied, "problems": found}

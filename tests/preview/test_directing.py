@@ -157,6 +157,7 @@ def test_an_applied_note_is_in_the_world_at_once_and_its_line_does_the_same_in_a
     page.until(lambda: (m := page.last("status")) and (m["frame"], m["hash"]) == (LAST, held))
     assert page.last("outcome")["text"] == answer["line"] and listed(page) == [(answer["line"], True)]
     assert np.abs(track.of("velocity", 7)[-1]).max() == 0 and np.abs(plain.of("velocity", 7)[-1]).max() > 1
+    assert directed(page, "hold", "guards.7", apply=True, frames="30..50")["op"] == "refused"  # it is there already
     for action, expected in (("off", plain.hashes[-1]), ("on", held), ("remove", plain.hashes[-1])):
         page.ask("note", key=0, action=action)
         page.until(lambda expected=expected: (m := page.last("status")) and (m["frame"], m["hash"]) == (LAST, expected))

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from browsing import chromium
 from directed import follow, open_directed
+from page_messages import directed, frame, notes, scene, status, texts, verbs
+from page_stage import stage
 from preview_page import opened, previewed
 
 if TYPE_CHECKING:
@@ -80,6 +82,38 @@ def test_a_selected_agent_is_held_and_the_copied_lines_work_in_a_scene(browser: 
     frames = np.array(track.frames)
     assert np.abs(track.of("velocity", number)[frames >= FRAME]).max() == 0
     assert np.allclose(track.of("position", number)[frames == FRAME][0], place, atol=1e-3)
+
+
+def test_what_is_written_is_checked_applied_and_listed(browser: Browser) -> None:
+    with stage(browser) as page:
+        page.tell(scene(), texts(), status(), verbs(), notes(), frame([0, 1, 0]))
+        page.find("side-tab-direct").click()
+        page.find("direct-agents").fill("guards")
+        page.find("direct-verb").select_option("attract")
+        page.find("direct-key-to").fill("leaf")
+        page.page.wait_for_timeout(400)
+        values = {"to": "leaf", "frames": "20..240"}
+        draft = {"op": "direct", "verb": "attract", "agents": "guards", "values": values, "apply": False}
+        assert page.requests_of("direct")[-1] == draft
+        page.tell(directed("{attract: guards, to: leaf}", ("to", "no leaf"), ("", "not this one")))
+        assert page.find("direct-wrong-to").inner_text() == "no leaf" and page.find("direct-wrong").inner_text() == "not this one"
+        assert page.find("direct-apply").is_disabled() and page.find("direct-copy").is_disabled()
+        page.tell(directed("{attract: guards, to: leaf}"))
+        assert page.find("direct-wrong-to").is_hidden() and page.find("direct-line").inner_text() == "{attract: guards, to: leaf}"
+        page.find("direct-apply").click()
+        assert {**draft, "apply": True} in page.requests_of("direct"), page.requests_of("direct")
+        page.tell(status(21))  # frames follow the current one until one writes them
+        assert page.find("direct-key-frames").input_value() == "21..240"
+        page.find("direct-key-frames").fill("5..9")
+        page.tell(status(22), notes("{hold: guards}", "{look: guards}", problem="no `leaf`"))
+        assert page.find("direct-key-frames").input_value() == "5..9"
+        assert page.find("panel-direct").get_by_text("switched off: no `leaf`").is_visible()
+        page.find("notes-copy").click()
+        page.find("notes-copy").get_by_text("Copied").wait_for()
+        assert page.page.evaluate("navigator.clipboard.readText()") == "notes:\n  - {hold: guards}\n"
+        page.find("note-on").first.uncheck()
+        page.find("note-remove").last.click()
+        assert [(each["key"], each["action"]) for each in page.requests_of("note")] == [(0, "off"), (1, "remove")]
 
 
 CLICKED = "[document.querySelector('#view').clientWidth / 2, document.querySelector('#view').clientHeight * 0.6]"

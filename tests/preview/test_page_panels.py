@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from browsing import chromium
-from page_messages import TEXT, curves, frame, problems, scene, status, texts
+from page_messages import TEXT, curves, directed, frame, notes, problems, scene, status, texts, verbs
 from page_stage import Stage, stage
 from sampling import sampled
 
@@ -349,8 +349,11 @@ def test_names_are_text_whatever_they_are(browser: Browser) -> None:
             frame([0, 1]),
             curves([1], [1.0]),
             outcome(line=evil, text=evil),
+            verbs(evil, evil),
+            notes(evil, problem=evil),
+            directed(evil, ("agents", evil), ("", evil)),
         )
-        for tab in ("why", "sliders", "view", "machine", "profile", "breaks"):
+        for tab in ("why", "direct", "sliders", "view", "machine", "profile", "breaks"):
             page.find(f"side-tab-{tab}").click()
         assert page.find("scene").inner_text() == evil
         assert evil in page.find("break-state").inner_text()
@@ -361,7 +364,7 @@ def test_names_are_text_whatever_they_are(browser: Browser) -> None:
 def test_tabs_go_by_keys(page: Stage) -> None:
     page.find("side-tab-why").focus()
     page.page.keyboard.press("ArrowRight")
-    assert page.find("panel-sliders").is_visible() and page.find("panel-why").is_hidden()
+    assert page.find("panel-direct").is_visible() and page.find("panel-why").is_hidden()
     page.page.keyboard.press("End")
     assert page.find("panel-breaks").is_visible()
     assert page.page.locator('#side [role="tab"][tabindex="0"]').count() == 1
@@ -369,8 +372,8 @@ def test_tabs_go_by_keys(page: Stage) -> None:
 
 
 def test_everything_that_can_be_pressed_has_a_name(page: Stage) -> None:
-    page.tell(frame([0, 1]), curves([1, 2], [1.0, 1.0]), problems())
-    for tab in ("why", "sliders", "view", "machine", "profile", "breaks"):
+    page.tell(frame([0, 1]), curves([1, 2], [1.0, 1.0]), problems(), verbs(), notes("{hold: guards}"))
+    for tab in ("why", "direct", "sliders", "view", "machine", "profile", "breaks"):
         page.find(f"side-tab-{tab}").click()
         nameless = page.page.evaluate(NAMELESS)
         assert nameless == []

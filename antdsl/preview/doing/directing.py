@@ -26,6 +26,8 @@ def draft_note(live: Live, request: requests.DraftNote, client: Client) -> None:
     notes = live.session.notes
     draft = make_draft(live.session.shot, form, request.agents, request.values)
     findings, is_applied = [*draft.report.diagnostics], False
+    if request.apply and any(note.text == draft.text for note in notes):
+        raise RequestRefused("the run has this note already", "change a value, or switch the note on in the list")
     if request.apply and draft.note is not None:
         if len(notes) >= limits.MAX_PREVIEW_NOTES:
             raise RequestRefused(f"{len(notes)} notes are the most that a preview holds", "write them into the scene")

@@ -30,7 +30,7 @@ def make_verbs_message(live: Live) -> dict[str, Any]:
         if line.name is not None
     ]
     verbs = [
-        {"verb": form.verb, "help": form.help, "keys": [_make_key_entry(key, names) for key in form.keys]}
+        {"verb": form.verb, "help": form.help, "keys": [make_key_entry(key, names) for key in form.keys]}
         for form in list_note_forms()
     ]
     return {"op": "verbs", "notes": verbs, "lines": lines, "origin": [float(x) for x in world.origin]}
@@ -42,7 +42,8 @@ def make_notes_message(live: Live) -> dict[str, Any]:
     return {"op": "notes", "notes": notes, "file": live.screen.names.get_short_name(live.compiler.scene)}
 
 
-def _make_key_entry(key: VerbKey, names: Names) -> dict[str, Any]:
+def make_key_entry(key: VerbKey, names: Names) -> dict[str, Any]:
+    """Return a key for a page. `names`: as from `_list_names`."""
     return {
         "name": key.name, "kind": key.kind.name, "unit": key.kind.unit, "required": key.is_required, "default": key.default,
         "help": key.help, "example": _make_example(key, names), "narrows": key.narrows,

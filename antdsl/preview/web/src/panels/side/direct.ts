@@ -30,6 +30,7 @@ class NoteForm {
   private readonly names = el("datalist", { id: "direct-agents" });
   private readonly verbs = el("select", { test: "direct-verb" });
   private readonly about = el("p", { class: "help" });
+  private readonly help = el("p", { class: "help of-key" }); // of one key, where no change of the focus moves other elements
   private readonly wrong = problem("direct-wrong-agents");
   private readonly whole = problem("direct-wrong");
   private readonly places = el("div", { test: "direct-fields" });
@@ -58,6 +59,7 @@ class NoteForm {
       el(
         "div",
         { class: "finish" },
+        this.help,
         this.whole,
         el("p", { class: "line" }, this.line),
         el("div", { class: "row" }, this.apply, this.copy),
@@ -116,7 +118,15 @@ class NoteForm {
     const { verb } = this;
     this.store.set("picking", null);
     setText(this.about, verb?.help ?? "");
-    this.fields = verb ? makeFields(this.store, verb, () => this.renew()) : null;
+    setText(this.help, "");
+    this.fields = verb
+      ? makeFields(
+          this.store,
+          verb,
+          () => this.renew(),
+          (help) => setText(this.help, help),
+        )
+      : null;
     this.places.replaceChildren(...(this.fields?.elements ?? []));
     this.show(null);
     this.renew();

@@ -23,8 +23,10 @@ interface Field {
   showPicking: (() => void) | undefined;
 }
 
-export function makeFields(store: Store, verb: Verb, changed: () => void): Fields {
+/** Return the fields of a verb. `explain` gets the help of the field that gets the focus. */
+export function makeFields(store: Store, verb: Verb, changed: () => void, explain: (help: string) => void): Fields {
   const all = verb.keys.map((key) => makeField(store, verb, key, changed));
+  for (const each of all) each.element.addEventListener("focusin", () => explain(each.key.help));
   const narrowing = all.filter((each) => each.key.narrows);
   const elements = all.filter((each) => !each.key.narrows).map((each) => each.element);
   if (narrowing.length)
@@ -89,8 +91,7 @@ function makeField(store: Store, verb: Verb, key: VerbKey, changed: () => void):
   const names = key.choices.length ? el("datalist", { id: list }, ...key.choices.map((value) => el("option", { value }))) : null;
   const pick = makePick(store, key, input, changed);
   const row = el("div", { class: "control" }, labelled(key.name, input), pick?.button);
-  const help = el("p", { class: "help of-key", text: key.help });
-  return { key, input, wrong, showPicking: pick?.show, element: el("div", { class: "field" }, row, names, help, wrong) };
+  return { key, input, wrong, showPicking: pick?.show, element: el("div", { class: "field" }, row, names, wrong) };
 }
 
 interface Pick {
