@@ -56,10 +56,10 @@ def test_crowds_of_other_sizes_share_the_pebbles_of_one_size() -> None:
 
 
 @pytest.mark.parametrize("grain", [2.0, 4.0, 5.6])
-def test_no_pebble_is_higher_than_a_fiftieth_of_a_body(grain: float) -> None:
+def test_no_pebble_is_higher_than_a_hundredth_of_a_body(grain: float) -> None:
     results = pebbles(camera(0.0, 0.0, -8.0), grain, meshes.grid(400.0, 100))
     heights = np.array([group[:, 1].max() for group in results.values()])
-    assert len(results) > 100 and heights.min() > 0 and heights.max() <= 0.02 * grain
+    assert len(results) > 100 and heights.min() > 0 and heights.max() <= 0.01 * grain
 
 
 def test_far_cameras_see_none() -> None:

@@ -26,7 +26,7 @@ _PEBBLE_CLASSES = 3  # size classes in a picture; in each, radii are between a p
 _MAX_PEBBLE_RADIUS = 0.066  # radius in body lengths
 _PEBBLES_PER_SQUARE_RADIUS = 0.009  # mean number of pebbles of a class on an area of one squared radius
 _PEBBLE_RANGE_PER_RADIUS = 500  # distance from the camera up to which a pebble is drawn, in its radii
-_PEBBLE_HEIGHT_PER_RADIUS = 0.3  # height of a pebble above the ground; feet sink in at most that deep
+_PEBBLE_HEIGHT_PER_RADIUS = 0.15  # height of a pebble above the ground; feet sink in at most that deep
 Array = NDArray[np.float64]
 
 
