@@ -11,7 +11,8 @@ import pytest
 from antdsl.runtime.moving import correction_walks
 from antdsl.runtime.moving.contacts import capsule_distances, capsules, contact_solver, separation, step_clamping
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs, measure_overlap_depths
-from tests.runtime.test_contacts import CrowdData, cluster, world
+from antdsl.scene.library_bodies import CAPSULE_BY_BODY, WHOLE_CAPSULE_BY_BODY
+from tests.runtime.test_contacts import RESTING, CrowdData, cluster, world
 
 ROWS = 60
 
@@ -125,6 +126,14 @@ def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
             assert np.isclose(crowd.reach[k], crowd.half[k] + 1.6 * crowd.radius[k])
             k += 1
     assert k == len(crowd) == 93 and crowd.bounds == [(each.min(), each.max()) for each in (*crowd.middle, crowd.reach)]
+
+
+@pytest.mark.parametrize("body", CAPSULE_BY_BODY)
+def test_a_whole_body_does_not_reach_below_its_feet(body: str) -> None:
+    crowd = CrowdData("ant", 1, cluster(1), body=body)
+    old, new = (capsules.find_capsule(world(crowd, text=text), "ant") for text in (RESTING, RESTING.replace("ant 1", "ant 2", 1)))
+    assert old == CAPSULE_BY_BODY[body]
+    assert new.height > new.width / 2 and new.width == WHOLE_CAPSULE_BY_BODY[body].width
 
 
 @pytest.mark.parametrize("place", [np.nan, np.inf, -np.inf])

@@ -7,7 +7,7 @@ count as an overlap."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
 
@@ -47,18 +47,21 @@ Flags = NDArray[np.bool_]
 
 _PAIR_ID_MULTIPLIER = 0x9E3779B1  # an odd multiplier that combines two ids into one key
 _SPECIES_KEY_STEP = 1 << 40  # larger than any id of a species
+_GROUND_GAP = 0.05  # body lengths; least distance of a whole body from level ground
 
 
 def find_capsule(world: World, key: str) -> TrunkCapsule:
     """Return the capsule of a body.
 
     The shape comes from the body's own file. Without one, it comes from the body that the first crowd line names, then from the
-    body with the species' name."""
+    body with the species' name. The capsule of a flat whole body is raised above its feet."""
     own, species = world.setting.body_capsules.get(key), species_of_key(key)
+    is_whole = world.plan.species[species].has_whole_body
     if own is not None:
-        return TrunkCapsule(own.length, own.width, own.height, own.forward_offset)
-    capsules = WHOLE_CAPSULE_BY_BODY if world.plan.species[species].has_whole_body else CAPSULE_BY_BODY
-    return capsules[_library_body(world, species)]
+        capsule = TrunkCapsule(own.length, own.width, own.height, own.forward_offset)
+    else:
+        capsule = (WHOLE_CAPSULE_BY_BODY if is_whole else CAPSULE_BY_BODY)[_library_body(world, species)]
+    return replace(capsule, height=max(capsule.height, capsule.width / 2 + _GROUND_GAP)) if is_whole else capsule
 
 
 def _library_body(world: World, species: str) -> str:
