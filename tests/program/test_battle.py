@@ -14,7 +14,7 @@ from antdsl.runtime import bind, step
 
 SCENE = Path(__file__).resolve().parents[2] / "examples" / "battle" / "scene.yaml"
 EACH, FRAMES = 40, 165
-REACH, LIE = 6.0, 120  # of the params: mm, and 5 s in frames
+REACH, LIE = 7.0, 120  # of the params: mm, and 5 s in frames
 Array = NDArray[np.float64]
 
 
