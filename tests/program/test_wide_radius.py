@@ -165,3 +165,11 @@ def test_a_check_tells_of_every_radius_that_reaches_all(query: str, marked: list
     text = ASKING.format(query=query).replace("let far =", declarations).replace("surface ground", "surface ground; items home")
     _, report = checked(text)
     assert [d.span.text for d in report.diagnostics if d.code == "wide-radius" and d.span is not None] == marked
+
+
+@pytest.mark.parametrize(
+    ("member", "count"), [("height normal(1.7 m, 60 mm)", 0), ("size normal(4 mm, 1 mm)", 1), ("height 2 mm", 1)]
+)
+def test_a_radius_is_wide_relative_to_the_size_or_height_of_a_body(member: str, count: int) -> None:
+    program = PROGRAM.format(sight="5 m").replace("ant 1", "ant 2").replace("0 mm .. 900 mm", f"0 m .. 9 m\n  {member}")
+    assert [d.code for d in checked(program)[1].diagnostics] == ["wide-radius"] * count

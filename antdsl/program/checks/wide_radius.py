@@ -8,7 +8,19 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.checks.analysis.ranges import compute_range
-from antdsl.program.model import BindingRef, Constant, Expr, Param, ParamRef, ReduceExpr, SetExpr, Species, TypeKind
+from antdsl.program.model import (
+    BindingRef,
+    Constant,
+    Expr,
+    OperationExpr,
+    Param,
+    ParamRef,
+    ReduceExpr,
+    SetExpr,
+    Species,
+    TypeKind,
+)
+from antdsl.program.tables.editions import CRAWLING_SETTING, STANDING_SETTING
 from antdsl.program.traverse import iterate_parts
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import find_constant
@@ -67,6 +79,8 @@ def _find_constant_radius(expr: Expr, params: Mapping[str, Param]) -> Constant |
 
 def _compute_max_body_size(species: Species, params: Mapping[str, Param]) -> float:
     """Return the largest possible body size in mm, as far as the program determines it."""
-    written = next((a.default for a in species.attributes if a.name == "size"), None)
+    written = next((a.default for a in species.attributes if a.name in (CRAWLING_SETTING, STANDING_SETTING)), None)
+    if isinstance(written, OperationExpr) and written.name == "normal":
+        written = written.args[0]  # a normal number has no largest value: the mean counts
     high = compute_range(written, params, {}).high if written is not None else _DEFAULT_BODY_SIZE_MM
     return high if 0 < high < limits.MAX_NUMBER else _DEFAULT_BODY_SIZE_MM
