@@ -65,16 +65,16 @@ def _warn_of_species(
     size = lengths.get("size")
     height = lengths.get("height")
     if height is not None:
-        _compare(own["height"], height, natural / proportions.size_per_height, "its body is {} tall", report)
+        _warn_if_different(own["height"], height, natural / proportions.size_per_height, "its body is {} tall", report)
         size = height * proportions.size_per_height
     elif size is not None:
-        _compare(own["size"], size, natural, "its body is {} long", report)
+        _warn_if_different(own["size"], size, natural, "its body is {} long", report)
     radius = lengths.get("radius")
     if size is not None and radius is not None:
-        _compare(own["radius"], radius, size * proportions.radius_per_size, "half the width of its body is {}", report)
+        _warn_if_different(own["radius"], radius, size * proportions.radius_per_size, "half the width of its body is {}", report)
 
 
-def _compare(attribute: AttributeDecl, length: float, body_length: float, words: str, report: Report) -> None:
+def _warn_if_different(attribute: AttributeDecl, length: float, body_length: float, words: str, report: Report) -> None:
     """Warn if two lengths (mm) differ by more than the greatest ratio. `words`: what the body has, with its length as `{}`."""
     if length > 0 and body_length > 0 and not 1 / _GREATEST_RATIO <= length / body_length <= _GREATEST_RATIO:
         has = words.format(_describe(body_length))

@@ -72,32 +72,32 @@ def check(
     return program, drop_cascading_errors(*_map_to_files(loader, add_all_locations(report, repeated_spans), recovered))
 
 
-def _run_check(checked: CheckContext, check_function: Check, report: Report) -> None:
+def _run_check(context: CheckContext, check_function: Check, report: Report) -> None:
     """Run one check of the complete program.
 
     With a memo, checks in OF_EACH and OF_STATES run again only for changed species or states."""
-    program = checked.program
-    if checked.declared.memo is None or check_function not in PER_SPECIES_CHECKS:
-        check_function(checked, report)
+    program = context.program
+    if context.declared.memo is None or check_function not in PER_SPECIES_CHECKS:
+        check_function(context, report)
         return
     params = tuple(program.params.values())
 
     def check_species(species: model.Species) -> None:
-        check_function(replace(checked, program=replace(program, species={species.name: species})), report)
+        check_function(replace(context, program=replace(program, species={species.name: species})), report)
 
     def check_state(species: model.Species, machine: model.Machine, state: model.State) -> None:
         check_species(_restrict_to_state(species, machine, state))
 
     for species in program.species.values():
         if check_function not in PER_STATE_CHECKS:
-            get_or_compute_part(checked.declared, (check_function, species, params), partial(check_species, species))
+            get_or_compute_part(context.declared, (check_function, species, params), partial(check_species, species))
             continue
         without = replace(species, machines=())
-        get_or_compute_part(checked.declared, (check_function, species.layers, params), partial(check_species, without))
+        get_or_compute_part(context.declared, (check_function, species.layers, params), partial(check_species, without))
         for machine in species.machines:
             for state in machine.states:
                 get_or_compute_part(
-                    checked.declared, (check_function, state, params), partial(check_state, species, machine, state)
+                    context.declared, (check_function, state, params), partial(check_state, species, machine, state)
                 )
 
 

@@ -65,7 +65,7 @@ class MappedText:
         _, offset, length = self.parts[part]
         return Span(self.source, first, max(first, offset + min(end - self.part_starts[part], length)))
 
-    def position(self, offset: int) -> int:
+    def find_position(self, offset: int) -> int:
         """Return the first position in the text that maps to a source offset or to a later one."""
         for (text, start, length), begin in zip(self.parts, self.part_starts, strict=True):
             if offset < start:

@@ -299,7 +299,7 @@ class _FileParser:
 
     def recover_line(self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken) -> list[Any]:
         """Return what can still be understood of a line with a reported error."""
-        position = text.position(unexpected.span.start)
+        position = text.find_position(unexpected.span.start)
         if unexpected.token_text and is_line_start(unexpected):
             halves = [text.replace_range(position, len(text.text), ""), text.replace_range(0, position, "")]
             return [node for half in halves for node in self.parse_first_valid(iter([half]), rule)]
@@ -349,12 +349,12 @@ class _FileParser:
             sign = get_token_text(self.scan, token)
             depth -= sign in (")", "]")
             if depth <= 0 and (sign in _SLOT_SEPARATORS or token.kind == "text"):
-                start = text.position(token.start)
+                start = text.find_position(token.start)
                 marks.append((start, start + len(sign)))
             depth += sign in ("(", "[")
         previous_marks = [mark for mark in marks if mark[1] <= position][-1:]
         lefts = [end for _, end in previous_marks]
-        word_ends = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.find_source_offset(position)]
+        word_ends = [text.find_position(token.end) for token in line.tokens[:2] if token.end <= text.find_source_offset(position)]
         rights = [start for start, _ in marks if start >= position][:1]
         clause = previous_marks[0][0] if previous_marks else position
         return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause

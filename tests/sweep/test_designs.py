@@ -109,8 +109,8 @@ def test_one_seed_is_one_design_and_another_is_another(word: str) -> None:
 
 def test_small_and_large_numbers_are_written_without_powers_of_ten() -> None:
     tiny = Factor("x.p", (), 1e-9, 1e-7, "mm")
-    assert tiny.at(0.5) == "0.0000000505mm" and tiny.parse_number(tiny.at(0.5)) == 5.05e-8
-    assert Factor("x.p", (), 0.0, 1e9).at(0.1234567) == "123457000"
+    assert tiny.format_value_at(0.5) == "0.0000000505mm" and tiny.parse_number(tiny.format_value_at(0.5)) == 5.05e-8
+    assert Factor("x.p", (), 0.0, 1e9).format_value_at(0.1234567) == "123457000"
 
 
 def test_every_end_is_named_once() -> None:

@@ -217,11 +217,11 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         {_read_text(name): _read_triple(colour) for name, colour in said["materials"].items()},
         _read_triple(said["front"]), _read_triple(said["up"]), _read_number(said["length"]), _read_number(said["unit"]),
         tuple(Leg(*map(_read_text, each)) for each in said["legs"]), tuple(_read_gait(*each) for each in said["gaits"]),
-        _read_text(said["idle"]), _read_variation(*said.get("variation", ({}, {}))), _capsule(said.get("capsule")),
+        _read_text(said["idle"]), _read_variation(*said.get("variation", ({}, {}))), _read_capsule(said.get("capsule")),
     )  # fmt: skip
 
 
-def _capsule(sizes: Any) -> tuple[float, float, float, float] | None:
+def _read_capsule(sizes: Any) -> tuple[float, float, float, float] | None:
     """Return the collision shape from its four numbers; None stays None."""
     if sizes is None:
         return None

@@ -11,9 +11,9 @@ from antdsl.program.model import Assign, Machine
 from antdsl.source import Span
 
 
-def check_writers(checked: CheckContext, report: Report) -> None:
+def check_writers(context: CheckContext, report: Report) -> None:
     """Report attributes that one machine sets and another machine changes too."""
-    for species in checked.program.species.values():
+    for species in context.program.species.values():
         first: dict[str, tuple[Machine, Span, bool]] = {}
         for machine in species.machines:
             for name, span, sets in _iterate_written_attributes(machine):

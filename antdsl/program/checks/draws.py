@@ -34,12 +34,12 @@ _SCALING_OPERATIONS = _COMPARISON_OPERATIONS | {"mul", "div"}
 _FILM_FPS = 24  # frames per second of film
 
 
-def check_draws(checked: CheckContext, report: Report) -> None:
+def check_draws(context: CheckContext, report: Report) -> None:
     """Report conditions and steering that depend on a random draw in each step."""
     has_library = any(
-        isinstance(item, nodes.Use) and item.library is not None for file in checked.files for item in file.node.items
+        isinstance(item, nodes.Use) and item.library is not None for file in context.files for item in file.node.items
     )
-    for species in checked.program.species.values():
+    for species in context.program.species.values():
         _check_steering(species, has_library, report)
         tests = [change.condition for machine in species.machines for state in machine.states for change in state.transitions]
         tests += [layer.condition for layer in species.layers.layers]

@@ -12,10 +12,10 @@ from antdsl.program.traverse import iterate_parts
 from antdsl.program.types.descriptions import quote_source
 
 
-def check_flicker(checked: CheckContext, report: Report) -> None:
+def check_flicker(context: CheckContext, report: Report) -> None:
     """Report pairs of opposite transitions with conditions that can both hold for the same values."""
-    reader = ConditionReader(checked.program.params)
-    for species in checked.program.species.values():
+    reader = ConditionReader(context.program.params)
+    for species in context.program.species.values():
         for machine in species.machines:
             for forward, back in _iterate_opposite_changes(machine):
                 _check_pair(reader, machine, forward, back, report)

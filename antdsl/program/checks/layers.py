@@ -25,9 +25,9 @@ from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import find_constant
 
 
-def check_layering(checked: CheckContext, report: Report) -> None:
+def check_layering(context: CheckContext, report: Report) -> None:
     """Report species that steer in states but have no layer `state`."""
-    for species in checked.program.species.values():
+    for species in context.program.species.values():
         lines = [line for m in species.machines for state in m.states for line in state.body]
         steering = next((line for line in lines if isinstance(line, Steer | FaceLine)), None)
         states = [layer for layer in species.layers.layers if layer.push is None]
@@ -39,10 +39,10 @@ def check_layering(checked: CheckContext, report: Report) -> None:
             report.error("duplicate-name", "`state` appears twice in `layers`", extra.span, "delete one of them")
 
 
-def check_idle_layers(checked: CheckContext, report: Report) -> None:
+def check_idle_layers(context: CheckContext, report: Report) -> None:
     """Report layers that never have an effect."""
-    reader = ConditionReader(checked.program.params)
-    for species in checked.program.species.values():
+    reader = ConditionReader(context.program.params)
+    for species in context.program.species.values():
         for layer in species.layers.layers:
             if layer.condition is not None and not isinstance(layer.condition, Constant) and is_never(reader, layer.condition):
                 message = f"{quote_source(layer.condition.span)} can never hold"

@@ -33,9 +33,9 @@ _PER_FRAME_REASON = "happens in every step, so it depends on the frames per seco
 _SIMPLE_TERM_PATTERN = re.compile(r"[\w.]+(\([^()]*\))?")
 
 
-def check_per_frame(checked: CheckContext, report: Report) -> None:
+def check_per_frame(context: CheckContext, report: Report) -> None:
     """Report assignments, memories and added amounts with a speed that depends on the frame rate."""
-    for species in checked.program.species.values():
+    for species in context.program.species.values():
         for machine in species.machines:
             for state in machine.states:
                 _check_lines(state, report)
@@ -97,7 +97,7 @@ def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> N
         help = f"write `{display_text}`, which is as much at {FILM_FPS} frames a second{addition}"
     elif value.type.kind is TypeKind.BOOL:
         help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_join_source_lines(line.span)} }}`"
-    elif any(_is_vanishing(each, name) for each in makers):
+    elif any(_is_scaled_by_dt(each, name) for each in makers):
         help = f"to keep a share per second, write `{name} = {name} * exp(-dt / 1 s)`; to add an amount, write `{name} += … /s`"
     else:
         help = f"write an amount per second: `{name} += … /s`; what happens once belongs in `enter {{ }}`"
@@ -143,31 +143,31 @@ def _format_added_rate(value: Expr, own: str) -> str:
     return f"+= {_convert_to_per_second(text)}" if spine[-1].name == "add" and text.count("(") == text.count(")") else ""
 
 
-def _format_rate_free(op: Expr, own: OwnValue) -> str:
+def _format_rate_free(op: Expr, own_value: OwnValue) -> str:
     """Return the text of an operation with the same effect per second at any step length. Empty if the source does not determine
     it."""
     if not isinstance(op, OperationExpr) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
     assert left is not None and right is not None
-    if any(depends_on_step(each) for each in op.args if each is not None and not reads_own_value(each, own)):
+    if any(depends_on_step(each) for each in op.args if each is not None and not reads_own_value(each, own_value)):
         return ""
-    if op.name in ("add", "sub") and is_own_value(left, own) and not reads_own_value(right, own):
+    if op.name in ("add", "sub") and is_own_value(left, own_value) and not reads_own_value(right, own_value):
         return (
             f"{left.span.text} {'+' if op.name == 'add' else '-'} {_convert_to_per_second(_join_source_lines(right.span))} * dt"
         )
-    if op.name == "add" and is_own_value(right, own) and not reads_own_value(left, own):
+    if op.name == "add" and is_own_value(right, own_value) and not reads_own_value(left, own_value):
         return f"{right.span.text} + {_convert_to_per_second(_join_source_lines(left.span))} * dt"
-    if op.name in ("mul", "div") and is_own_value(left, own):
+    if op.name in ("mul", "div") and is_own_value(left, own_value):
         return _format_decay(left, right, -1 if op.name == "div" else 1)
-    if op.name == "mul" and is_own_value(right, own):
+    if op.name == "mul" and is_own_value(right, own_value):
         return _format_decay(right, left, 1)
     if op.name == "mix" and op.args[2] is not None:
-        return _format_mix(op, own)
+        return _format_mix(op, own_value)
     return ""
 
 
-def _is_vanishing(op: Expr, own: str) -> bool:
+def _is_scaled_by_dt(op: Expr, own: str) -> bool:
     """Return whether the operation multiplies the value by `dt`, as in `x * dt`. The value then vanishes in a short step."""
     return (
         isinstance(op, OperationExpr)
@@ -181,19 +181,19 @@ def _format_decay(own: Expr, factor: Expr, power: int) -> str:
     return f"{own.span.text} * {part}" if part else ""
 
 
-def _format_mix(op: OperationExpr, own: OwnValue) -> str:
+def _format_mix(op: OperationExpr, own_value: OwnValue) -> str:
     """Return a rewrite of `mix(x, goal, 0.1)` that does not depend on the frame rate. Empty if there is none.
 
     The original covers a tenth of the distance per step."""
     a, z, share = op.args
     assert a is not None and z is not None and share is not None
     known = find_constant(share)
-    if known is None or not 0 < known.number < 1 or reads_own_value(share, own):
+    if known is None or not 0 < known.number < 1 or reads_own_value(share, own_value):
         return ""
-    if is_own_value(a, own) and not reads_own_value(z, own):
+    if is_own_value(a, own_value) and not reads_own_value(z, own_value):
         left_over = _format_exponential(math.log1p(-known.number))
         return f"mix({_join_source_lines(a.span)}, {_join_source_lines(z.span)}, 1 - {left_over})"
-    if not is_own_value(z, own) or reads_own_value(a, own):
+    if not is_own_value(z, own_value) or reads_own_value(a, own_value):
         return ""
     return f"mix({_join_source_lines(a.span)}, {_join_source_lines(z.span)}, {_format_exponential(math.log(known.number))})"
 

@@ -17,11 +17,11 @@ from antdsl.syntax import nodes
 FILM_FPS = 24  # frames per second of film; replacements have equal values at this rate
 
 
-def check_step_units(checked: CheckContext, report: Report) -> None:
+def check_step_units(context: CheckContext, report: Report) -> None:
     """Report each quantity with the unit `step`, with a replacement if there is one."""
-    if not checked.declared.strict:
+    if not context.declared.strict:
         return
-    for file in _iterate_files(checked.files):
+    for file in _iterate_files(context.files):
         around: dict[int, nodes.Setting | nodes.AnimalProperty] = {}
         for part, _ in iterate_nodes(file.node.items):
             if isinstance(part, nodes.Setting | nodes.AnimalProperty):

@@ -15,9 +15,9 @@ from antdsl.program.types.folding import find_constant
 from antdsl.source import Span
 
 
-def check_reachability(checked: CheckContext, report: Report) -> None:
+def check_reachability(context: CheckContext, report: Report) -> None:
     """Report states that cannot be reached, and states that cannot be left."""
-    for species in checked.program.species.values():
+    for species in context.program.species.values():
         for machine in species.machines:
             reached = _find_reachable_states(machine)
             for state in machine.states:
@@ -53,10 +53,10 @@ def _is_stuck(state: State) -> bool:
     return not state.transitions and not leaves
 
 
-def check_shadowed_transitions(checked: CheckContext, report: Report) -> None:
+def check_shadowed_transitions(context: CheckContext, report: Report) -> None:
     """Report transitions that never happen because an earlier one of the state always happens first."""
-    reader = ConditionReader(checked.program.params)
-    for species in checked.program.species.values():
+    reader = ConditionReader(context.program.params)
+    for species in context.program.species.values():
         for machine in species.machines:
             # a `from any` is in many states, and may be effective in only some of them
             above: dict[Span, list[Transition | None]] = {}
@@ -101,10 +101,10 @@ def _is_wait_shorter(first: Expr | None, other: Expr | None) -> bool:
     return a is not None and b is not None and (a.unit_power, a.step) == (b.unit_power, b.step) and a.number <= b.number
 
 
-def check_constant_conditions(checked: CheckContext, report: Report) -> None:
+def check_constant_conditions(context: CheckContext, report: Report) -> None:
     """Report transitions with a condition that never or always holds."""
-    reader = ConditionReader(checked.program.params)
-    for species in checked.program.species.values():
+    reader = ConditionReader(context.program.params)
+    for species in context.program.species.values():
         for machine in species.machines:
             for state in machine.states:
                 for change in state.transitions:

@@ -22,9 +22,9 @@ from antdsl.syntax import nodes
 _DECLARING_NODES = re.compile(r"\b(species|behaviour)\b")
 
 
-def check_empty_program(checked: CheckContext, report: Report) -> None:
+def check_empty_program(context: CheckContext, report: Report) -> None:
     """Report files that declare neither a species nor a behaviour."""
-    for file in checked.files:
+    for file in context.files:
         source, items = file.node.source, file.node.items
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
@@ -33,20 +33,20 @@ def check_empty_program(checked: CheckContext, report: Report) -> None:
             report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")
 
 
-def check_unused_names(checked: CheckContext, report: Report) -> None:
+def check_unused_names(context: CheckContext, report: Report) -> None:
     """Report params, attributes, lets and behaviours that are never used."""
-    for species in checked.program.species.values():
-        _check_species(checked, species, report)
-    for field in checked.program.fields.values():
-        if not checked.is_used("field", field.name):
+    for species in context.program.species.values():
+        _check_species(context, species, report)
+    for field in context.program.fields.values():
+        if not context.is_used("field", field.name):
             message = f"field `{field.name}` is never laid or smelled"
             report.warning("unused-field", message, field.span, f"write `deposit {field.name} 1 /s` in a state, or delete it")
-    _check_behaviours(checked, report)
+    _check_behaviours(context, report)
 
 
-def _check_species(checked: CheckContext, species: Species, report: Report) -> None:
+def _check_species(context: CheckContext, species: Species, report: Report) -> None:
     for param in species.params:
-        if not checked.is_used("param", param.name):
+        if not context.is_used("param", param.name):
             short = param.name.partition(".")[2]
             message = f"param `{short}` is never used"
             report.warning("unused-param", message, param.span, f"write `{short}` where its value belongs, or delete it")
@@ -54,41 +54,41 @@ def _check_species(checked: CheckContext, species: Species, report: Report) -> N
         name = f"{species.name}.{attribute.name}"
         if (
             not attribute.is_builtin
-            and not checked.is_used("attribute", name)
-            and name not in checked.declared.written_attributes
+            and not context.is_used("attribute", name)
+            and name not in context.declared.written_attributes
         ):
             words = f"attribute `{attribute.name}` is never used"
             report.warning("unused-attribute", words, attribute.span, "use it, or delete it")
     for binding in (*species.lets, *species.latches):
-        if not checked.is_used("let", f"{species.name}.{binding.name}"):
+        if not context.is_used("let", f"{species.name}.{binding.name}"):
             word = "fuzzy" if isinstance(binding.value, OperationExpr) and binding.value.name == "fuzzy" else binding.role
             words = f"`{word} {binding.name}` is never used"
             report.warning(f"unused-{binding.role}", words, binding.span, "use it, or delete it")
 
 
-def _check_behaviours(checked: CheckContext, report: Report) -> None:
+def _check_behaviours(context: CheckContext, report: Report) -> None:
     """Report behaviours that no code calls, in files with a species. A file of behaviours alone is a library for other files."""
-    for file in checked.files:
+    for file in context.files:
         if not any(isinstance(item, nodes.Species) for item in file.node.items):
             continue
         for info in file.own.values():
             name = info.node.name
-            if not checked.is_used("behaviour", f"{name.span}"):
+            if not context.is_used("behaviour", f"{name.span}"):
                 message = f"behaviour `{name.text}` is never called"
                 report.warning("unused-behaviour", message, name.span, f"call it: `steer {name.text}(…)`, or delete it")
 
 
-def check_unused_memory(checked: CheckContext, report: Report) -> None:
+def check_unused_memory(context: CheckContext, report: Report) -> None:
     """Report attributes and fields that are only set, or only read."""
-    for species in checked.program.species.values():
+    for species in context.program.species.values():
         for attribute in species.attributes:
             if not attribute.is_builtin:
-                _check_attribute(checked, species, attribute, report)
-    wholes = _iterate_field_users(checked.program) if checked.program.fields else ()
-    named = [get_or_compute_part(checked.declared, ("named", each), partial(_find_used_names, each)) for each in wholes]
+                _check_attribute(context, species, attribute, report)
+    wholes = _iterate_field_users(context.program) if context.program.fields else ()
+    named = [get_or_compute_part(context.declared, ("named", each), partial(_find_used_names, each)) for each in wholes]
     read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
-    for field in checked.program.fields.values():
-        if field.name in laid and field.name not in read and not checked.is_used("smelled", field.name):
+    for field in context.program.fields.values():
+        if field.name in laid and field.name not in read and not context.is_used("smelled", field.name):
             advice = f"let agents follow it: `steer climb({field.name})`, or delete it"
             report.warning("unread-field", f"field `{field.name}` is laid but never smelled", field.span, advice)
 
@@ -111,9 +111,9 @@ def _find_used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
     )
 
 
-def _check_attribute(checked: CheckContext, species: Species, attribute: AttributeDecl, report: Report) -> None:
+def _check_attribute(context: CheckContext, species: Species, attribute: AttributeDecl, report: Report) -> None:
     name = f"{species.name}.{attribute.name}"
-    read, written = checked.is_used("attribute", name), name in checked.declared.written_attributes
+    read, written = context.is_used("attribute", name), name in context.declared.written_attributes
     if written and not read:
         hint = f"test it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it"
         report.warning("unread-attribute", f"attribute `{attribute.name}` is set but never read", attribute.span, hint)
@@ -123,15 +123,15 @@ def _check_attribute(checked: CheckContext, species: Species, attribute: Attribu
         report.warning("constant-attribute", f"attribute `{attribute.name}` is always {value}", attribute.span, advice)
 
 
-def check_events(checked: CheckContext, report: Report) -> None:
+def check_events(context: CheckContext, report: Report) -> None:
     """Report events that are emitted but not handled, and events that are handled but not emitted."""
-    declared = checked.declared
+    declared = context.declared
     if any(species.node is None for species in declared.species.values()):
         return  # a species of another file may emit or handle the event
     for event, span in declared.events.items():
-        _report_unhandled_event(checked, event, span, report)
-        raised = any(checked.is_used(op, event) for op in list_feeding_effects("event"))
-        noticed = checked.is_used("on", event) or checked.is_used("event", event)
+        _report_unhandled_event(context, event, span, report)
+        raised = any(context.is_used(op, event) for op in list_feeding_effects("event"))
+        noticed = context.is_used("on", event) or context.is_used("event", event)
         others = [name for name in declared.events if name != event]
         near = find_nearest_name(event, others)
         if raised and not noticed:
@@ -142,9 +142,9 @@ def check_events(checked: CheckContext, report: Report) -> None:
             report.warning("silent-event", f"no agent emits the event `{event}`", span, advice)
 
 
-def _report_unhandled_event(checked: CheckContext, event: str, span: Span, report: Report) -> None:
+def _report_unhandled_event(context: CheckContext, event: str, span: Span, report: Report) -> None:
     """Report each species that receives an event but neither handles it nor tests for it."""
-    for name in checked.declared.species:
-        if checked.is_used("told", f"{event} {name}") and not checked.is_used("heard", f"{event} {name}"):
+    for name in context.declared.species:
+        if context.is_used("told", f"{event} {name}") and not context.is_used("heard", f"{event} {name}"):
             advice = f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`"
             report.warning("unheard-event", f"a `{name}` receives the event `{event}`, but does not handle it", span, advice)

@@ -29,10 +29,10 @@ _MAX_BODY_LENGTHS = 1000  # body lengths; a larger radius is reported
 _DEFAULT_BODY_SIZE_MM = 4.0  # mm; body size if the program does not set it
 
 
-def check_wide_radius(checked: CheckContext, report: Report) -> None:
+def check_wide_radius(context: CheckContext, report: Report) -> None:
     """Report neighbour searches with a constant radius above 1000 body lengths."""
-    for species in checked.program.species.values():
-        size = _compute_max_body_size(species, checked.program.params)
+    for species in context.program.species.values():
+        size = _compute_max_body_size(species, context.program.params)
         every = list(iterate_parts(species))
         one = {id(part.elements) for part in every if isinstance(part, ReduceExpr) and part.reducer == "nearest"}
         for part in every:
@@ -44,7 +44,7 @@ def check_wide_radius(checked: CheckContext, report: Report) -> None:
             ):
                 continue
             written = part.args[0]
-            radius = _find_constant_radius(written, checked.program.params)
+            radius = _find_constant_radius(written, context.program.params)
             if radius is None or radius.unit_power or radius.number <= _MAX_BODY_LENGTHS * size:
                 continue
             own = [each.span for each in _follow_names(written) if each.span.source.path == species.span.source.path]

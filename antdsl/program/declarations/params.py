@@ -273,7 +273,7 @@ def _format_limit(end: _ParamNumber, low: _ParamNumber) -> str:
 
 
 def _suggest_within_limits(param_numbers: Sequence[_ParamNumber]) -> str | None:
-    """Return the value's number with the unit of the ends, if this lies inside the range; else None."""
+    """Return the value with the unit of the range's ends, if that lies in the range; else None. It replaces a wrong unit."""
     value, low, high = param_numbers
     units = {each.unit for each in (low, high)} - {""}
     node = value.node

@@ -118,8 +118,8 @@ class StartPositionSampler:
         )
 
     def _draw_by_shape(self, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return positions of ranks, lines, volumes and clumps: dropped onto the ground, or its nearest points to edges, volumes
-        and places by area."""
+        """Return positions of ranks, lines, volumes and clumps. They are dropped onto the ground, or moved to its nearest point
+        if they belong to edges, volumes or areas."""
         world, place = self._world, self.place
         points = np.concatenate([self._shape_points(ids, attempt) for attempt in tries])
         has_ground = np.ones(len(points), np.bool_)

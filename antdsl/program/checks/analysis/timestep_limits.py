@@ -114,14 +114,14 @@ def _is_dt(part: object) -> bool:
 # --- through an expression -------------------------------------------------------------------------------------------
 
 
-def _analyse_value(value: Expr, own: OwnValue, has_other_change: bool) -> ShortStepValue:
+def _analyse_value(value: Expr, own_value: OwnValue, has_other_change: bool) -> ShortStepValue:
     known: dict[int, ShortStepValue] = {}
-    for part in _iterate_dependencies(value, own):
-        below = [known[id(each)] for each in _list_operands(part, own)]
-        if is_own_value(part, own):
+    for part in _iterate_dependencies(value, own_value):
+        below = [known[id(each)] for each in _list_operands(part, own_value)]
+        if is_own_value(part, own_value):
             short = ShortStepValue(StepInfluence.SAME)
         elif isinstance(part, OperationExpr) and part.name == "if":
-            short = _analyse_conditional(part, below, own, has_other_change)
+            short = _analyse_conditional(part, below, own_value, has_other_change)
         elif isinstance(part, OperationExpr):
             short = _ANALYSIS_RULES.get(part.name, _analyse_unknown)(part, below)
         elif isinstance(part, Constant):
@@ -135,7 +135,7 @@ def _analyse_value(value: Expr, own: OwnValue, has_other_change: bool) -> ShortS
     return known[id(value)]
 
 
-def _iterate_dependencies(value: Expr, own: OwnValue) -> Iterator[Expr]:
+def _iterate_dependencies(value: Expr, own_value: OwnValue) -> Iterator[Expr]:
     """Yield the parts of an expression that contribute to its value. Each part comes once, operands before operations."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
     visited: set[int] = set()
@@ -146,11 +146,11 @@ def _iterate_dependencies(value: Expr, own: OwnValue) -> Iterator[Expr]:
         elif id(part) not in visited:
             visited.add(id(part))
             stack.append((part, True))
-            stack += [(each, False) for each in reversed(_list_operands(part, own))]
+            stack += [(each, False) for each in reversed(_list_operands(part, own_value))]
 
 
-def _list_operands(part: Expr, own: OwnValue) -> list[Expr]:
-    if is_own_value(part, own):
+def _list_operands(part: Expr, own_value: OwnValue) -> list[Expr]:
+    if is_own_value(part, own_value):
         return []
     if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
         return [part.binding.value]
@@ -357,7 +357,9 @@ def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue
     return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(to=to, deviation_power=off)
 
 
-def _analyse_conditional(op: OperationExpr, operands: OperandValues, own: OwnValue, has_other_change: bool) -> ShortStepValue:
+def _analyse_conditional(
+    op: OperationExpr, operands: OperandValues, own_value: OwnValue, has_other_change: bool
+) -> ShortStepValue:
     """Analyse `if`. Changes by chance or by an event happen equally often at any rate. `has_other_change`: another line changes
     the value; a branch may then move it back into its range (`if turn > 1 then turn - 1 else turn`)."""
     (test, *ends), branches = op.args, operands[1:]
@@ -365,7 +367,11 @@ def _analyse_conditional(op: OperationExpr, operands: OperandValues, own: OwnVal
     influence = _find_strongest_influence(branches)
     if influence < StepInfluence.SAME:
         return _analyse_combination(op, branches)
-    back = has_other_change and reads_own_value(test, own) and any(end is not None and is_own_value(end, own) for end in ends)
+    back = (
+        has_other_change
+        and reads_own_value(test, own_value)
+        and any(end is not None and is_own_value(end, own_value) for end in ends)
+    )
     if back or any(isinstance(each, OperationExpr) and each.name in _RATE_FREE_OPERATIONS for each in iterate_parts(test)):
         return ShortStepValue(StepInfluence.SAME)
     lost = [each.cause for each in branches if each.influence is StepInfluence.VANISHING and each.cause is not None]
