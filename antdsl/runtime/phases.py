@@ -133,6 +133,8 @@ def move_all(world: World) -> None:
                 contact_solver.resolve_contacts(world, stances, world.dt / world.setting.substeps)
                 for step in clear_steps:
                     step.correct()
+                if world.notes is not None:
+                    world.notes.cut_pushes(world, stances.positions, world.dt / world.setting.substeps)
         if world.notes is not None:
             world.notes.end_move(world)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from directed import Track, follow, open_directed, start
 
+from antdsl.pipeline import open_scene
 from antdsl.runtime import World, step
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 
@@ -177,3 +178,66 @@ def test_half_as_many_in_the_foreground(tmp_path: Path) -> None:
         camera = SensedCamera(world.setting.cameras["front"], world.origin)
         counts.append(int(camera.find_in_view(world.frame, place, np.zeros(len(place))).sum()))
     assert counts[0] > 10 and counts[1] == round(counts[0] / 2)
+
+
+def test_a_pressing_crowd_pushes_no_agent_into_a_forbidden_region(tmp_path: Path) -> None:
+    """All go to the middle of a box that they must not enter. Without the note's part after contacts, five are pushed in."""
+    open_directed(tmp_path, count=120, last=100)
+    scene = tmp_path / "scene.yaml"
+    text = scene.read_text().replace(", keys: {20: {at: [-150, 5, 40]}, 80: {at: [50, 5, 40]}}", "")  # the ball stands
+    note = "{forbid: ant, in: {from: [-30, -50, -30], to: [30, 50, 30]}, falloff: 10 mm}"
+    scene.write_text(f"{text}notes:\n  - {note}\n  - {{attract: ant, to: [0, 0, 0]}}\n")
+    shot, report = open_scene(scene)
+    assert shot is not None, report.errors
+    track = follow(shot, 100)
+    inside = np.abs(track.values["position"][:, :, [0, 2]]).max(axis=2) < 30 - 0.01
+    assert not (~inside[:-1] & inside[1:]).any()
+    near = np.abs(track.values["position"][-1][:, [0, 2]]).max(axis=1) < 36
+    assert near.sum() > 20  # they press
+
+
+def test_a_look_changes_no_path(tmp_path: Path) -> None:
+    plain = follow(open_directed(tmp_path / "plain"), 16)
+    looks = follow(open_directed(tmp_path / "looks", "{look: guards.2, at: {head: leaf}, frames: 5..20}"), 16)
+    for name in ("position", "velocity", "heading"):
+        assert (plain.values[name] == looks.values[name]).all()
+
+
+FLEEING = """ant 1
+use steering
+world { surface ground; obstacle foot; items leaves; curve way; map mud; items stones }
+species ant {
+  size 5 mm
+  max_speed 30 mm/s
+  gap = 0 mm
+  across = 0
+  start walk
+  state walk {
+    gap = distance(foot)
+    across = dot(direction(foot), heading)
+    play walk
+    when distance(foot) < 60 mm -> away
+    when age > 9 min -> rest
+  }
+  state away { gap = distance(foot); steer flee(foot); play walk; when distance(foot) > 80 mm -> walk }
+  state rest { play walk; when age > 9 min -> walk }
+  layers { avoid(foot, reach: 4 * size); state }
+}
+"""
+
+
+def test_a_moving_obstacle_is_avoided_and_fled_from_at_once(tmp_path: Path) -> None:
+    shot = open_directed(tmp_path, count=60, last=60, program=FLEEING)
+    track = follow(shot, 60, names=("gap", "main.state"))
+    ball = np.stack(
+        [np.interp(track.frames, [20, 80], [-150, 50]), np.full(len(track.frames), 5.0), np.full(len(track.frames), 40.0)]
+    )
+    centre = np.linalg.norm(track.values["position"] - ball.T[:, None], axis=2)
+    gap, state = track.values["gap"], track.values["main.state"]
+    row = track.frames.index(40)
+    assert np.abs(gap[row] - (centre[row - 1] - 25)).max() < 3.0  # the distance to its surface, where it was
+    fleeing = state[row] == 1
+    assert 2 < fleeing.sum() < 60 and (centre > 24).all()
+    away = track.values["position"][row] - ball.T[row]
+    outward = np.einsum("nk,nk->n", away, track.values["velocity"][row]) > 0
+    assert outward[fleeing].mean() > 0.8

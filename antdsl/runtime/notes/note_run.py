@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
+from antdsl.runtime.moving.correction_walks import CorrectionWalker
 from antdsl.runtime.moving.pacing import Paces
 from antdsl.runtime.notes.absences import remove_absent
 from antdsl.runtime.notes.active_notes import ActiveNote, NoteAgents, Rows, compute_weight
@@ -28,6 +30,7 @@ from antdsl.scene.notes.selection import SelectableFrame, select_ids
 from antdsl.scene.notes.selectors import reads_frame
 from antdsl.scene.setting import WorldSetting
 
+_MIN_CUT_MM = 1e-6  # mm: less is rounding
 _PACE_KEY = "pace"  # of the shares of the speed in the last step
 
 
@@ -116,6 +119,28 @@ class NoteRun:
             for k in range(3):
                 motion[0][k][rows[at]] = steps[at, k]
                 motion[1][k][rows[at]] = steps[at, k] / dt
+
+    def cut_pushes(self, world: World, starts: Mapping[str, NDArray[np.float64]], dt: float) -> None:
+        """Walk agents back that contacts pushed where notes forbid it.
+
+        `starts`: by species, positions (n, 3) mm at the start of a substep of `dt` s."""
+        cuts = [(active, cut) for active in self.active if (cut := VERBS[active.note.verb].step) is not None and active.rows]
+        crowd = CapsuleCrowd(world) if cuts else None
+        for active, cut in cuts:
+            assert crowd is not None
+            for number, population in enumerate(crowd.species):
+                rows = np.sort(active.rows.get(population.name, np.empty(0, np.intp)))
+                if not len(rows):
+                    continue
+                arrived, start = population.position, starts[population.name]
+                pushed = ActiveNote(active.note, active.key, active.weight, {population.name: rows})
+                population.position = start  # steps are measured from there
+                allowed = cut(NoteAgents(world, pushed, population), arrived[rows] - start[rows])
+                population.position = arrived
+                back = allowed - (arrived[rows] - start[rows])
+                at = np.flatnonzero((np.abs(back) > _MIN_CUT_MM).any(axis=1))
+                if len(at):
+                    CorrectionWalker(crowd, starts, dt).walk(rows[at] + crowd.first[number], np.ascontiguousarray(back[at].T))
 
     def end_move(self, world: World) -> None:
         """Restore the limits of agents that moved at another speed, and record those that missed their target."""
