@@ -10,16 +10,8 @@ from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from pydantic.fields import FieldInfo
 
-from antdsl.scene.notes.notes_model import (
-    NOTE_MODELS,
-    CurveOrPoints,
-    FrameCount,
-    FrameNumber,
-    LookTargets,
-    Note,
-    NoteRegion,
-    Share,
-)
+from antdsl.scene.notes.note_values import FrameCount, FrameNumber, Share, SpeedShare
+from antdsl.scene.notes.notes_model import NOTE_MODELS, CurveOrPoints, LookTargets, Note, NoteRegion
 from antdsl.scene.notes.selectors import NearTarget, Region, SelectorKeys
 from antdsl.scene.values import FrameRangeValue, PositiveLength, ScenePart, SceneWord
 
@@ -57,6 +49,7 @@ class VerbForm(NamedTuple):
         return next((key for key in self.keys if key.name == name), None)
 
 
+_TEXT = KeyKind("text")  # of keys without a kind: pages show a plain field
 _CLIP = KeyKind("clip", "", "walk", "a clip of the body")
 _STATE = KeyKind("state", "", "rest", "a state of the program")
 _MAP = KeyKind("map", "", "damp", "a painted map of the world")
@@ -68,6 +61,7 @@ _KINDS: tuple[tuple[Any, KeyKind], ...] = (
     (FrameNumber, KeyKind("frame", "", "120", "the frame")),
     (FrameCount, KeyKind("count", "frames", "6", "a number of frames")),
     (Share, KeyKind("share", "", "50 %", "a share from 0 % to 100 %")),
+    (SpeedShare, KeyKind("share", "", "50 %", "a share of the speed")),
     (PositiveLength, KeyKind("length", "mm", "50 mm", "a length")),
     (NearTarget, KeyKind("target", "", "[0, 0, 0]", "a point, an item or an agent")),
     (NoteRegion, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box, a ball, a band along a curve, or a view")),
@@ -126,7 +120,7 @@ def _find_kind(key: str, value_type: Any) -> KeyKind:
     for known, kind in _KINDS:
         if own == known:
             return kind
-    return _KIND_BY_KEY[key]
+    return _KIND_BY_KEY.get(key, _TEXT)
 
 
 def _format_default(value: Any, kind: KeyKind) -> str:
