@@ -14,7 +14,10 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.crowds.casting_model import FacingDirection
-from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, FrameCount, FrameNumber, Share, SpeedShare
+from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, SpeedShare
+from antdsl.scene.notes.note_values import FrameCount as FrameCount
+from antdsl.scene.notes.note_values import FrameNumber as FrameNumber
+from antdsl.scene.notes.note_values import Share as Share
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
 from antdsl.scene.notes.selectors import AgentName, AnySelector, Ball, Box, NearTarget, Selector, SelectorKeys, combine_selector
 from antdsl.scene.quantities import Quantity
