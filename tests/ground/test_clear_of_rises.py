@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from torture_walks import shapes
 
 from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
@@ -45,6 +46,19 @@ def test_no_other_piece_is_nearer(offset: float) -> None:
         assert clear[face] <= least
         if not table.cuts.is_cut[face] and away < 0.1 * 400:
             assert clear[face] >= least - 0.3, "spheres and a plane have no creases: it is near what can be known"
+
+
+def test_no_face_that_cuts_its_own_piece_is_nearer() -> None:
+    vertices, faces = shapes().SHAPES["eight"]()
+    table = build_topology(vertices, faces, np.zeros(len(faces), np.int32), 80.0)
+    corners = vertices[faces]
+    clear, cut = compute_slope_clearance(corners, table, np.empty(0, np.int64)), np.flatnonzero(table.cuts.is_cut)
+    assert table.piece_count == 1 and 0 < len(cut) < len(faces) / 2 and not clear[cut].any()
+    for face in np.random.default_rng(4).choice(np.flatnonzero(~table.cuts.is_cut), 40, replace=False):
+        middle = np.broadcast_to(corners[face].mean(axis=0), (len(cut), 3))
+        away = np.sqrt(((find_nearest_on_triangle(middle, corners[cut]) - middle) ** 2).sum(axis=1)).min()
+        least = max(away - np.sqrt(((corners[face] - middle[0]) ** 2).sum(axis=1)).max(), 0.0)
+        assert least - 0.1 <= clear[face] <= least
 
 
 def test_many_pieces_need_no_more_lookups_than_few(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -189,11 +189,10 @@ def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> F
 
 
 def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return, for each face, float64[m], a distance (mm) within which there is no crease and no other piece.
+    """Return, for each face, float64[m], a distance (mm) within which there is no crease, no other piece and no cut face.
 
-    `half`: the half-edges that are creases.
-
-    It is 0 for faces that cut their own piece, and infinite if the ground has no creases, other pieces or cuts."""
+    `half`: the half-edges that are creases. It is 0 for cut faces, and infinite on ground without creases, other pieces and
+    cuts."""
     from scipy.spatial import cKDTree
 
     middle = corners.mean(axis=1)
@@ -207,13 +206,15 @@ def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -
         samples = samples[np.lexsort(samples.T)]
         fresh = np.concatenate(([True], (samples[1:] != samples[:-1]).any(axis=1)))
         distances = cKDTree(samples[fresh]).query(middle)[0] - radius - reach
-    pieces = np.unique(table.piece[table.live]).astype(np.int64)
+    pieces, cut = np.unique(table.piece[table.live]).astype(np.int64), np.flatnonzero(table.cuts.is_cut)
+    error = radius + _DISTANCE_NOISE * (float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max()) if len(corners) else 0)
     if pieces.size > _MAX_SEPARATE_PIECES:
         distances[:] = 0.0
     elif pieces.size > 1:
-        noise = _DISTANCE_NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
-        distances = np.minimum(distances, _measure_piece_distance(corners, table.piece, pieces, middle, radius + noise))
-    distances[table.cuts.is_cut] = 0.0
+        distances = np.minimum(distances, _measure_piece_distance(corners, table.piece, pieces, middle, error))
+    if cut.size:
+        distances = np.minimum(distances, _scene_of(corners[cut]).find_closest(middle)[3] - error)
+        distances[cut] = 0.0
     clear: Floats = np.maximum(distances, 0.0)
     return clear
 
@@ -242,13 +243,18 @@ def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle:
     bound = np.stack([_measure_box_distance(along, least, most) for least, most in zip(low, high, strict=True)])
     bound[np.searchsorted(pieces, piece[rows]), np.arange(rows.size)] = np.inf
     begin, best = bound.argmin(axis=0), np.full(rows.size, np.inf)
-    scenes = [RayScene(corners[each].reshape(-1, 3), np.arange(3 * each.size, dtype=np.int32).reshape(-1, 3)) for each in own]
+    scenes = [_scene_of(corners[each]) for each in own]
     for first in (True, False):
         for k, scene in enumerate(scenes):
             chosen_rows = np.flatnonzero(begin == k if first else (begin != k) & (bound[k] < best))
             best[chosen_rows] = np.minimum(best[chosen_rows], scene.find_closest(at[chosen_rows])[3])
     distances[rows] = best - error[rows]
     return distances
+
+
+def _scene_of(corners: Floats) -> RayScene:
+    """Return a scene of rays of faces with these corners, float64[k,3,3]."""
+    return RayScene(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3))
 
 
 def _measure_box_distance(positions: Floats, low: Floats, high: Floats) -> Floats:
