@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.definition import Clip, Rig
 from antdsl.bodies.files.clip_document import write_clip
 from antdsl.bodies.files.documents import write_rig
-from antdsl.bodies.shapes import sheet
+from antdsl.bodies.shapes import build_flat_grid
 
 FOLDER = Path(__file__).parent
 Floats = NDArray[np.float64]
@@ -53,7 +53,7 @@ MATERIALS = {"skin": (0.52, 0.30, 0.20), "cloth": (0.06, 0.08, 0.13), "leather":
 
 def hill(lines: int = 81) -> trimesh.Trimesh:
     line = np.linspace(-20.0, 20.0, lines)
-    vertices, faces = sheet(line, line)
+    vertices, faces = build_flat_grid(line, line)
     x, z = vertices[:, 0], vertices[:, 2]
     vertices[:, 1] = 2.0 * np.exp(-((x / 9.5) ** 2) - (z / 8.0) ** 2) + 0.08 * np.sin(x / 2.3) * np.cos(z / 2.9)
     return trimesh.Trimesh(np.round(vertices, 4), faces, process=False)
