@@ -126,5 +126,5 @@ def notes(*lines: str, problem: str = "") -> dict[str, Any]:
 
 def directed(line: str, *problems: tuple[str, str], applied: bool = False) -> dict[str, Any]:
     """The answer to a draft. `problems`: keys with messages."""
-    found = [{"key": key, "severity": "error", "message": message, "help": ""} for key, message in problems]
-    return {"op": "directed", "line": line, "ok": not problems, "applied": applied, "problems": found}
+    findings = [{"key": key, "severity": "error", "message": message, "help": ""} for key, message in problems]
+    return {"op": "directed", "line": line, "ok": not problems, "applied": applied, "problems": findings}

@@ -106,9 +106,8 @@ def _uses_step_unit(value: Expr) -> bool:
 
 
 def _is_dt(part: object) -> bool:
-    if not isinstance(part, OperationExpr) or part.name != "run":
-        return False
-    return isinstance(part.args[0], ThingRef) and part.args[0].name == "dt"
+    first = part.args[0] if isinstance(part, OperationExpr) and part.name == "run" else None
+    return isinstance(first, ThingRef) and first.name == "dt"
 
 
 # --- through an expression -------------------------------------------------------------------------------------------
@@ -121,7 +120,7 @@ def _analyse_value(value: Expr, own_value: OwnValue, has_other_change: bool) -> 
         if is_own_value(part, own_value):
             short = ShortStepValue(StepInfluence.SAME)
         elif isinstance(part, OperationExpr) and part.name == "if":
-            short = _analyse_conditional(part, below, own_value, has_other_change)
+            short = _analyse_if(part, below, own_value, has_other_change)
         elif isinstance(part, OperationExpr):
             short = _ANALYSIS_RULES.get(part.name, _analyse_unknown)(part, below)
         elif isinstance(part, Constant):
@@ -357,22 +356,17 @@ def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue
     return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(to=to, deviation_power=off)
 
 
-def _analyse_conditional(
-    op: OperationExpr, operands: OperandValues, own_value: OwnValue, has_other_change: bool
-) -> ShortStepValue:
+def _analyse_if(op: OperationExpr, operands: OperandValues, own_value: OwnValue, has_other_change: bool) -> ShortStepValue:
     """Analyse `if`. Changes by chance or by an event happen equally often at any rate. `has_other_change`: another line changes
     the value; a branch may then move it back into its range (`if turn > 1 then turn - 1 else turn`)."""
     (test, *ends), branches = op.args, operands[1:]
     assert test is not None
-    influence = _find_strongest_influence(branches)
-    if influence < StepInfluence.SAME:
+    if (influence := _find_strongest_influence(branches)) < StepInfluence.SAME:
         return _analyse_combination(op, branches)
-    back = (
-        has_other_change
-        and reads_own_value(test, own_value)
-        and any(end is not None and is_own_value(end, own_value) for end in ends)
-    )
-    if back or any(isinstance(each, OperationExpr) and each.name in _RATE_FREE_OPERATIONS for each in iterate_parts(test)):
+    ends_as_before = any(end is not None and is_own_value(end, own_value) for end in ends) and reads_own_value(test, own_value)
+    if (has_other_change and ends_as_before) or any(
+        isinstance(each, OperationExpr) and each.name in _RATE_FREE_OPERATIONS for each in iterate_parts(test)
+    ):
         return ShortStepValue(StepInfluence.SAME)
     lost = [each.cause for each in branches if each.influence is StepInfluence.VANISHING and each.cause is not None]
     if not lost or influence is StepInfluence.UNSURE:
