@@ -55,7 +55,7 @@ def test_listed_machine_code_is_that_of_the_scene(tmp_path: Path) -> None:
         != still
     )
     assert re.search(r"then NumPy: ray\(stones\), <steering>:\d+, 3 times\n", still)
-    assert "asks for claim, forager.ant:51\n" in still
+    assert "asks for claim, forager.ant:53\n" in still
 
 
 def test_the_code_option_works_alone_and_with_native() -> None:

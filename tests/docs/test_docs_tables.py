@@ -54,7 +54,7 @@ def test_the_card_has_all_the_words() -> None:
 def test_the_library_is_in_the_reference_as_it_is() -> None:
     """Signature and help of each behaviour; on the card the names alone."""
     library = (ROOT / "behaviours" / "steering.ant").read_text(encoding="utf-8")
-    signatures = re.findall(r'^behaviour (\w+)(\(.*?\)) -> push \{\n  "(.*?)"', library, flags=re.MULTILINE)
+    signatures = re.findall(r'^behaviour (\w+)(\(.*?\)) -> (?:push|angle) \{\n  "(.*?)"', library, flags=re.MULTILINE)
     assert len(signatures) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
     reference = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
     expected_rows = [f"| `{name}{arguments}` | {help} |" for name, arguments, help in signatures]

@@ -244,7 +244,7 @@ async def test_semantic_tokens_have_kinds(client) -> None:
     assert "".join(text for text, _ in words) == "".join(part for part in _without_signs(FORAGER)), (
         "every word, number, text and comment has its token, once"
     )
-    part_range = lsp.Range(lsp.Position(30, 0), lsp.Position(31, 0))
+    part_range = lsp.Range(lsp.Position(32, 0), lsp.Position(33, 0))
     part = await client.text_document_semantic_tokens_range_async(lsp.SemanticTokensRangeParams(identifier, part_range))
     assert _token_texts(part.data)[:3] == [("let", "keyword"), ("meal", "property"), ("=", "operator")]
 
@@ -303,7 +303,7 @@ async def test_hints_rank_layers_and_count_frames(client) -> None:
     "right, wrong",
     [
         ("-> follow_trail", "-> folow_trail"),
-        ("response  0.15 s", "response  0.15"),
+        ("response       0.15 s", "response       0.15"),
         ("steer arrive(meal)", "steer arive(meal)"),
         ("wander(swing: swing)", "wander(swimg: swing)"),
         ("deposit trail track", "deposit trial track"),

@@ -92,7 +92,7 @@ async def definition(client, file: str, word: str, nth: int = 0) -> list[tuple[s
         ("foraging/forager.ant", "scene.yaml", 0, ("scene.yaml", "# 500 ants")),
         ("foraging/forager.ant", "load > 0", 0, ("forager.ant", "items    food")),
         ("foraging/scene.yaml", "forager, from", 0, ("forager.ant", "species forager")),
-        ("foraging/scene.yaml", "forager.ant", 0, ("forager.ant", "ant 1")),
+        ("foraging/scene.yaml", "forager.ant", 0, ("forager.ant", "ant 2")),
         ("foraging/scene.yaml", "food:", 0, ("forager.ant", "items    food")),
         ("foraging/scene.yaml", "load:", 0, ("forager.ant", "items    food")),
         ("foraging/scene.yaml", "home, radius", 0, ("scene.yaml", "home:")),

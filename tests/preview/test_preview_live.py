@@ -161,10 +161,10 @@ def test_costs_of_steps_are_sent_to_the_requesting_page_and_change_nothing(scene
     assert [each["name"] for each in profile["phases"]][:3] == ["sense", "decide", "claim"]
     assert sum(each["ms"] for each in profile["phases"]) == pytest.approx(profile["total"], abs=0.01)
     first = profile["layers"][0]
-    assert (first["species"], first["file"], first["line"]) == ("forager", "forager.ant", 75)
+    assert (first["species"], first["file"], first["line"]) == ("forager", "forager.ant", 77)
     assert first["text"] == "avoid(stones, feelers: 3, spread: 35 deg, reach: 1.5 * size)"
     lines = {(each["file"], each["line"]): each for each in profile["lines"]}
-    assert lines["forager.ant", 31]["text"].startswith("let meal") and lines["forager.ant", 31]["ms"] > 0
+    assert lines["forager.ant", 33]["text"].startswith("let meal") and lines["forager.ant", 33]["ms"] > 0
     assert any(file == "<steering>" for file, _ in lines)
     assert other.last("profile") is None
     assert page.hash_at(frame) == hashes(scene, frame)[frame]

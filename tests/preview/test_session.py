@@ -209,7 +209,7 @@ def test_edits_are_described(shot: Path) -> None:
     edit(shot, "  state idle gray { when after 1 s -> search }\n", "")
     outcome = session.reload()
     assert outcome.did.startswith("forager.ant: 1 line gone after line ") and "`idle` is no longer a state" in outcome.line
-    edit(shot, "ant 1\n", "ant 1\n# a comment\n")
+    edit(shot, "ant 2\n", "ant 2\n# a comment\n")
     assert session.reload().did == "forager.ant line 2"
     scene = shot.read_text()
     shot.write_text(scene.replace("frames: 1..960", "frames: 1..30"))

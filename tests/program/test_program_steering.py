@@ -344,6 +344,6 @@ def test_every_behaviour_of_the_library_has_help_and_a_test() -> None:
     assert file is not None
     behaviours = [item for item in file.items if isinstance(item, nodes.Behaviour)]
     assert all(item.help is not None and len(item.help.text) > 10 for item in behaviours)
-    text = Path(__file__).read_text(encoding="utf-8")
+    text = "".join(path.read_text(encoding="utf-8") for path in (Path(__file__), Path(__file__).with_name("test_jitter.py")))
     for item in behaviours:
         assert item.name.text == "level" or f"{item.name.text}(" in text

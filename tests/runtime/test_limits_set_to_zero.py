@@ -22,7 +22,7 @@ UNITS = {
 # What an argument of a behaviour without a default is given.
 ARGUMENTS_BY_TYPE = {
     "push": "heading", "place": "nearest(food)", "obstacle": "stones", "curve": "way_in", "length": "20 mm", "field": "trail",
-    "flow": "drift",
+    "flow": "drift", "angle": "40 deg",
 }  # fmt: skip
 WORLD = """ant 1
 world {
@@ -43,7 +43,8 @@ def wishes() -> list[str]:
     wish_calls = []
     for each in (each for each in file.items if isinstance(each, nodes.Behaviour)):
         arguments = [ARGUMENTS_BY_TYPE[arg.type.span.text] for arg in each.arguments if arg.default is None]
-        wish_calls.append(f"{each.name.text}({', '.join(arguments)})")
+        call = f"{each.name.text}({', '.join(arguments)})"
+        wish_calls.append(f"rotate(heading, about: up, by: {call})" if each.returns.span.text == "angle" else call)
     return wish_calls
 
 
