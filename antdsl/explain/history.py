@@ -51,12 +51,13 @@ class History(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CacheHistory:
-    """The run that wrote a cache; `shot` is the shot it was made from."""
+    """The run that wrote a cache. `shot`: the shot it was made from. `has_feet`: restored worlds compute positions of feet."""
 
     cache: Cache
     shot: Shot
     threads: int
     hashes: dict[int, str]
+    has_feet: bool = False
 
     @classmethod
     def from_cache(cls, cache: Cache, shot: Shot, threads: int = 1) -> CacheHistory:
@@ -69,7 +70,8 @@ class CacheHistory:
     def restore_world(self, point: int) -> World | None:
         try:
             arrays, _ = read_checkpoint(self.cache, point)
-            world = bind(self.shot.plan, self.shot.setting, Options(threads=self.threads, on_fault="quarantine"))
+            options = Options(threads=self.threads, on_fault="quarantine", feet=self.has_feet)
+            world = bind(self.shot.plan, self.shot.setting, options)
             restore_checkpoint(world, arrays)
         except (CacheError, CheckpointError):
             return None
@@ -102,9 +104,11 @@ class ExplainError(Exception):
         self.help, self.usage, self.report = help, usage, report
 
 
-def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path] | None = None) -> Shot:
+def open_shot(
+    cache: Cache, scene: Path | None = None, grants: Mapping[str, Path] | None = None, purpose: str = "an explanation"
+) -> Shot:
     """Return the shot of a cache. Raises ExplainError if its scene is not found, has errors, or is not the one the cache was made
-    from."""
+    from. `purpose`: what needs the shot, for the message."""
     manifest = cache.manifest
     path = scene or _find_scene(cache)
     spec = [name for name in manifest.inputs if name.startswith(_SPEC_INPUT_PREFIX)]
@@ -131,7 +135,7 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     if different:
         names = ", ".join(f"`{name}`" for name in different[:5])
         other = "" if scene is not None else f"; if `{path}` is not its scene, name the right one: `--scene FILE`"
-        advice = f"an explanation needs the original texts of the run: restore them, or run the scene again{other}"
+        advice = f"{purpose} needs the original texts of the run: restore them, or run the scene again{other}"
         raise ExplainError(f"the cache was made from other inputs: {names}", advice)
     return shot
 

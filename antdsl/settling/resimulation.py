@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from antdsl.explain.history import ExplainError, open_shot
-from antdsl.outputs.cache.cache_reader import Arrays, CacheError
-from antdsl.outputs.cache.cache_writer import read_checkpoint
+from antdsl.explain.history import CacheHistory, open_shot
+from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.frame_maker import FrameMaker
 from antdsl.outputs.cache_bodies import find_body_numbers
 from antdsl.outputs.edits.edited_cache import EditedCache, find_next_ids
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, FrameRows, keep_rows
 from antdsl.outputs.edits.settled_layer import SettledFrames, SettledLayer
 from antdsl.pipeline import Shot
-from antdsl.runtime import CheckpointError, Options, World, bind, restore_checkpoint, state_hash, step
+from antdsl.runtime import World, state_hash, step
 from antdsl.runtime.moving.contacts.contact_solver import record_stances, resolve_contacts
 from antdsl.runtime.world import AXES
 from antdsl.settling.affected import find_affected
@@ -74,13 +73,7 @@ def _open_shot(cache: EditedCache, scene: Path | None, grants: Mapping[str, Path
             f"`{cache.folder}` has no checkpoints, from which agents can be simulated again",
             "run the scene again, then edit and settle its cache: caches that `antdsl edit --to` wrote have none",
         )
-    try:
-        return open_shot(cache.original, scene, grants)
-    except ExplainError as why:
-        if why.help.startswith("an explanation"):
-            help = f"settling needs the original texts of the run{why.help[why.help.index(':') :]}"
-            raise SettlingError(str(why), help) from None
-        raise
+    return open_shot(cache.original, scene, grants, "settling")
 
 
 def _settle_agents(cache: EditedCache, shot: Shot, affected: dict[int, int], threads: int) -> Settlement:
@@ -112,21 +105,16 @@ def _choose_agents(cache: EditedCache, shot: Shot, affected: dict[int, int]) -> 
 
 def _restore_world(cache: EditedCache, shot: Shot, frame: int, threads: int) -> tuple[World, int]:
     """Return a world at a frame, from the nearest good checkpoint, and the frame of that checkpoint."""
+    setting = replace(shot.setting, contacts="hard") if shot.setting.contacts == "off" else shot.setting
     hashes = cache.original.read_state_hashes()
-    is_without = shot.setting.contacts == "off"
-    setting = replace(shot.setting, contacts="hard") if is_without else shot.setting
-    for point in reversed([each for each in cache.original.checkpoints() if each <= frame]):
-        world = bind(shot.plan, setting, Options(threads=threads, on_fault="quarantine", feet=True))
-        try:
-            restore_checkpoint(world, read_checkpoint(cache.original, point)[0])
-        except (CacheError, CheckpointError):
-            continue
-        if state_hash(world) == hashes.get(point):
-            break
-    else:
+    history = CacheHistory(cache.original, replace(shot, setting=setting), threads, hashes, has_feet=True)
+    points = reversed([each for each in history.checkpoint_frames() if each <= frame])
+    world = next((restored for point in points if (restored := history.restore_world(point)) is not None), None)
+    if world is None:
         raise SettlingError(
             f"`{cache.folder}` has no good checkpoint up to frame {frame}", "run the scene again, then edit and settle its cache"
         )
+    point = world.frame
     world.setting = shot.setting
     while world.frame < frame:
         step(world)
