@@ -1,5 +1,5 @@
 """Reports random draws that are repeated in every step. In a condition, the frame rate changes how often it holds. In steering,
-the frame rate changes the path: with n times as many draws a second, the mean of a second varies 1 / sqrt(n) as much."""
+the frame rate changes the path: with n times as many draws a second, they add up to sqrt(n) times as much."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterator
 from antdsl.diagnostics import Fix, Report
 from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.checks.analysis.timestep_limits import depends_on_step
+from antdsl.program.checks.steps import FILM_FPS
 from antdsl.program.model import (
     Assign,
     AttributeRef,
@@ -31,7 +32,6 @@ _ARITHMETIC_OPERATIONS = frozenset(("neg", "add", "sub", "mul", "div", "abs", "c
 _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
 # Operations after which a draw no longer depends on the frame rate if another operand has `dt`: `drawn * sqrt(dt / 1 s)`.
 _SCALING_OPERATIONS = _COMPARISON_OPERATIONS | {"mul", "div"}
-_FILM_FPS = 24  # frames per second of film
 
 
 def check_draws(context: CheckContext, report: Report) -> None:
@@ -65,7 +65,7 @@ def _check_steering(species: Species, has_library: bool, report: Report) -> None
             "draw-in-steering",
             f"{quote_source(draw.span)} draws a new number in every step, so the path depends on the frames per second",
             draw.span,
-            f"write `{text}`, which is as much at {_FILM_FPS} frames a second{addition}" if text
+            f"write `{text}`, which is as much at {FILM_FPS} frames a second{addition}" if text
             else "write `wander()` from `steering`, or draw once: an attribute, set in `enter`",
             fix=Fix(draw.span, text) if text and has_library else None,
         )  # fmt: skip
@@ -111,7 +111,7 @@ def _format_jitter(draw: OperationExpr) -> str | None:
         return None
     if not (low.number == 0 if draw.name == "normal" else low.number == -high.number):
         return None
-    spread = float(written[1]) * math.sqrt(_FILM_FPS / (1 if draw.name == "normal" else 3))
+    spread = float(written[1]) * math.sqrt(FILM_FPS / (1 if draw.name == "normal" else 3))
     return f"jitter({spread:.3g} {written[2]})"
 
 
@@ -126,7 +126,7 @@ def _check_test(test: Expr, report: Report) -> None:
                 "draw-in-condition",
                 f"{quote_source(part.span)} draws a new number in every step",
                 part.span,
-                f"write `{rate}`, which is as likely at {_FILM_FPS} frames a second" if rate
+                f"write `{rate}`, which is as likely at {FILM_FPS} frames a second" if rate
                 else "write `chance 20 %/s`, or draw once: an attribute, set in `enter`",
                 fix=Fix(part.span, rate) if rate else None,
             )  # fmt: skip
@@ -170,7 +170,7 @@ def _format_chance_rate(part: OperationExpr) -> str | None:
     if low is None or high is None or not low.number < edge.number < high.number:
         return None
     share = _compute_true_share(low, edge, high)
-    return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * _FILM_FPS:.3g} /s"
+    return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * FILM_FPS:.3g} /s"
 
 
 def _compute_true_share(low: Constant, edge: Constant, high: Constant) -> float:
