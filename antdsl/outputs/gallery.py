@@ -28,7 +28,7 @@ from antdsl.outputs.cut_plane import CutPlane
 from antdsl.outputs.feelers import compute_feeler_rays
 from antdsl.outputs.flow_arrows import read_flow_arrows
 from antdsl.outputs.pictures.camera import to_tuple
-from antdsl.outputs.pictures.light import LightSettings, encode_srgb_values
+from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.outputs.pictures.model import Crowd, FlowArrows, Item, LegendRow, Picture, Solid, Trail
 from antdsl.outputs.pictures.trail_colours import estimate_full_strength
 from antdsl.scene.looks import INVISIBLE_LOOK, KIND_BY_LOOK, find_kind_by_name
@@ -87,7 +87,7 @@ class Gallery:
             raise PictureUnavailable(f"the cache has no field `{strange[0]}`")
         self._has_motion_blur, self._requested_strengths = blurred, dict(full or {})
         self.shows_states = shows_states
-        self.light = LightSettings(**self.manifest.light.model_dump())
+        self.light = self.manifest.light
         above, below = self.manifest.fps.split("/")
         self.dt = int(below) / int(above)
         self._agent_paths = None if window is None else AgentPaths(cache, self.dt, window)

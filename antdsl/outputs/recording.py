@@ -4,7 +4,6 @@ After each frame it yields to the caller, which may report progress or stop the 
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -27,15 +26,7 @@ from antdsl.outputs.cache.cache_writer import (
 )
 from antdsl.outputs.cache.frame_maker import FrameMaker, make_manifest, make_static_arrays
 from antdsl.outputs.cache.hashes import HashLine
-from antdsl.outputs.cache.manifest import (
-    AnyCameraEntry,
-    CameraEntry,
-    EditsEntry,
-    FollowEntry,
-    LightEntry,
-    Look,
-    find_relative_path,
-)
+from antdsl.outputs.cache.manifest import AnyCameraEntry, CameraEntry, EditsEntry, FollowEntry, Look, find_relative_path
 from antdsl.outputs.cache.scene_positions import find_scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.cache_start import hash_start_frame, start_from_cache
@@ -57,7 +48,6 @@ from antdsl.runtime import (
 from antdsl.runtime.profiling import StepMeter
 from antdsl.scene.camera_models import FollowCamera
 from antdsl.scene.crowds.crowd_model import named_weights
-from antdsl.scene.light_model import Light
 from antdsl.scene.scene_model import SceneModel
 from antdsl.scene.setting import CameraData
 from antdsl.scene.thing_models import PlacedThing, convert_point
@@ -250,7 +240,7 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
         cameras=_make_camera_entries(shot, world.origin),
         looks=collect_looks(model),
     )
-    manifest = manifest.model_copy(update={"edits": recording.edits, "light": make_light_entry(model.light)})
+    manifest = manifest.model_copy(update={"edits": recording.edits, "light": model.light.make_settings()})
     made_with = partial(collect_provenance, name, shot.frames, shot.setting.seed, recording.inputs)
     with CacheWriter(recording.folder, manifest, made_with, recording.add_measures) as writer:
         static = {**recording.static_arrays, **stored_bodies.arrays}
@@ -309,13 +299,6 @@ def _write_frame(recording: Recording, writer: CacheWriter) -> None:
         writer.submit_checkpoint(world)
     recording.frame = world.frame
     recording.add_time("hand_over", began)
-
-
-def make_light_entry(light: Light) -> LightEntry:
-    """Return the manifest's entry for the light of a scene."""
-    angles = {name: value for name in ("elevation", "azimuth") if (value := getattr(light, name)) is not None}
-    strengths = {name: getattr(light, name) for name in ("sun", "sky", "haze", "lamps")}
-    return LightEntry(**strengths, **{name: math.degrees(value.number) for name, value in angles.items()})
 
 
 def _make_camera_entries(shot: Shot, origin: NDArray[np.float64]) -> dict[str, AnyCameraEntry]:

@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from antdsl.program.model import Dimension
 from antdsl.scene.values import Angle, ScenePart, make_error, parse_any_quantity
 
 MAX_STRENGTH = 1000.0  # times the usual light
+_Factor = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Degrees = Annotated[float, Field(allow_inf_nan=False)]
+
+
+@dataclass(frozen=True, slots=True)
+class LightSettings:
+    """The light of a picture, as caches store it: strengths of sun, sky, haze and lamps, and the direction to the sun in
+    degrees."""
+
+    sun: _Factor = 1.0
+    sky: _Factor = 1.0
+    haze: _Factor = 1.0
+    lamps: _Factor = 1.0
+    elevation: _Degrees = 40.0
+    azimuth: _Degrees = 280.0
+
+
+DEFAULT_LIGHT = LightSettings()
 
 
 def _parse_strength(value: Any) -> float:
@@ -30,9 +50,17 @@ class Light(ScenePart):
     bright as the sun.
     `elevation`, `azimuth`: the direction to the sun, above the ground and about the scene's up."""
 
-    sun: Strength = 1.0
-    sky: Strength = 1.0
-    haze: Strength = 1.0
-    lamps: Strength = 1.0
+    sun: Strength = DEFAULT_LIGHT.sun
+    sky: Strength = DEFAULT_LIGHT.sky
+    haze: Strength = DEFAULT_LIGHT.haze
+    lamps: Strength = DEFAULT_LIGHT.lamps
     elevation: Angle | None = None
     azimuth: Angle | None = None
+
+    def make_settings(self) -> LightSettings:
+        """Return the strengths, and the direction to the sun in degrees."""
+        elevation, azimuth = (
+            default if angle is None else math.degrees(angle.number)
+            for angle, default in ((self.elevation, DEFAULT_LIGHT.elevation), (self.azimuth, DEFAULT_LIGHT.azimuth))
+        )
+        return LightSettings(self.sun, self.sky, self.haze, self.lamps, elevation, azimuth)

@@ -17,10 +17,11 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures import Camera, Crowd, Item, Picture, Solid, render_frame
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.lamps import LAMP_COLOUR, Lamp, find_lamps
-from antdsl.outputs.pictures.light import LightSettings, decode_srgb
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options
+from antdsl.scene.light_model import LightSettings
 
 NIGHT, UP = LightSettings(sun=0.0, sky=0.0, haze=0.0), (0.0, 1.0, 0.0)
 ABOVE = Camera((0.0, 120.0, 0.01), (0.0, 0.0, 0.0), focal=30.0)

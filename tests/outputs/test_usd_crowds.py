@@ -532,19 +532,18 @@ def layers_by_id(picture: Picture) -> dict[int, tuple[str, ...]]:
 def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
     from pxr import Usd
 
-    from antdsl.outputs.cache.manifest import LightEntry
-    from antdsl.outputs.pictures.light import DEFAULT_LIGHT
     from antdsl.outputs.pictures.model import Item, Trail
     from antdsl.outputs.usd.values import StageOutput
     from antdsl.outputs.usd.world import WorldWriter
+    from antdsl.scene.light_model import LightSettings
 
     out = StageOutput(Usd.Stage.CreateInMemory())
     assert [out.name("species", "camera"), out.name("mesh", "ant"), out.name("species", "ant")] == ["camera_2", "ant", "ant_2"]
     assert out.name("mesh", "ant") == "ant"
 
     class Nothing:
-        manifest = type("Manifest", (), {"up": "y", "units": "mm", "named_cameras": {}, "light": LightEntry()})
-        light = DEFAULT_LIGHT
+        manifest = type("Manifest", (), {"up": "y", "units": "mm", "named_cameras": {}})
+        light = LightSettings()
         static = None
 
     writer = WorldWriter(out, Nothing(), [1, 2, 3])  # type: ignore[arg-type]

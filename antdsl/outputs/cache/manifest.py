@@ -16,6 +16,7 @@ from antdsl.atomic_write import write_atomically
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, ThingKindRow
 from antdsl.safe_read import FileTooLarge, read_size_limited
 from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.light_model import DEFAULT_LIGHT, LightSettings
 from antdsl.scene.looks import LOOKS
 
 FORMAT_VERSION = 1
@@ -269,17 +270,6 @@ def make_camera_array_name(camera: str, part: str) -> str:
     return f"camera.{part}" if camera == DEFAULT_CAMERA else f"camera.{camera}.{part}"
 
 
-class LightEntry(ManifestPart):
-    """The light of pictures: strengths of sun, sky, haze and lamps, and the direction to the sun in degrees."""
-
-    sun: Annotated[float, Field(ge=0)] = 1.0
-    sky: Annotated[float, Field(ge=0)] = 1.0
-    haze: Annotated[float, Field(ge=0)] = 1.0
-    lamps: Annotated[float, Field(ge=0)] = 1.0
-    elevation: float = 40.0
-    azimuth: float = 280.0
-
-
 class Provenance(ManifestPart):
     """The environment in which a cache was made. Readers do not depend on it.
 
@@ -339,7 +329,7 @@ class Manifest(ManifestPart):
     edits: EditsEntry | None = None
     camera: CameraEntry | Literal["fit"] | None = None
     cameras: dict[Word, AnyCameraEntry] = {}
-    light: LightEntry = LightEntry()
+    light: LightSettings = DEFAULT_LIGHT
 
     @property
     def named_cameras(self) -> Mapping[str, AnyCameraEntry]:

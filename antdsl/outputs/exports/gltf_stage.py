@@ -197,7 +197,7 @@ class GltfStage:
         moving = self._items[number]
         moving.frames.append(frame)
         moving.translations.append(np.asarray(item.position, np.float64))
-        moving.scales.append(np.full(3, item.radius * max(min(item.remaining_share, 1.0), 0.0) ** (1 / 3)))
+        moving.scales.append(np.full(3, item.drawn_radius))
 
     def _write_mesh(
         self, name: str, points: Floats, faces: NDArray[Any], kind: str | None, colours: NDArray[Any] | None = None

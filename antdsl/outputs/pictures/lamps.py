@@ -77,7 +77,7 @@ def find_lamps(items: Sequence[Item], up: tuple[float, float, float], strength: 
     """Return the lamps among items: those that emit light and have something left."""
     lamps = []
     for item in items:
-        size = item.radius * min(max(item.remaining_share, 0.0), 1.0) ** (1 / 3)
+        size = item.drawn_radius
         if KIND_BY_LOOK.get(item.look or "") == "light" and size > 0 and strength > 0 and item.shape != "none":
             height, bulb = _BULB_BY_SHAPE.get(item.shape, (0.5, 1.0))
             centre = np.asarray(item.position, np.float64) + np.asarray(up, np.float64) * height * size

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.shading_rows import Floats
+from antdsl.scene.light_model import DEFAULT_LIGHT, LightSettings
 
 SUN_LIGHT = np.array([2.65, 2.36, 1.95], np.float32)
 SKY_LIGHT = np.array([0.50, 0.62, 0.84], np.float32)
@@ -17,21 +18,6 @@ HORIZON_COLOUR = np.array([1.12, 1.20, 1.24], np.float32)
 _SRGB_TABLE_STEPS = 1 << 14  # linear values with an entry in the table; the error is less than half a byte in dark tones
 HEADLAMP_LIGHT = np.array([0.95, 0.84, 0.68], np.float32)  # a lamp at the camera
 SUN_HALF_ANGLE_TANGENT = 0.03  # wider than the real sun, for soft edges
-
-
-@dataclass(frozen=True, slots=True)
-class LightSettings:
-    """The light of a picture: strengths of sun, sky, haze and lamps, and the direction to the sun in degrees."""
-
-    sun: float = 1.0
-    sky: float = 1.0
-    haze: float = 1.0
-    lamps: float = 1.0
-    elevation: float = 40.0
-    azimuth: float = 280.0
-
-
-DEFAULT_LIGHT = LightSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.numerics.records import take_rows
-from antdsl.outputs.pictures.light import DEFAULT_LIGHT, LightSettings
+from antdsl.scene.light_model import DEFAULT_LIGHT, LightSettings
 
 Array = NDArray[np.float64]
 
@@ -121,6 +121,11 @@ class Item:
     remaining_share: float = 1.0
     shape: str = "sphere"
     look: str | None = None
+
+    @property
+    def drawn_radius(self) -> float:
+        """Return the radius at which the volume is the remaining share of the full one."""
+        return float(self.radius * min(max(self.remaining_share, 0.0), 1.0) ** (1 / 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

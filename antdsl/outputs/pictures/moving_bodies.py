@@ -323,7 +323,7 @@ def _is_in_sight(points: Array, depth: Array, margin: Array, view: CameraView) -
 def make_item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSetting | None = None) -> ActorMesh:
     """Return an item's body at its position and remaining size. `ground`: loose soil is fitted to it."""
     vertices, faces, colour = build_item_mesh(item.shape)
-    size = item.radius * min(max(item.remaining_share, 0.0), 1.0) ** (1 / 3)
+    size = item.drawn_radius
     upward = np.array([up]) / np.linalg.norm(up)
     turn = build_rotation_matrices(build_orientations(np.array([[0.83, 0.31, 0.46]]), upward))[0]
     points = (vertices * size) @ turn.T + np.asarray(item.position, np.float64)

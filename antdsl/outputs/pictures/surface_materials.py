@@ -30,20 +30,17 @@ _ROCK_COLOUR = decode_srgb((0.50, 0.465, 0.42))
 _STONE_COLOURS = decode_srgb(np.array([(0.57, 0.565, 0.56), (0.50, 0.515, 0.54), (0.64, 0.60, 0.55)]))
 _BOULDER_COLOUR = decode_srgb((0.60, 0.575, 0.545))
 _LICHEN_COLOUR = decode_srgb((0.70, 0.70, 0.58))
-_HILL_COLOUR = decode_srgb((0.55, 0.42, 0.30))
-_EARTH_COLOUR = decode_srgb((0.42, 0.33, 0.25))
+_HILL_COLOUR = decode_srgb(SURFACE_KINDS["hill"].colour)
+_EARTH_COLOUR = decode_srgb(SURFACE_KINDS["edge"].colour)
 _CLAY_COLOUR = decode_srgb((0.78, 0.70, 0.61))
 _PALE_CLAY_COLOUR = decode_srgb((0.84, 0.775, 0.69))
-_TABLE_COLOUR = decode_srgb((0.80, 0.80, 0.79))
-STEEL_COLOUR, LEAF_COLOUR, LIGHT_COLOUR = (
-    decode_srgb((0.70, 0.71, 0.73)),
-    decode_srgb((0.33, 0.50, 0.17)),
-    decode_srgb((1.0, 0.93, 0.78)),
-)
+_TABLE_COLOUR = decode_srgb(SURFACE_KINDS["table"].colour)
+STEEL_COLOUR, LIGHT_COLOUR = (decode_srgb(SURFACE_KINDS[kind].colour) for kind in ("metal", "light"))
+_LEAF_COLOUR = decode_srgb((0.33, 0.50, 0.17))
 _LEAF_VEIN_COLOUR = decode_srgb((0.52, 0.64, 0.30))
 _WOOD_COLOUR, _LATE_WOOD_COLOUR = decode_srgb((0.70, 0.52, 0.33)), decode_srgb((0.47, 0.30, 0.17))
 _BARK_COLOUR, _FURROW_COLOUR = decode_srgb((0.47, 0.38, 0.30)), decode_srgb((0.19, 0.14, 0.11))
-_SAND_COLOUR = decode_srgb((0.80, 0.71, 0.54))
+_SAND_COLOUR = decode_srgb(SURFACE_KINDS["sand"].colour)
 _GRASS_COLOUR, _DRY_GRASS_COLOUR = decode_srgb((0.29, 0.42, 0.14)), decode_srgb((0.55, 0.54, 0.26))
 _CRUMB_COLOUR, _CRUST_COLOUR = decode_srgb((0.86, 0.70, 0.44)), decode_srgb((0.56, 0.33, 0.16))
 _QUARTZ_COLOUR, _BASALT_COLOUR = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
@@ -209,7 +206,7 @@ def _colour_metal(points: Floats, upness: Floats, large: Floats, patch: Floats, 
 def _colour_leaf(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     fine, _ = compute_value_noise(points, scales.extent / 90, 12)
     return _mix_colours(
-        LEAF_COLOUR * (1 + 0.22 * patch + 0.15 * large)[:, None], _LEAF_VEIN_COLOUR, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6
+        _LEAF_COLOUR * (1 + 0.22 * patch + 0.15 * large)[:, None], _LEAF_VEIN_COLOUR, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6
     )
 
 

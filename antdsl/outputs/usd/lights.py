@@ -24,7 +24,7 @@ class LightWriter:
     """Writer of the lights. Lamps move and shrink with their items."""
 
     def __init__(self, out: StageOutput, gallery: Gallery) -> None:
-        self._out, self._lamps, self._settings = out, list[tuple[ValueSamples, ValueSamples]](), gallery.manifest.light
+        self._out, self._lamps, self._settings = out, list[tuple[ValueSamples, ValueSamples]](), gallery.light
         stage, lux = out.stage, import_pxr_module("UsdLux")
         import_pxr_module("UsdGeom").Scope.Define(stage, f"{ROOT_PATH}/lights")
         if self._settings.sun > 0:
@@ -33,7 +33,7 @@ class LightWriter:
             sun.CreateNormalizeAttr(True)
             _set_colour(sun, SUN_LIGHT * self._settings.sun)
             up = np.asarray(UP_VECTORS[gallery.manifest.up], np.float64)
-            towards = make_sun(up, gallery.light).direction.astype(np.float64)
+            towards = make_sun(up, self._settings).direction.astype(np.float64)
             gf = import_pxr_module("Gf")
             turn = gf.Rotation(gf.Vec3d(0, 0, 1), gf.Vec3d(*towards.tolist()))  # a distant light shines along its own -z
             sun.AddTransformOp().Set(gf.Matrix4d(turn, gf.Vec3d(0)))
