@@ -6,6 +6,7 @@ the same for every backend and order of rows."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -35,6 +36,7 @@ from antdsl.scene.setting import CameraData, DetailData, FlowTarget, GeometryMov
 from antdsl.scene.staging.motion import MeshMoves
 
 ODD = (np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 1e-40, -1e-45, 1e-30, -0.0, 0.0, 1.0, -1.0, 16777217.0, 2147483648.0)
+LAMP = replace(item("f", 20, -20, 8, load=5), look="light")
 BODY = ("size", "mass", "max_speed", "radius")  # spoiled more seldom: who has no size is soon out of all that happens
 SPOILED = ("fear", "luck", "load", "mood", *BODY)
 WORLD = random_sensing.WORLD.replace(
@@ -43,6 +45,7 @@ WORLD = random_sensing.WORLD.replace(
 
 NUMBERS = (
     *random_sensing.NUMBERS,
+    "light(food)",
     "odd",
     "huge",
     "tiny",
@@ -231,7 +234,7 @@ def setting(extremes: Extremes, agents: int = 21) -> WorldSetting:
             )
         },
         curves={"way_in": np.array([[-80.0, 0, -80], [0, 0, 10], [80, 0, 60]])},
-        items={"food": (item("f", 20, -20, 8, load=5), item("g", -40, 10, 8, load=2.5)), "nest": (item("n", 0, 0, 12),)},
+        items={"food": (LAMP, item("g", -40, 10, 8, load=2.5)), "nest": (item("n", 0, 0, 12),)},
         crowds=(crowd(agents, radius=60), crowd(4, species="other", radius=60)),
         params={f"a.{name}": float(draw.choice(ODD)) for name in ("odd", "huge", "tiny")},
         **optional_parts,

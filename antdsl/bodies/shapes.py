@@ -269,46 +269,6 @@ ITEM_SHAPES: dict[str, Callable[[], ColouredMesh]] = {
     "sphere": _build_ball,
 }
 
-# Words in an item's name and the shape that they mean; the first match counts.
-_SHAPE_WORDS: tuple[tuple[str, str], ...] = (
-    ("apple", "apple"),
-    ("fruit", "apple"),
-    ("donut", "ring"),
-    ("doughnut", "ring"),
-    ("ring", "ring"),
-    ("sugar", "cube"),
-    ("leaf", "leaf"),
-    ("leaves", "leaf"),
-    ("seed", "seed"),
-    ("grain", "seed"),
-    ("twig", "stick"),
-    ("stick", "stick"),
-    ("branch", "stick"),
-    ("log", "stick"),
-    ("stone", "stone"),
-    ("rock", "stone"),
-    ("pebble", "stone"),
-    ("egg", "egg"),
-    ("brood", "egg"),
-    ("larva", "egg"),
-    ("lamp", "lamp"),
-    ("bulb", "lamp"),
-    ("exit", "flag"),
-    ("gate", "flag"),
-    ("goal", "flag"),
-    ("target", "flag"),
-    ("crumb", "crumb"),
-    ("bread", "crumb"),
-    ("food", "crumb"),  # for any name
-    ("nest", "mound"),
-    ("home", "mound"),
-    ("camp", "mound"),
-    ("hill", "mound"),
-    ("heap", "mound"),
-    ("door", "none"),  # names of positions, not of objects
-    ("room", "none"),
-)
-
 
 @cache
 def build_item_mesh(shape: str) -> ColouredMesh:
@@ -317,11 +277,6 @@ def build_item_mesh(shape: str) -> ColouredMesh:
     for array in arrays:
         array.setflags(write=False)
     return arrays
-
-
-def choose_item_shape(kind: str, name: str) -> str:
-    """Return the shape that suits items of a `kind` (`food`, `nest`) with this `name` (`apple`)."""
-    return next((shape for text in (name, kind) for word, shape in _SHAPE_WORDS if word in text.lower()), "sphere")
 
 
 @lru_cache(maxsize=8)

@@ -10,5 +10,6 @@ Input is vertices and triangles in mm; output is faces, distances and weights in
 - `distance_grid`: lower bounds of distances; with them, most rays need not be cast.
 - `rasterise`: the cells of a lattice that triangles touch.
 - `curves`: polylines with nearest points.
+- `lamps`: spheres that emit light.
 
 The package does not depend on agents, plans or scenes."""

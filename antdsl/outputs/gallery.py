@@ -15,7 +15,6 @@ from antdsl.bodies.agents.definition import BodyError
 from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.body import rotate_vectors
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.bodies.shapes import choose_item_shape
 from antdsl.numerics.records import take_rows
 from antdsl.outputs.agent_paths import AgentPaths, PathWindow, match_agents
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
@@ -31,7 +30,7 @@ from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.outputs.pictures.model import Crowd, FlowArrows, Item, LegendRow, Picture, Solid, Trail
 from antdsl.outputs.pictures.trail_colours import estimate_full_strength
-from antdsl.scene.looks import INVISIBLE_LOOK, KIND_BY_LOOK, find_kind_by_name
+from antdsl.scene.looks import INVISIBLE_LOOK, KIND_BY_LOOK, choose_drawn_shape, find_kind_by_name
 from antdsl.scene.thing_models import UP_VECTORS
 
 REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
@@ -302,10 +301,7 @@ class Gallery:
             positions = group.position if moved is None else [to_tuple(place) for place in moved]
             for number, (name, position, radius) in enumerate(zip(group.names, positions, group.radius, strict=True)):
                 look = group.looks[number] if number < len(group.looks) else None
-                shape = choose_item_shape(group.name, name)
-                if look == "none" or (shape == "none" and look is not None):
-                    # an item with a look but no shape is shown as a sphere
-                    shape = "none" if look == INVISIBLE_LOOK else "sphere"
+                shape = choose_drawn_shape(group.name, name, look)
                 left = self._compute_remaining_share(group.name, group.attributes, number, arrays)
                 items.append(Item(name, position, radius, left, shape, None if look == INVISIBLE_LOOK else look))
         return tuple(items)

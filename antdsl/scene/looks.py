@@ -1,4 +1,6 @@
-"""Surfaces as they look: the words of `look` in scenes, and the materials of pictures, USD and glTF. One row for each kind."""
+"""Surfaces as they look: the words of `look` in scenes, and the materials of pictures, USD and glTF. One row for each kind.
+
+Also the shapes of items, by words in their names."""
 
 from __future__ import annotations
 
@@ -51,3 +53,57 @@ def find_kind_by_name(mesh: str) -> str | None:
     """Return the kind of surface that the name of a mesh says; None for other names. Words are looked for in table order."""
     name = mesh.lower()
     return next((kind for kind, row in SURFACE_KINDS.items() if any(word in name for word in row.words)), None)
+
+
+# Words in an item's name and the shape that they mean; the first match counts.
+_SHAPE_WORDS: tuple[tuple[str, str], ...] = (
+    ("apple", "apple"),
+    ("fruit", "apple"),
+    ("donut", "ring"),
+    ("doughnut", "ring"),
+    ("ring", "ring"),
+    ("sugar", "cube"),
+    ("leaf", "leaf"),
+    ("leaves", "leaf"),
+    ("seed", "seed"),
+    ("grain", "seed"),
+    ("twig", "stick"),
+    ("stick", "stick"),
+    ("branch", "stick"),
+    ("log", "stick"),
+    ("stone", "stone"),
+    ("rock", "stone"),
+    ("pebble", "stone"),
+    ("egg", "egg"),
+    ("brood", "egg"),
+    ("larva", "egg"),
+    ("lamp", "lamp"),
+    ("bulb", "lamp"),
+    ("exit", "flag"),
+    ("gate", "flag"),
+    ("goal", "flag"),
+    ("target", "flag"),
+    ("crumb", "crumb"),
+    ("bread", "crumb"),
+    ("food", "crumb"),  # for any name
+    ("nest", "mound"),
+    ("home", "mound"),
+    ("camp", "mound"),
+    ("hill", "mound"),
+    ("heap", "mound"),
+    ("door", "none"),  # names of positions, not of objects
+    ("room", "none"),
+)
+
+
+def choose_item_shape(kind: str, name: str) -> str:
+    """Return the shape that suits items of a `kind` (`food`, `nest`) with this `name` (`apple`)."""
+    return next((shape for text in (name, kind) for word, shape in _SHAPE_WORDS if word in text.lower()), "sphere")
+
+
+def choose_drawn_shape(kind: str, name: str, look: str | None) -> str:
+    """Return the shape in which an item is drawn; `none` if it is not drawn. An item with a look but no shape is a sphere."""
+    if look == INVISIBLE_LOOK:
+        return "none"
+    shape = choose_item_shape(kind, name)
+    return "sphere" if shape == "none" and look is not None else shape

@@ -132,12 +132,13 @@ FlowData = PaintedValues | SpreadFlowData | BorderFlowData | SolvedFlowData
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ItemData:
-    """One item. `attributes`: in base units; absent attributes have the declared default."""
+    """One item. `attributes`: in base units; absent attributes have the declared default. `look`: its look in pictures."""
 
     name: str
     position: PointMm
     radius: float
     attributes: Mapping[str, float] = field(default_factory=dict)
+    look: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +264,8 @@ class WorldSetting:
     `undrawn_things`: things that are not drawn, on which no foot stands.
     `imports`: by mesh, the import report of its file.
     `spans`: where the scene defines each thing of the world.
-    `notes`: what agents do in some frames."""
+    `notes`: what agents do in some frames.
+    `lamp_strength`: a factor for the light of all lamps."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -296,6 +298,7 @@ class WorldSetting:
     imports: Mapping[str, MeshImport] = field(default_factory=dict)
     spans: Mapping[str, Span] = field(default_factory=dict)
     notes: tuple[Note, ...] = ()
+    lamp_strength: float = 1.0
 
     def list_body_keys(self, species: str) -> tuple[str, ...]:
         """Return the keys of all bodies of a species (`scene.body_choice`); at least one."""

@@ -9,9 +9,10 @@ import trimesh
 
 from antdsl.bodies.body import build_orientations, rotate_vectors
 from antdsl.bodies.library import load_library_body
-from antdsl.bodies.shapes import ITEM_SHAPES, build_item_mesh, choose_item_shape
+from antdsl.bodies.shapes import ITEM_SHAPES, build_item_mesh
 from antdsl.program.tables.colours import COLOUR_BY_NAME, choose_default_rgb, find_rgb
 from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, find_body_for_species
+from antdsl.scene.looks import choose_item_shape
 
 TRUNK = ("root", "thorax", "head", "petiole", "gaster", "gaster_tip")
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -98,6 +98,7 @@ def test_every_operation_is_covered():
         "flow.reachable",  # tests/fields/test_reachable.py
         "camera.position",  # tests/senses/test_cameras.py
         "camera.in_view",
+        "lamp.light",  # tests/senses/test_lamp_light.py
     }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py,
     required = set(ir.OPERATION_BY_NAME) - elsewhere  # tests/runtime/test_meaning_others.py, tests/runtime/test_collisions.py
     required |= {"If", "Store", "Claim", "Give", *EFFECT_BY_OPERATION} - {"carve"}  # tests/runtime/test_digging.py

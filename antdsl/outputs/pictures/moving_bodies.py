@@ -76,7 +76,8 @@ class BodyMesh:
 class SceneActors:
     """Everything that moves in a frame.
 
-    `rays`: the ray scenes at one or more times while the shutter is open.
+    `rays`: the ray scenes at one or more times while the shutter is open. `lamp_occluders`: the same without items that emit
+    light, for a lamp's own post hides none of its light.
     `mesh`: the bodies at the middle of these times.
     `near_pixels` bool (h · w,): pixels in which a body may be visible.
     `tiny_body_pixels` bool (h · w,): pixels with a body so small that rays through pixel centres may miss it.
@@ -86,6 +87,7 @@ class SceneActors:
     `boxes`: lowest and highest corners (b, 3) of the bodies while the shutter is open."""
 
     rays: tuple[PictureRays, ...]
+    lamp_occluders: tuple[PictureRays, ...]
     mesh: ActorMesh
     near_pixels: NDArray[np.bool_]
     tiny_body_pixels: NDArray[np.bool_]
@@ -139,6 +141,7 @@ def make_actors(
     `ground`: loose soil is fitted to it.
     `blur`: the share of a frame for which the shutter is open."""
     parts: list[BodyMesh] = []
+    lamps: list[BodyMesh] = []
     longest = 0.0
     for crowd in picture.crowds:
         if len(crowd.position):
@@ -149,16 +152,22 @@ def make_actors(
             solid = make_item_mesh(item, picture.up, ground)
             place = np.asarray([item.position], np.float64)
             local = (solid.vertices - place).astype(np.float32)[None]
-            parts.append(BodyMesh(local, place, None, solid.faces, solid.normal, solid.colour, solid.gloss))
+            is_lamp = KIND_BY_LOOK.get(item.look or "") == "light"
+            part = BodyMesh(local, place, None, solid.faces, solid.normal, solid.colour, solid.gloss)
+            (lamps if is_lamp else parts).append(part)
+    without_lamps, parts = parts, parts + lamps
     widest = max((item.radius for item in picture.items), default=0.0)
     moments = _choose_shutter_times(parts, view, blur)
     meshes = [_join_parts(parts, time_offset) for time_offset in moments]
     boxes = _compute_boxes(parts, blur)
-    rays = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in meshes)
+    rays = occluders = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in meshes)
+    if lamps:
+        dark = (_join_parts(without_lamps, time_offset) for time_offset in moments)
+        occluders = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in dark)
     mesh = meshes[len(meshes) // 2]
     tall, size = max(20 * longest, 8 * widest), max(longest, 0.3 * widest) if parts else 0.0
     throw = 20 * longest if longest > 0 else tall
-    return SceneActors(rays, mesh, *_find_covered_pixels(boxes, view), tall, size, throw, boxes)
+    return SceneActors(rays, occluders, mesh, *_find_covered_pixels(boxes, view), tall, size, throw, boxes)
 
 
 def _choose_shutter_times(parts: list[BodyMesh], view: CameraView, blur: float) -> list[float]:

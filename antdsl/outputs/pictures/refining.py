@@ -97,7 +97,7 @@ def _compute_lamp_light(still: StaticStage, lighting: PictureLighting) -> Floats
     if not lighting.lamps:
         return None
     samples, light = still.centre_samples, np.zeros_like(still.centre_samples.direction)
-    middle = lighting.actors.rays[len(lighting.actors.rays) // 2]
+    middle = lighting.actors.lamp_occluders[len(lighting.actors.rays) // 2]
     for lamp in lighting.lamps:
         own = lamp.compute_light(samples.point, samples.normal)
         facing = own.max(axis=1, initial=0) - np.float32(1e-4)
@@ -177,7 +177,7 @@ class _EdgeSample:
         visible = compute_sun_visibility(self.lighting, samples, self.time_index, self.sun_point)
         shot, lamps = self.lighting, None
         if shot.lamps:
-            occluders = (shot.ground, shot.actors.rays[self.time_index])
+            occluders = (shot.ground, shot.actors.lamp_occluders[self.time_index])
             lamps = compute_lamp_light(
                 shot.lamps, samples.point, samples.normal, shot.ray_offset, occluders, self.number, self.count, shot.threads
             )

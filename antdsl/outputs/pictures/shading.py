@@ -133,7 +133,7 @@ def compute_moving_light(
     metal = gloss > 1
     arriving = facing[:, None] * sun.sunlight + compute_ambient_light(upness, sun) * near[:, None]
     if lighting.lamps:
-        occluders = lighting.actors.rays[time_index], lighting.ground
+        occluders = lighting.actors.lamp_occluders[time_index], lighting.ground
         arriving += compute_lamp_light(
             lighting.lamps, where, normal, lighting.ray_offset, occluders, 0, 1, lighting.threads, hits.normal
         )

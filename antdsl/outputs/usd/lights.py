@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.casting.lamps import UNIT_DISTANCE
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.pictures.lamps import LAMP_COLOUR, UNIT_DISTANCE, Lamp, find_lamps
+from antdsl.outputs.pictures.lamps import LAMP_COLOUR, Lamp, find_lamps
 from antdsl.outputs.pictures.light import SKY_LIGHT, SUN_LIGHT, make_sun
 from antdsl.outputs.pictures.model import Picture
 from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, ValueSamples

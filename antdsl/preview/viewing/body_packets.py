@@ -20,7 +20,7 @@ from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 from antdsl.bodies.agents.varied_bodies import iterate_scale_pivots
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.bodies.shapes import build_item_mesh, choose_item_shape
+from antdsl.bodies.shapes import build_item_mesh
 from antdsl.bodies.skinned_mesh import BlendTarget, compute_blend_targets
 from antdsl.outputs.cache.pose_arrays import list_playing_machines, list_wearable_layers
 from antdsl.pipeline import Shot
@@ -30,6 +30,7 @@ from antdsl.runtime import Population, World
 from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
 from antdsl.scene.crowds.crowd_model import named_weights
 from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
+from antdsl.scene.looks import choose_item_shape
 
 Arrays = dict[str, NDArray[Any]]
 MAX_PAGE_LAYERS = 24  # maximum number of layers on pages; integers of this number of bits are exact in float32

@@ -204,6 +204,23 @@ _SENSE_ROWS = (
         operands="f",
     ),
     SenseRow(
+        "lamp.light",
+        "items",
+        (ResultPart("value"),),
+        "the light of lamps on the ground at the agent's position, less what surfaces, obstacles and solids hide",
+        (
+            parse_row(
+                "light(of: items) -> number",
+                "the light of its lamps here: 1 is as bright as the sun, 0 is the dark",
+                part="value",
+                sense=True,
+                interval=POSITIVE_INTERVAL,
+                cost=UseCost(6000, "light of {thing}"),
+                sample="light(food) < 0.1",
+            ),
+        ),
+    ),
+    SenseRow(
         "noise",
         "",
         (ResultPart("value"),),

@@ -23,6 +23,7 @@ from antdsl.runtime.clip_values import clip_value
 from antdsl.runtime.collisions import find_new_contacts
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.clearance.obstacle_clearance import get_clearance, may_touch
+from antdsl.runtime.sensing.lamp_light import sense_light
 from antdsl.runtime.sensing.neighbourhood import compute_clear_velocity, find_widest_gap
 from antdsl.runtime.sensing.thing_senses import PLACED_THING_SENSES, Rows, SenseValue, read_positions, row_count, spread_rows
 from antdsl.runtime.world import AXES, Population, World
@@ -346,6 +347,7 @@ SENSE_FUNCTIONS: Mapping[str, Callable[..., SenseValue]] = {
     "noise": _sense_noise,
     "clear.velocity": _sense_clear_velocity,
     "gap.widest": _sense_widest_gap,
+    "lamp.light": sense_light,
     "contact": _sense_contact,
     "clip.value": _sense_clip_value,
 }

@@ -11,7 +11,7 @@ from pathlib import Path
 from antdsl import limits
 from antdsl.diagnostics import Fix, Label, Report
 from antdsl.program.cascading_errors import merge_repeated_findings
-from antdsl.program.model import Program, ThingRef
+from antdsl.program.model import OperationExpr, Program, ThingRef
 from antdsl.program.traverse import iterate_parts
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
@@ -76,6 +76,24 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
             advice = f"add to `crowd`: `- {{species: {name}, from: {name}.ant, count: 0}}`"
             label = Label(program.world[name].span, "declared here")
             report.error("missing-thing", message, scene.span("antdsl", key=True), advice, labels=(label,))
+
+
+def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
+    """Report a use of `light(ITEMS)` if none of the items emits light."""
+    sensed = {
+        thing.name: part
+        for part in iterate_parts(tuple(program.species.values()))
+        if isinstance(part, OperationExpr) and part.name == "light" and isinstance(thing := part.args[0], ThingRef)
+    }
+    for name, part in sensed.items():
+        value = scene.model.world.get(name)
+        looks = [item.look for item in value.values()] if isinstance(value, dict) else [getattr(value, "look", None)]
+        if value is not None and "light" not in looks:
+            message = f"no item of `{name}` emits light, so `light({name})` is always 0"
+            label = Label(part.span, "sensed here")
+            report.warning(
+                "missing-key", message, scene.span("world", name, key=True), "add `look: light` to the lamps", labels=(label,)
+            )
 
 
 def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:

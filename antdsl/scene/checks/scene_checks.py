@@ -16,7 +16,7 @@ from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
 from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, FollowCamera, UsdCamera
 from antdsl.scene.checks.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown
-from antdsl.scene.checks.existence_checks import check_absent_species, check_bodies
+from antdsl.scene.checks.existence_checks import check_absent_species, check_bodies, check_dark_lamps
 from antdsl.scene.checks.shape_checks import list_item_names
 from antdsl.scene.checks.step_checks import check_step_lengths
 from antdsl.scene.crowds.crowd_checks import check_around, check_crowd, count_agents
@@ -218,6 +218,7 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     check_crowd,
     check_bodies,
     check_absent_species,
+    check_dark_lamps,
     _check_params,
     _check_fields,
     check_field_dynamics,

@@ -38,7 +38,8 @@ def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, It
         radius = None if placing.radius is None else placing.radius.to_millimetres(model.unit_mm)
         attributes = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (placing.model_extra or {}).items()}
         position = to_tuple(track[0])
-        items.append(stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
+        radius = DEFAULT_ITEM_RADIUS if radius is None else radius
+        items.append(stage_of.ItemData(item, position, radius, attributes, placing.look))
         tracks.append(track)
     frames = max((len(track) for track in tracks), default=1)
     if frames > 1:
@@ -137,7 +138,7 @@ def _place_usd_items(
         attributes = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
         sizes = (points.radius[number], wide[number], DEFAULT_ITEM_RADIUS if radius is None else radius)
         size = next(float(size) for size in sizes if np.isfinite(size) and size > 0)
-        items.append(stage_of.ItemData(item, to_tuple(points.positions[0, number]), size, {**each, **attributes}))
+        items.append(stage_of.ItemData(item, to_tuple(points.positions[0, number]), size, {**each, **attributes}, value.look))
     if len(points.positions) > 1:
         staging.item_tracks[name] = points.positions
     return tuple(items)

@@ -181,6 +181,7 @@ def build_setting(
         up=UP_VECTORS[model.up],
         unit_mm=model.unit_mm,
         seed=model.seed,
+        lamp_strength=model.light.lamps,
         first_frame=model.frames.first - model.preroll,
         crowds=crowds,
         params=params,

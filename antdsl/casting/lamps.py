@@ -1,0 +1,76 @@
+"""Lamps as spheres that emit light: how much of it reaches a surface, and where rays to them end.
+
+Pictures and the sense `light` use the same lamps. Light decreases with the square of the distance to the centre and with the
+cosine of the angle to the surface's normal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import elementary
+from antdsl.numerics.vector_rows import dot
+
+MAX_LAMPS = 16  # of a picture or of one name; the largest count
+UNIT_DISTANCE = 10.0  # radii at which a lamp of strength 1 gives the light 1
+_TARGET_RADII = 1.06  # rays end just outside the lamp's own surface
+_BULB_BY_SHAPE = {"lamp": (1.75, 0.92), "sphere": (0.85, 1.0)}  # height of the centre and radius, in radii of the item
+_OTHER_BULB = (0.5, 1.0)
+_GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+AnyFloats = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightSphere:
+    """A sphere that emits light. `centre` (3,), `radius`: world units. `strength`: the light at UNIT_DISTANCE radii."""
+
+    centre: NDArray[np.float64]
+    radius: float
+    strength: float
+
+    def aim(self, points: AnyFloats, numbers: NDArray[np.integer], count: int) -> AnyFloats:
+        """Return vectors (n, 3) from `points` (n, 3) to points of the sphere, which rays reach at the parameter 1.
+
+        `numbers` (n,): which of `count` evenly spread points of the half sphere that faces each point."""
+        towards = points - self.centre.astype(points.dtype)
+        height = 1 - (np.asarray(numbers) + 0.5) / count
+        turn, flat = np.asarray(numbers) * _GOLDEN_ANGLE, np.sqrt(1 - height * height)
+        spots = np.stack([flat * elementary.cos(turn), height, flat * elementary.sin(turn)], axis=-1).astype(points.dtype)
+        spots = np.broadcast_to(spots, towards.shape) * points.dtype.type(_TARGET_RADII * self.radius)
+        spots = np.where(dot(spots, towards)[:, None] < 0, -spots, spots)
+        return np.asarray(spots - towards, points.dtype)
+
+    def compute_intensity(self, points: AnyFloats, normal: AnyFloats, flat_normal: AnyFloats | None = None) -> AnyFloats:
+        """Return the light (n,) at points with a normal (n, 3) that nothing hides from the lamp.
+
+        `flat_normal` (n, 3): of the triangles; light fades where they face away, so that coarse bodies have no jagged shade."""
+        number = points.dtype.type
+        towards = self.centre.astype(points.dtype) - points
+        square = np.maximum(dot(towards, towards), number(self.radius**2))
+        direction = towards / np.maximum(np.sqrt(dot(towards, towards)), number(1e-12))[:, None]
+        share = np.clip(dot(normal, direction), 0, 1) / square
+        if flat_normal is not None:
+            share *= np.clip(dot(flat_normal, direction) * 6 + number(0.6), 0, 1)
+        return np.asarray(share * number(self.strength * (UNIT_DISTANCE * self.radius) ** 2))
+
+
+Sphere = TypeVar("Sphere", bound=LightSphere)
+
+
+def place_bulb(
+    shape: str, position: NDArray[np.float64], size: float, up: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """Return the centre (3,) and the radius of the part of an item that emits light.
+
+    `shape`: the item's shape in pictures. `position` (3,), `size`: its position and its radius. `up` (3,): a unit vector."""
+    height, bulb = _BULB_BY_SHAPE.get(shape, _OTHER_BULB)
+    return position + up * (height * size), bulb * size
+
+
+def select_largest(lamps: Iterable[Sphere]) -> tuple[Sphere, ...]:
+    """Return the largest MAX_LAMPS lamps, from large to small."""
+    return tuple(sorted(lamps, key=lambda lamp: -lamp.radius)[:MAX_LAMPS])

@@ -1,0 +1,104 @@
+"""The sense `light` against the light of pictures, behind walls, with moving and used-up lamps, and where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from meaning import OPTION_SETS, RunHistory, crowd, item, play
+from meshes import box, grid
+
+from antdsl.outputs.pictures import Camera, Item, Picture, Solid, render_frame
+from antdsl.outputs.pictures.camera import make_view
+from antdsl.outputs.pictures.lamps import LAMP_COLOUR
+from antdsl.outputs.pictures.light import decode_srgb
+from antdsl.pipeline import check_path
+from antdsl.runtime import ItemData, MeshData, Options
+from antdsl.scene.light_model import LightSettings
+from antdsl.scene.setting import GeometryMoves
+
+WORLD = "ant 1\nworld { obstacle wall; items glows { oil = 1 } }\n"
+TEXT = "species a {\n  lit = 0\n  start see\n  state see { lit = light(glows) }\n}\n"
+OPTIONS = (*OPTION_SETS, Options(), Options(chunk=5, threads=2, shuffle_rows=4))
+WALL = box((15, 0, -30), (16, 20, 30))
+POINTS = [(-20.0, 5.0), (-8.0, 12.0), (-3.0, -9.0), (0.0, 7.0), (4.0, 0.0), (9.0, -14.0), (12.0, 3.0), (27.5, 0.0), (20.0, -4.0),
+          (22.0, 6.0), (25.0, 20.0), (30.0, -35.0), (-35.0, -2.0), (-28.0, 24.0), (2.0, 31.0), (6.0, -26.0), (40.0, 0.0),
+          (-14.0, -31.0), (33.0, 12.0), (14.0, 38.0)]  # fmt: skip
+STRENGTH = 5.0
+BULB: ItemData = replace(item("one", 0, 0, 2.0), position=(0.0, 30.0, 0.0), look="light")
+
+
+def run(
+    *lamps: ItemData,
+    at: list[tuple[float, float]] = POINTS,
+    steps: int = 1,
+    name: str = "glows",
+    text: str = TEXT,
+    **setting: Any,
+) -> RunHistory:
+    """Run agents at points, with lamps of a name and a wall."""
+    world, text = (each.replace("glows", name) for each in (WORLD, text))
+    things = {"items": {name: lamps}, "obstacles": {"wall": MeshData(*WALL)}}
+    return play(text, crowd(at=at), world=world, steps=steps, option_sets=OPTIONS, **things, **setting)
+
+
+def measure_pixels(points: list[tuple[float, float]], shape: str) -> np.ndarray:
+    """Return the light of a picture at points of a grey floor, relative to LAMP_COLOUR."""
+    light = LightSettings(sun=0.0, sky=0.0, haze=0.0, lamps=STRENGTH)
+    floor = Solid("floor", *grid(200.0, 20), "table", np.array([0.5] * 3))
+    bulb = Item("one", (0.0, 30.0, 0.0), 2.0, 1.0, shape, "light")
+    above, (width, height) = Camera((0.0, 160.0, 0.01), (0.0, 0.0, 0.0), focal=30.0), (640, 360)
+    image = render_frame(Picture((floor, Solid("wall", *WALL, "stone")), items=(bulb,), light=light), above, width, height)
+    points_on_floor = np.array([(x, 0.0, z) for x, z in points])
+    column, row = make_view(above, width, height, (0.0, 1.0, 0.0)).project(points_on_floor)[0].astype(int).T
+    return np.asarray(decode_srgb(image[row, column] / np.float32(255)) / LAMP_COLOUR).mean(axis=1)
+
+
+@pytest.mark.parametrize("name, shape", [("glows", "sphere"), ("lamps", "lamp")])
+def test_it_is_the_light_of_pixels(name: str, shape: str) -> None:
+    lit, pixels = np.array(run(BULB, name=name, lamp_strength=STRENGTH)["lit"]), measure_pixels(POINTS, shape)
+    dark = lit == 0
+    assert 3 <= dark.sum() <= 8 and pixels[dark].max() < 1e-3
+    ratio = pixels[~dark] / lit[~dark]
+    assert np.allclose(ratio / np.median(ratio), 1, atol=0.015), "8-bit pixels are exact to 1 %"
+
+
+def test_it_follows_lamps_that_move_and_shrink() -> None:
+    tracks = np.array([[[0.0, 30.0, 0.0]], [[0.0, 15.0, 0.0]], [[0.0, 15.0, 0.0]], [[0.0, 15.0, 0.0]]])
+    burn = TEXT.replace("lit = 0", "lit = 0\n  oil = 0").replace(
+        "}\n}", "; when age > 0.25 s take 7 oil from nearest(glows) -> see }\n}"
+    )
+    move = GeometryMoves(items={"glows": tracks})
+    history = run(replace(BULB, attributes={"oil": 8.0}), at=[(0.0, 0.0)], steps=6, motion=move, text=burn)
+    lit = [history.at("lit", frame)[0] for frame in range(1, 7)]
+    assert history.amounts("glows", "oil") == [1.0]
+    for frame, light in enumerate(lit):
+        # The lamp sinks after the first step. An eighth of the oil gives half the radius.
+        radius = 2.0 if light > 0.35 else 1.0
+        up = (30.0 if frame < 1 else 15.0) + 0.85 * radius
+        x, z = (history.at(f"position.{axis}", frame)[0] for axis in "xz")
+        assert np.isclose(light, (10 * radius) ** 2 * up / (x * x + z * z + up * up) ** 1.5, rtol=1e-5), frame
+    assert sum(light > 0.35 for light in lit) == 4
+
+
+def test_without_lamps_it_is_dark() -> None:
+    for lamps in ((), (replace(BULB, look=None),), (replace(BULB, look="metal"),)):
+        assert run(*lamps)["lit"] == [0.0] * len(POINTS)
+    assert run(BULB, lamp_strength=0.0)["lit"] == [0.0] * len(POINTS)
+    assert run(BULB, at=[])["lit"] == []
+
+
+@pytest.mark.parametrize("look, warns", [(", look: light", False), ("", True), (", look: metal", True)])
+def test_items_without_a_lamp_are_reported(tmp_path: Path, look: str, warns: bool) -> None:
+    (tmp_path / "a.ant").write_text("ant 2\nuse steering\nworld { items lamps }\nspecies a {\n  size 4 mm\n"
+                                    "  state s { steer wander() * light(lamps) }\n}\n")  # fmt: skip
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        f"antdsl: 1\nframes: 1..2\nworld:\n  lamps: {{one: {{at: [0, 50, 0]{look}}}}}\n"
+        "crowd: [{species: a, from: a.ant, count: 5, place: {around: [0, 0, 0], radius: 20 mm}}]\n"
+    )
+    warnings = [d for d in check_path(scene)[1].diagnostics if "`light(lamps)`" in d.message]
+    assert len(warnings) == warns and all(d.severity == "warning" and "look: light" in d.help for d in warnings)
