@@ -61,6 +61,11 @@ class ProximityQueries(ABC):
     _grid: DistanceGrid | None
     _has_refined_grid: bool
 
+    @property
+    def corners(self) -> Vectors:
+        """Return the corners of all faces in the world (mm, float64[m,3,3])."""
+        return self._faces.corners + self.origin
+
     @abstractmethod
     def find_closest(
         self, points: Vectors, threads: int = 1, max_distance: NDArray[Any] | float = np.inf

@@ -250,6 +250,7 @@ class World:
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
     trees: dict[str, Any] = field(default_factory=dict)  # of this step, by species: k-d trees of all
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
+    obstacle_faces: Any = None  # the obstacles, and their faces for kernels, see `obstacle_clearance`; None: not computed yet
     touching: dict[tuple[str, str], TouchingAgents] | None = None  # of this step, by both species; None: not computed yet
     transitions: dict[str, int] = field(default_factory=dict)
     dug_balls: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded

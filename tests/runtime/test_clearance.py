@@ -29,8 +29,9 @@ from antdsl.runtime.body_rows import rows_by_body
 from antdsl.runtime.feet.wearers import wearers_of
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
 from antdsl.runtime.moving.clearance import clearance_kernels as clearance
+from antdsl.runtime.moving.clearance.bodies_inside import find_bodies_inside
 from antdsl.runtime.moving.clearance.body_paths import PATH_FLOATS, BodyShape, FacesNearby, profile_lift, trace_bends
-from antdsl.runtime.moving.clearance.clear_steps import body_shapes, face_search
+from antdsl.runtime.moving.clearance.body_tables import body_shapes, contact_faces
 from antdsl.scene.setting import BodyCapsuleData
 
 Floats = NDArray[np.float64]
@@ -66,7 +67,8 @@ def stairs() -> MeshData:
 
 def walking(mesh: MeshData, count: int, clears: bool = True, options: Options | None = None, **fields: Any) -> World:
     """A crowd of walkers on a mesh; their bodies stay outside it or not. `fields`: further fields of the setting."""
-    text = WALKER.replace("SWITCH", "" if clears else "body_clearance false")
+    things = "".join(f"\n  obstacle {name}" for name in fields.get("obstacles", ()))
+    text = WALKER.replace("SWITCH", "" if clears else "body_clearance false").replace("ground }", f"ground{things}\n}}")
     setting = WorldSetting(fps=Fraction(24), crowds=(crowd(count, radius=25),), surfaces={"ground": mesh}, seed=4, **fields)
     return bind(optimise(plan_of(text, "")), setting, options or Options(backend="numpy"))
 
@@ -151,7 +153,7 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
         depths,
         outs,
     )
-    clearance.shift_bodies(walk.build_tables()[0].table, face_search(walk, n, 1), *inputs, turns, 0, n)
+    clearance.shift_bodies(*contact_faces(world, walk, n, 1), *inputs, turns, 0, n)
     vertices, faces, _, _ = meshes.triangles
     corners, size = vertices[faces], now["size"].astype(np.float64)[:, None]
     up, heading, lift = (np.stack(v, axis=1).astype(np.float64) for v in columns)
@@ -202,13 +204,86 @@ def test_bodies_stay_outside_stairs_near_their_ground_and_as_fast() -> None:
     assert speeds[1] > 0.95 * speeds[0]
 
 
+def test_bodies_on_wide_faces_rise_and_sink_steadily() -> None:
+    mesh = extruded([(-30.0, 0.0), (-15.0, 0.0), (0.0, 5.5), (15.0, 5.5), (30.0, 0.0)])  # folds of 20 degrees
+    world, inside, lifts, frames = walking(mesh, 60), 0, [], 60
+    population = world.populations["a"]
+    for _ in range(frames):
+        step(world)
+        inside += int(find_bodies_inside(world, population, np.arange(60)).sum())
+        lifts.append(np.linalg.norm(body_positions(population) - population.position, axis=1)[np.argsort(population.ids)])
+    change = np.diff(np.array(lifts), axis=0) / 4.0
+    returns = (np.abs(change) > 0.02) & (np.abs(np.roll(change, 1, axis=0)) > 0.02) & (change * np.roll(change, 1, axis=0) < 0)
+    assert inside < 0.001 * frames * 60
+    assert np.max(lifts) > 0.1, "some bodies rise"
+    assert returns[1:].mean() < 0.002
+
+
+def test_bodies_turn_with_a_rod_that_is_thinner_than_they_are_long() -> None:
+    sectors = 9  # 40 degrees each, which is smooth for wide faces
+    angle = 2 * np.pi * np.arange(sectors) / sectors
+    ring = np.stack([np.zeros(sectors), 2.5 * np.cos(angle) - 2.5, 2.5 * np.sin(angle)], axis=1)
+    vertices = np.concatenate([ring + np.array([x, 0, 0]) for x in (-30.0, 0.0, 30.0)])
+    first = np.concatenate([np.arange(sectors), sectors + np.arange(sectors)])
+    aside = np.where(first % sectors == sectors - 1, first - sectors + 1, first + 1)
+    faces = np.concatenate(
+        [np.stack([first, first + sectors, aside]), np.stack([aside, first + sectors, aside + sectors])], axis=1
+    )
+    world, leaning, frames = walking(MeshData(vertices, faces.astype(np.int32)), 12), 0, 72
+    population = world.populations["a"]
+    for _ in range(frames):
+        step(world)
+        leaning += int(np.count_nonzero((population.read_vector("up") * population.normal).sum(axis=1) < 0.5))
+    assert len(population) == 12 and leaning == 0, "by 60 degrees"
+    assert world.motion.summary()["body_inside"] < 0.02
+
+
+def pillars() -> MeshData:
+    """Posts of 6 x 6 mm between which bodies fit, on flat ground."""
+    box = np.array([(x, y, z) for x in (-3.0, 3.0) for y in (-5.0, 12.0) for z in (-3.0, 3.0)])
+    sides = np.array(
+        [(0, 1, 3), (0, 3, 2), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5), (2, 3, 7), (2, 7, 6), (1, 5, 7), (1, 7, 3)]
+    )
+    middles = [(x, 0.0, z) for x in (-14.0, 0.0, 14.0) for z in (-14.0, 0.0, 14.0)]
+    vertices = np.concatenate([box + np.array(middle) for middle in middles])
+    return MeshData(vertices, np.concatenate([sides + 8 * k for k in range(len(middles))]).astype(np.int32))
+
+
+def test_bodies_stay_outside_obstacles_and_as_fast() -> None:
+    obstacle, frames, inside, speeds = pillars(), 72, [], []
+    flat = extruded([(-40.0, 0.0), (-20.0, 0.0), (0.0, 0.0), (20.0, 0.0), (40.0, 0.0)])
+    corners = obstacle.vertices[obstacle.faces]
+    for clears in (False, True):
+        world = walking(flat, 40, clears, obstacles={"post": obstacle})
+        population, count, distance = world.populations["a"], 0, 0.0
+        half, radius, height, ahead = body_shapes(world, population, 0.0)[0][0]
+        for _ in range(frames):
+            previous = population.position.copy()
+            step(world)
+            distance += float(np.linalg.norm(population.position - previous, axis=1).mean())
+            up, heading = population.read_vector("up"), population.read_vector("heading")
+            size = population.now["size"].astype(np.float64)[:, None]
+            middle = body_positions(population) + size * (up * height + heading * ahead)
+            nearest = np.full(len(population), np.inf)
+            for part in np.linspace(-1, 1, 9):
+                center = np.repeat(middle + heading * size * half * part, len(corners), axis=0)
+                gap = find_nearest_on_triangle(center, np.tile(corners, (len(population), 1, 1))) - center
+                nearest = np.minimum(nearest, np.sqrt((gap**2).sum(axis=1)).reshape(len(population), -1).min(axis=1))
+            count += int(np.count_nonzero(nearest < (radius - 0.01) * size[:, 0]))
+        inside.append(count / (frames * len(population)))
+        speeds.append(distance)
+        assert abs(world.motion.summary()["body_inside"] - inside[-1]) < 0.05
+    assert inside[0] > 0.01 and inside[1] < 0.001, inside
+    assert speeds[1] > 0.88 * speeds[0], "bodies turn and walk round posts that feet could pass closely"
+
+
 def test_results_do_not_depend_on_threads_rows_or_backends() -> None:
     hashes = set()
     for options in (
         Options(backend="numpy"), Options(backend="numpy", threads=2), Options(backend="native", wait_for_code=True),
         Options(backend="numpy", shuffle_rows=7), Options(backend="reference"),
     ):  # fmt: skip
-        world = walking(stairs(), 80, options=options)
+        world = walking(stairs(), 80, options=options, obstacles={"post": pillars()})
         for _ in range(10):
             step(world)
         hashes.add(state_hash(world))

@@ -30,7 +30,10 @@ _DISTANCE_NOISE = 1e-4  # share of the ground's extent; exceeds the error of flo
 _MAX_CELLS_PER_AXIS = 192  # cells along the longest side of a ground
 _SMOOTH_EDGE_COSINE = 0.7071067811865476  # cosine of the largest angle between faces at a smooth edge
 _MIN_BEND = np.radians(14.0)  # radians; a body on smoothed ground does not touch a smaller rise
+_MIN_WIDE_TURN = np.radians(5.0)  # radians; at an edge of a wide face that turns less, a body does not touch the ground
+_BEND_RINGS = 2  # rings of faces around such an edge; smoothed normals are off the normals of all faces at its ends
 _WIDE_PER_BODY = 0.6  # body lengths; a face of this height has at most one edge below either half of a body
+_MAX_CURL = 0.84  # radians per body length; on ground that curves more, feet would turn faster than a body by default
 _NO_CELL = np.iinfo(np.int32).max
 _PLACES_PER_THREAD = 512  # fewer positions are not worth another thread
 _EXPONENT_BIAS = 1022  # offset from the exponent bits of a float64 to the exponent of np.frexp
@@ -61,7 +64,8 @@ def sharp_edges(table: MeshTopology, corners: Floats) -> Index:
 
 
 def bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index, NDArray[np.bool_]]:
-    """Return the half-edges at which a body of `size` mm may meet rising ground, and which wide faces have such an edge, bool[m].
+    """Return the half-edges at which a body of `size` mm may meet rising ground or must turn ahead of its feet, and which wide
+    faces are at or near an edge at which the ground turns, bool[m].
 
     A body crosses several narrow faces at once, so each of their edges counts even for a smaller turn."""
     half, cosine, face = _edge_turns(table)
@@ -69,17 +73,20 @@ def bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index
     area = np.sqrt((np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) ** 2).sum(axis=1))
     height = np.full(len(corners), np.inf)
     np.minimum.at(height, face, area[face] / np.maximum(length, 1e-300))
-    height = np.minimum(height[face], height[table.link[0, half] >> 3])
     reach = _WIDE_PER_BODY * size
+    is_wide, height = height >= reach, np.minimum(height[face], height[table.link[0, half] >> 3])
     turn = _MIN_BEND * np.minimum(height / reach, 1.0)
     far = corners[table.link[0, half] >> 3, (table.link[0, half] >> 1) & 3].T - corners[face, (half % 3 + 1) % 3].T
     climbs = dot(table.normal.take(face, axis=1), far) > 0
     # Agents may stand on either side of a sheet: an edge that descends on one side rises on the other.
     climbs |= bool((table.link[0].reshape(-1, 3)[table.live] == NO_LINK).any())
     bends, wide = (cosine < elementary.cos(turn.astype(np.float32))) & climbs, height >= reach
+    curls = cosine < elementary.cos((_MAX_CURL * np.minimum(height / size, 1.0)).astype(np.float32))
     has_bend = np.zeros(len(corners), np.bool_)
-    has_bend[face[bends & wide]] = True
-    return half[bends & ~wide], has_bend
+    has_bend[face[wide & (cosine < elementary.cos(np.float32(_MIN_WIDE_TURN)))]] = True
+    for _ in range(_BEND_RINGS):
+        has_bend[face[has_bend[table.link[0, half] >> 3]]] = True
+    return half[(bends & ~wide) | curls], has_bend & is_wide
 
 
 def _edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:

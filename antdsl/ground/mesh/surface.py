@@ -204,8 +204,8 @@ class MeshGround:
         """Write how the ground bends around agents of `size` [n] mm at positions [n,3] into `levels`.
 
         The level is 2 within 1.6 body lengths of a sharp edge, another piece, a cut or a moving mesh. It is 1 for other agents
-        within 0.9 body lengths of narrow faces that rise, and 0 for all others. Return which faces have an edge at which the
-        ground rises, but not sharply."""
+        within 0.9 body lengths of narrow faces that rise or curve much, and 0 for all others. Return which wide faces are
+        at or near an edge at which the ground turns."""
         part, power = np.frexp(max(float(np.fmax.reduce(size, initial=0.0)), 1e-6))
         rung = float(np.ldexp(np.ceil(part * 8) / 8, power))  # rounded, so that tables exist for a few sizes only
         own = [mask for mask, _, _ in self.list_moving_boxes()]

@@ -28,8 +28,8 @@ from antdsl.program.traverse import iterate_expressions
 
 VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTER_COLUMN_BY_NAME.items() if column.shape)
 # Of bodies that stay outside their ground: the shift of the body, how much its feet wait for it, how deep it is inside a surface,
-# and the direction out of what it has met. The runtime sets them.
-CLEARANCE_REGISTERS = ("~lift.x", "~lift.y", "~lift.z", "~wait", "~depth", "~out.x", "~out.y", "~out.z")
+# the direction out of what it has met, and for how many seconds its feet could not move. The runtime sets them.
+CLEARANCE_REGISTERS = ("~lift.x", "~lift.y", "~lift.z", "~wait", "~depth", "~out.x", "~out.y", "~out.z", "~idle")
 # Built-in attributes, each after those that its default reads. The runtime sets `group`, the line of the scene's `crowd`.
 BIRTH_ATTRIBUTES = (
     "height", "size", "mass", "radius", "clearance", "max_speed", "min_speed", "upright", "max_slope", "response", "max_turn",

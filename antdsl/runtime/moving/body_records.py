@@ -74,6 +74,15 @@ class FaceBuffers(NamedTuple):
     count: I64
 
 
+class ContactFaces(NamedTuple):
+    """Faces that bodies stay outside of: the packed `table`, the piece of each face, a tree of boxes, and buffers."""
+
+    table: Array1[F64]
+    pieces: Array1[I32]
+    boxes: BoxTree
+    buffers: FaceBuffers
+
+
 class FaceSearch(NamedTuple):
     """Tables for a search of faces: `piece` and the cuts of the topology, a tree of boxes, and buffers.
 

@@ -117,6 +117,7 @@ def _move_clear(world: World, population: Population, dt: np.float32, substep: i
     crowd.walk(world.ground)
     clear.follow(BodyPoses(*crowd.previous_axes), outset)
     crowd.follow_feet(outset[1], NO_WALLS, posture_of(world, population))
+    clear.lift_climbers(clear.climbers)
     return clear
 
 

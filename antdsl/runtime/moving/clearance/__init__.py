@@ -1,5 +1,5 @@
 """Bodies stay outside the ground, obstacles and solids.
 
-`clear_steps` runs the stages of a substep, and `clearance_kernels` has its loops. `body_paths`, `body_lifts` and `walls_ahead`
-measure the ground along the path. `obstacle_clearance` bounds the distance from obstacles. `bodies_inside` and `head_clearance`
-find what is inside the ground."""
+`clear_steps` runs the stages of a substep, `body_tables` has its inputs, and `clearance_kernels` its loops. `body_paths`,
+`body_lifts` and `walls_ahead` measure the ground along the path. `obstacle_clearance` bounds the distance from obstacles and
+packs their faces. `bodies_inside` and `head_clearance` find what is inside the ground."""

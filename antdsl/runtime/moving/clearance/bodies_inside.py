@@ -9,7 +9,7 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
-from antdsl.runtime.moving.clearance.clear_steps import body_shapes, face_search
+from antdsl.runtime.moving.clearance.body_tables import body_shapes, contact_faces
 from antdsl.runtime.moving.clearance.clearance_kernels import shift_bodies
 from antdsl.runtime.world import Population, World
 
@@ -27,11 +27,11 @@ def find_sampled_bodies_inside(world: World, population: Population) -> NDArray[
 
 
 def find_bodies_inside(world: World, population: Population, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which bodies of `rows` are inside the ground or a solid in the current state, bool[k].
+    """Return which bodies of `rows` are inside the ground, an obstacle or a solid in the current state, bool[k].
 
-    A body is the capsule of its trunk, with head and abdomen. It is inside a mesh if a face crosses its axis. It is also inside
-    if a face is nearer to the axis than the radius, less 1 % of the body length. It is inside a solid if the solid is that near
-    to an end or the middle of the axis."""
+    A body is the capsule of its trunk, with head and abdomen. It is inside a ground or an obstacle if a face crosses its axis. It
+    is also inside if a face is nearer to the axis than the radius, less 1 % of the body length. It is inside a solid if the solid
+    is that near to an end or the middle of the axis."""
     now, count = population.now, len(rows)
     size, (shapes, body) = now["size"].take(rows).astype(np.float64), body_shapes(world, population, 0.0)
     depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)
@@ -43,11 +43,9 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     walk = None if not isinstance(meshes, MeshGround) else meshes.build_crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
     if walk is not None and count:
         limits = BodyLimits(zero, zero, _F(1), now["size"], shapes, body, np.inf, np.inf)
-        search, old = face_search(walk, count, 1), vec.take_rows(lift, rows)
-        table = walk.build_tables()[0].table
+        old = vec.take_rows(lift, rows)
         shift_bodies(
-            table,
-            search,
+            *contact_faces(world, walk, count, 1),
             rows,
             BodyStances(population.position, population.normal, poses),
             limits,

@@ -57,7 +57,7 @@ def select_rows(
 
 
 class LiftLists(NamedTuple):
-    """Lists of `rows` with their `levels`, as `lift_bodies` writes them, and its work buffers."""
+    """Lists of `rows` with their `levels`, as `list_bodies` writes them, and its work buffers."""
 
     rows: Array1[I64]
     levels: Array1[U8]
@@ -66,23 +66,21 @@ class LiftLists(NamedTuple):
 
 
 @kernel
-def lift_bodies(
+def list_bodies(
     surface: SurfaceTables,
     feet: FootingArrays,
     has_bend: Array1[BOOL],
     state: Array1[I32],
     levels: Array1[U8],
-    pose: BodyPoses,
-    limits: BodyLimits,
     retained: BodyRegisters,
     lists: LiftLists,
     begin: I64,
     end: I64,
-) -> tuple[I64, I64]:
-    """Lift bodies that stand on a wide face off the neighbouring faces, for agents from `begin` to before `end`.
+) -> tuple[I64, I64, I64]:
+    """List the bodies on ground with a level, and bodies that are shifted, waiting or deep inside, from `begin` to before `end`.
 
-    Lists bodies on ground with a level, and bodies that are shifted, waiting or deep inside. Returns `begin` and their number.
-    Their `state` becomes that of a body aligned with its feet."""
+    Their `state` becomes that of a body aligned with its feet. Other bodies on faces with a bend are listed as climbers. Returns
+    `begin`, and the numbers of rows and climbers."""
     first, (rows, row_levels, climbers, kind) = surface.first, lists
     for row in simd_range(begin, end):
         climbs = False
@@ -90,29 +88,46 @@ def lift_bodies(
             climbs = has_bend[first[feet.mesh[row]] + feet.face[row]]
         x, y, z = retained.lift[0][row], retained.lift[1][row], retained.lift[2][row]
         shifted = (x != 0) | (y != 0) | (z != 0) | (retained.depth[row] != 0) | (retained.wait[row] != 0)
-        is_listed = (levels[row] > 0) | (shifted & (state[row] != STANDING_STATE))
+        is_listed = (levels[row] > 0) | (shifted & (not climbs) & (state[row] != STANDING_STATE))
         kind[row] = 1 if is_listed else 2 if climbs else 0
         if is_listed:
             state[row] = STANDING_STATE
         elif shifted:
             retained.depth[row], retained.wait[row] = _F(0), _F(0)
-            for axis in range(3):
-                retained.lift[axis][row] = _F(0)
+            if not climbs:
+                for axis in range(3):
+                    retained.lift[axis][row] = _F(0)
     count, raised = begin, begin
     for row in range(begin, end):
         rows[count], row_levels[count], climbers[raised] = row, levels[row], row
         count += kind[row] == 1
         raised += kind[row] == 2
-    for k in simd_range(begin, raised):
-        i = climbers[k]
+    return begin, count - begin, raised - begin
+
+
+@kernel
+def lift_bodies(
+    surface: SurfaceTables,
+    feet: FootingArrays,
+    pose: BodyPoses,
+    limits: BodyLimits,
+    retained: BodyRegisters,
+    rows: Array1[I64],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Lift the bodies of `rows` from `begin` to before `end`, which stand on wide faces, off the neighbouring faces."""
+    for k in simd_range(begin, end):
+        i = rows[k]
         size, up, heading = np.float64(limits.size[i]), read_vector(pose.up, i), read_vector(pose.heading, i)
-        f, weights = first[feet.mesh[i]] + feet.face[i], (feet.b1[i], feet.b2[i])
-        lift = min(
-            _face_lift(surface.table, surface.link, f, weights, get_shape(limits, i, size), up, heading), MAX_LIFT_PER_BODY * size
-        )
+        has_face = feet.mesh[i] >= 0 and feet.face[i] >= 0
+        f, weights = surface.first[max(feet.mesh[i], 0)] + max(feet.face[i], 0), (feet.b1[i], feet.b2[i])
+        rise = _face_lift(surface.table, surface.link, f, weights, get_shape(limits, i, size), up, heading)
+        old = read_vector(retained.lift, i)
+        change = minus(times(up, min(rise, MAX_LIFT_PER_BODY * size) if has_face else 0.0), old)
+        lift = plus(old, times(change, min(limits.ease * size / max(np.sqrt(dot(change, change)), 1e-300), 1.0)))
         for axis in range(3):
-            retained.lift[axis][i] = _F(lift * up[axis])
-    return begin, count - begin
+            retained.lift[axis][i] = _F(lift[axis])
 
 
 @kernel_helper

@@ -5,36 +5,37 @@ keeps its pose. A body deep inside a surface, for example after a birth in a gap
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.surface import SHARP_REACH, MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk
 from antdsl.ground.mesh.walkers import SurfaceTables, get_footing_arrays
 from antdsl.ground.protocol import Footing
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.body_rows import numbers_by_row
-from antdsl.runtime.moving.body_records import (
-    SHARP,
-    BodyLimits,
-    BodyPoses,
-    BodyRegisters,
-    BodyRows,
-    BodyStances,
-    FaceBuffers,
-    FaceSearch,
+from antdsl.runtime.moving.body_records import SHARP, BodyLimits, BodyPoses, BodyRows, BodyStances, FaceSearch
+from antdsl.runtime.moving.clearance.body_lifts import LiftLists, lift_bodies, list_bodies, select_rows
+from antdsl.runtime.moving.clearance.body_tables import (
+    ROWS_PER_THREAD,
+    Rows,
+    Stands,
+    body_shapes,
+    contact_faces,
+    dot_rows,
+    face_search,
+    read_lift,
+    read_registers,
+    take_stands,
 )
-from antdsl.runtime.moving.clearance.body_lifts import LiftLists, lift_bodies, select_rows
-from antdsl.runtime.moving.clearance.body_paths import BodyShape
 from antdsl.runtime.moving.clearance.clearance_kernels import aim_bodies, limit_steps, shift_bodies
+from antdsl.runtime.moving.clearance.obstacle_clearance import mark_near_obstacles
 from antdsl.runtime.moving.contacts.body_contacts import SHIFT_TURNS
-from antdsl.runtime.moving.contacts.capsules import find_capsule
+from antdsl.runtime.moving.obstacles import slide_rows
 from antdsl.runtime.moving.postures import has_posture
 from antdsl.runtime.moving.slopes import has_slope_limit
 from antdsl.runtime.world import AXES, Population, World
@@ -46,14 +47,18 @@ _YIELD_DEPTH = _F(0.003)
 _STRANDED_DEPTH = _F(0.08)  # body lengths; a body this deep inside moves freely
 _MIN_LEAN_COSINE = _F(0.5)  # cosine of the angle between body and ground; contacts cannot tilt a body further
 _LOST_COSINE = _F(-0.087)  # of the angle between body and ground, 95 degrees, that no body has after a step over an edge
-_MARGIN_PER_BODY = 0.04  # body lengths that are added at both ends of the capsule
-_ROWS_PER_THREAD = 32  # fewer rows are not worth another thread
 _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("up", "heading", "~lift") for axis in AXES)
 # body lengths per second; a body shifts at the first speed by choice, and never faster than the second
 _SHIFT_SPEED, _JUMP_SPEED = 3.6, 8.4
-_QUARTER_TURNS = 3  # at birth, a body that does not fit tries these turns
+# At birth, a body that does not fit tries so many directions, then steps of these lengths (body lengths) into each of them
+_SETTLING_REACHES = (0.0, 0.5, 1.0, 1.5, 2.5, 4.0)
+_SETTLING_WAYS = ((1, 0), (0, 1), (-1, 0), (0, -1), (0.707, 0.707), (-0.707, 0.707), (-0.707, -0.707), (0.707, -0.707))
 
-Rows = NDArray[np.int64]
+# Directions (back, to the left) of steps of bodies that can neither walk nor turn, and the share of the largest step
+_ESCAPES = ((-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0))
+_ESCAPE_SHARE = 0.5
+_MAX_IDLE = _F(0.15)  # seconds; feet that cannot follow their velocity for longer step aside
+_MAX_YIELD = _F(0.012)  # body lengths; a body that is stuck may become so deep
 
 
 def has_clearance(world: World, population: Population) -> bool:
@@ -71,6 +76,7 @@ class ClearStep:
     `walk`: the tables of the ground. `rows`: agents on ground with bends, and agents that are not aligned with their feet.
     `levels`: the bend of the ground below them, see `MeshGround.mark_bends`."""
 
+    world: World
     population: Population
     walk: CrowdWalk
     limits: BodyLimits
@@ -83,6 +89,8 @@ class ClearStep:
     previous: BodyPoses = field(init=False)
     headings: tuple[NDArray[np.float32], ...] = field(init=False)
     lifts: VectorArrays = field(init=False)
+    climbers: Rows = field(init=False)
+    climber_positions: NDArray[np.float64] = field(init=False)
     recorded: tuple[tuple[Footing, NDArray[np.float64], NDArray[np.float32]], list[NDArray[np.float32]]] = field(init=False)
 
     @staticmethod
@@ -102,12 +110,13 @@ class ClearStep:
         (levels,), (row_levels,) = (population.get_buffers(name, 1, (n,), np.uint8) for name in ("bends", "bends of rows"))
         size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
         has_bend = world.ground.mark_bends(population.footing, population.position, size, levels, threads)
+        mark_near_obstacles(world, population, SHARP_REACH * size, levels, SHARP)
         (rows,), heading = population.get_buffers("uneven", 1, (n,), np.int64), vec.get_vector_registers(now, "heading")
-        work = partial(select_rows, levels, heading, *stance, _retained_registers(population), rows, row_levels)
+        work = partial(select_rows, levels, heading, *stance, read_registers(population), rows, row_levels)
         rows, row_levels = parallel.join_parts(parallel.run_in_parts(work, n, threads), rows, row_levels)
         dt = float(limits[2])
         bounds = BodyLimits(*limits, now["size"], *body_shapes(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt)
-        step = ClearStep(population, walk, bounds, threads, rows, row_levels)
+        step = ClearStep(world, population, walk, bounds, threads, rows, row_levels)
         step.all_levels, step.has_bend, step.state = levels, has_bend, stance[0]
         return step
 
@@ -117,7 +126,7 @@ class ClearStep:
             p = self.population
             up = vec.get_vector_registers(p.now, "up")
             at = get_footing_arrays(p.footing)
-            inputs = (at, BodyRows(self.rows, self.levels), up, p.normal, step, velocity, self.limits, _retained_registers(p))
+            inputs = (at, BodyRows(self.rows, self.levels), up, p.normal, step, velocity, self.limits, read_registers(p))
             self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
 
     def follow(self, previous: BodyPoses, outset: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
@@ -129,48 +138,117 @@ class ClearStep:
         (levels,), (kind,) = (p.get_buffers(name, 1, (n,), np.uint8) for name in ("bends of rows", "lifts"))
         lists = LiftLists(rows, levels, climbers, kind)
         feet = get_footing_arrays(p.footing)
-        poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
-        inputs = (feet, self.has_bend, self.state, self.all_levels, poses, self.limits, _retained_registers(p), lists)
-        parts = parallel.run_in_parts(partial(lift_bodies, self._surface, *inputs), n, self.threads)
+        inputs = (feet, self.has_bend, self.state, self.all_levels, read_registers(p), lists)
+        parts = parallel.run_in_parts(partial(list_bodies, self._surface, *inputs), n, self.threads)
+        (self.climbers,) = parallel.join_parts([(begin, count) for begin, _, count in parts], climbers)
         rows, levels = parallel.join_parts(parts, rows, levels)
         order = np.argsort(p.footing.face.take(rows))  # neighbours one after another: they read the same faces
         self.rows, self.levels = rows, levels = rows.take(order), levels.take(order)
         if not len(rows):
             return
-        self.lifts = _read_lift(p, rows)
+        self.lifts = read_lift(p, rows)
         held, depths = (
             (*vec.take_rows(previous.up, rows), *vec.take_rows(previous.heading, rows), *self.lifts),
             now["~depth"].take(rows),
         )
         self.headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
+        idle = self._count_idle(rows, outset[1])
         self._aim(rows, self.levels, previous)
         uneven = np.flatnonzero(self.levels == SHARP)
         depth, out = self._shift(rows[uneven], vec.take_rows(self.lifts, uneven))
         old, footing, (position, normal) = depths[uneven], outset[0], (each[rows[uneven]] for each in outset[1:])
-        cosine = _dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
-        is_lost = (cosine < _LOST_COSINE) & (_dot_rows(vec.take_rows(previous.up, rows[uneven]), normal) >= _LOST_COSINE)
+        cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
+        is_lost = (cosine < _LOST_COSINE) & (dot_rows(vec.take_rows(previous.up, rows[uneven]), normal) >= _LOST_COSINE)
         out[:, is_lost] = (position - p.position[rows[uneven]])[is_lost].T
-        deeper = np.flatnonzero(is_lost | ((depth > np.maximum(old, _MAX_DEPTH)) & (old < _STRANDED_DEPTH)))
+        too_deep = is_lost | ((depth > np.maximum(old, _MAX_DEPTH)) & (old < _STRANDED_DEPTH))
+        deeper = np.flatnonzero(too_deep | idle[uneven])
         if deeper.size:
             at = uneven[deeper]
             back = rows[at]
             self._put(back, (footing.take_rows(back), position[deeper], normal[deeper]))
             for k, axis in enumerate(AXES):
-                now[f"~out.{axis}"][back] = out[k, deeper]
+                now[f"~out.{axis}"][rows[uneven[too_deep]]] = out[k, too_deep]
             self._stand_up(at)
             self._aim(back, self.levels[at], previous)
             turned, _ = self._shift(back, vec.take_rows(self.lifts, at))
-            worse = np.flatnonzero(turned > np.maximum(old[deeper], _MAX_DEPTH))
-            for name, values in zip(_POSE_REGISTERS, held, strict=True):
-                now[name][back[worse]] = values[at[worse]]
-            now["~wait"][back[worse]] = 0
-            turned[worse] = np.maximum(old[deeper[worse]], _MAX_DEPTH) + _YIELD_DEPTH
+            worse = np.flatnonzero((turned > np.maximum(old[deeper], _MAX_DEPTH)) | idle[at])
+            outset_rows = footing.take_rows(back[worse]), position[deeper[worse]], normal[deeper[worse]]
+            own = [each[at[worse]] for each in held]
+            turned[worse] = self._escape(at[worse], old[deeper[worse]], turned[worse], own, outset_rows)
             depth[deeper] = turned
         now["~depth"][rows[uneven]] = depth
+
+    def lift_climbers(self, rows: Rows) -> None:
+        """Lift the bodies of `rows`, which have no level but stand on a wide face that bends, once their poses are final."""
+        p, now = self.population, self.population.now
+        poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
+        inputs = (get_footing_arrays(p.footing), poses, self.limits, read_registers(p), rows)
+        self._run(partial(lift_bodies, self._surface, *inputs), len(rows))
+
+    def _count_idle(self, rows: Rows, start: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Count for how long the feet of `rows` have not moved although they should. Return which agents must step aside.
+
+        `start`: positions of all agents before the step."""
+        p, now, walks = self.population, self.population.now, np.zeros(len(rows), np.bool_)
+        for axis in AXES:
+            walks |= now[f"velocity.{axis}"][rows] != 0
+        walks &= (p.position[rows] == start[rows]).all(axis=1)
+        idle = np.where(walks, now["~idle"][rows] + self.limits.dt, _F(0))
+        now["~idle"][rows] = idle
+        return idle > _MAX_IDLE
+
+    def _escape(
+        self, at: Rows, old: NDArray[np.float32], turned: NDArray[np.float32], held: list[NDArray[np.float32]], outset: Stands
+    ) -> NDArray[np.float32]:
+        """Step back or aside with bodies that can neither walk nor turn. Return their remaining depths.
+
+        A body that cannot do that either keeps its pose. `at`: indices among `rows`. `old`: depths before the step. `turned`:
+        depths of the bodies where they stand. `held`: poses before the step. `outset`: footings, positions and normals before
+        it."""
+        p, now, most = self.population, self.population.now, np.maximum(old, _MAX_DEPTH)
+        depths = np.where(turned > most, np.minimum(most + _YIELD_DEPTH, _MAX_YIELD), turned)
+        depths[old > _MAX_YIELD] = _STRANDED_DEPTH
+        left = np.arange(len(at))
+        for back, aside in _ESCAPES:
+            if not left.size:
+                break
+            rows, (footing, position, normal) = self.rows[at[left]], take_stands(outset, left)
+            self._restore_poses(rows, left, held)
+            up, heading = normal.T.astype(np.float64), np.stack([each[left] for each in held[3:6]]).astype(np.float64)
+            along = heading - up * vec.dot(up, heading)
+            reach = np.nan_to_num(_ESCAPE_SHARE * now["max_speed"][rows].astype(np.float64) * self.limits.dt, posinf=0.0)
+            step = (along * back + vec.compute_stacked_cross(up, along) * aside) * np.maximum(reach, 0.0)
+            step = self._slide(rows, step, up)
+            size = now["size"][rows].astype(np.float64)
+            moved = self.world.ground.move(footing, step, along.T, up.T, size, self.threads)
+            self._put(rows, (moved.footing, moved.position, moved.up.astype(np.float32)))
+            for k, axis in enumerate(AXES):
+                now[f"up.{axis}"][rows], now[f"heading.{axis}"][rows] = moved.up[:, k], moved.heading[:, k]
+            self._aim(rows, self.levels[at[left]], self.previous)
+            depth, _ = self._shift(rows, vec.take_rows(self.lifts, at[left]))
+            cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows), p.normal[rows])
+            is_free = (depth <= most[left]) & (cosine >= _MIN_LEAN_COSINE) & ~moved.blocked
+            depths[left[is_free]] = depth[is_free]
+            self._put(rows[~is_free], take_stands((footing, position, normal), ~is_free))
+            left = left[~is_free]
+        self._restore_poses(self.rows[at[left]], left, held)
+        now["~wait"][self.rows[at[left]]] = 0
+        return depths
+
+    def _slide(self, rows: Rows, step: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the steps (k, 3) of (3, k) mm along obstacles ahead."""
+        short, above = step.astype(np.float32), up.astype(np.float32)
+        slid = slide_rows(self.world, self.population, rows, tuple(short), tuple(above))
+        return np.stack(slid, axis=1).astype(np.float64)
+
+    def _restore_poses(self, rows: Rows, which: Rows, held: list[NDArray[np.float32]]) -> None:
+        for name, values in zip(_POSE_REGISTERS, held, strict=True):
+            self.population.now[name][rows] = values[which]
 
     def record(self) -> None:
         """Record positions and poses before contacts move agents."""
         p, rows = self.population, self.rows
+        self.climber_positions = p.position.take(self.climbers, axis=0)
         columns = [p.now[name].take(rows) for name in (*_POSE_REGISTERS, "~wait", "~depth")]
         self.recorded = (p.footing.take_rows(rows), p.position[rows], p.normal[rows]), columns
 
@@ -179,7 +257,8 @@ class ClearStep:
 
         A move is undone if it would bring the body deeper into a surface. It is also undone if the body would lean more than
         allowed."""
-        p, now, rows = self.population, self.population.now, self.rows
+        p, now, rows, climbers = self.population, self.population.now, self.rows, self.climbers
+        self.lift_climbers(climbers[(p.position.take(climbers, axis=0) != self.climber_positions).any(axis=1)])
         (footing, position, normal), columns = self.recorded
         at = np.flatnonzero((p.position[rows] != position).any(axis=1))
         if not at.size:
@@ -189,8 +268,8 @@ class ClearStep:
         self._aim(moved, levels, self.previous)
         sharp, depth = np.flatnonzero(levels == SHARP), np.zeros(len(at), np.float32)
         depth[sharp], _ = self._shift(moved[sharp], vec.take_rows(self.lifts, at[sharp]))
-        cosine = _dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), moved), p.normal[moved])
-        old_cosine = _dot_rows([c[at] for c in columns[:3]], normal[at])
+        cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), moved), p.normal[moved])
+        old_cosine = dot_rows([c[at] for c in columns[:3]], normal[at])
         old = columns[-1][at]
         bad = (depth > np.maximum(old, _MAX_DEPTH)) | (cosine < np.minimum(old_cosine, _MIN_LEAN_COSINE))
         now["~depth"][moved] = depth
@@ -216,27 +295,43 @@ class ClearStep:
             p.now[f"position.{axis}"][rows] = position[:, k]
 
     def settle(self) -> None:
-        """Turn and shift new bodies at once. A body that does not fit tries quarter turns, and takes the one with the least
-        depth."""
-        p, now, rows = self.population, self.population.now, self.rows
-        heading = [now[f"heading.{axis}"].take(rows) for axis in AXES]
-        best, pose = np.full(len(rows), np.inf, np.float32), [now[name].take(rows) for name in _POSE_REGISTERS]
-        normal = p.normal.take(rows, axis=0).T
-        for turn in range(1 + _QUARTER_TURNS):
-            for k, axis in enumerate(AXES):
-                now[f"up.{axis}"][rows], now[f"heading.{axis}"][rows] = normal[k], heading[k]
-            previous = BodyPoses(
-                vec.copy(vec.get_vector_registers(now, "up")), vec.copy(vec.get_vector_registers(now, "heading"))
-            )
-            self._aim(rows, self.levels, previous)
-            depth, _ = self._shift(rows, _read_lift(p, rows))
-            better = np.flatnonzero(depth < best if turn == 0 else (depth < best) & (best > _MAX_DEPTH))
-            best[better] = depth[better]
-            for name, values in zip(_POSE_REGISTERS, pose, strict=True):
-                values[better] = now[name][rows[better]]
-            heading = list(vec.cross(tuple(normal), tuple(heading)))  # type: ignore[arg-type]
-        for name, values in zip(_POSE_REGISTERS, pose, strict=True):
-            now[name][rows] = values
+        """Turn and shift new bodies at once. A body that does not fit tries turns, and takes the one with the least depth.
+
+        A body that fits in no direction steps aside, by up to four body lengths."""
+        p, now, rows, n = self.population, self.population.now, self.rows, len(self.rows)
+        heading = np.stack([now[f"heading.{axis}"].take(rows) for axis in AXES])
+        best, pose = np.full(n, np.inf, np.float32), [now[name].take(rows) for name in _POSE_REGISTERS]
+        stands = take_stands((p.footing, p.position, p.normal), rows)
+        for reach in _SETTLING_REACHES:
+            for along, aside in _SETTLING_WAYS:
+                left = np.flatnonzero(best > _MAX_DEPTH)
+                if not left.size:
+                    break
+                own, (footing, position, normal) = rows[left], take_stands(stands, left)
+                up = normal.T
+                ahead = heading[:, left] * _F(along) + vec.compute_stacked_cross(up, heading[:, left]) * _F(aside)
+                place = footing, position, normal
+                if reach > 0:
+                    size = now["size"][own].astype(np.float64)
+                    step = ahead.T * (reach * np.where(np.isfinite(size), np.maximum(size, 0.0), 0.0))[:, None]
+                    step = self._slide(own, step.T, up.astype(np.float64))
+                    moved = self.world.ground.move(footing, step, ahead.T, up.T.astype(np.float64), size, self.threads)
+                    place, ahead = (moved.footing, moved.position, moved.up.astype(np.float32)), moved.heading.T
+                self._put(own, place)
+                for k, axis in enumerate(AXES):
+                    now[f"up.{axis}"][own], now[f"heading.{axis}"][own] = p.normal[own, k], ahead[k]
+                    now[f"~lift.{axis}"][own] = 0
+                previous = BodyPoses(
+                    vec.copy(vec.get_vector_registers(now, "up")), vec.copy(vec.get_vector_registers(now, "heading"))
+                )
+                self._aim(own, self.levels[left], previous)
+                depth, _ = self._shift(own, read_lift(p, own))
+                better = depth < best[left] if reach == 0 else depth <= _MAX_DEPTH
+                best[left[better]] = depth[better]
+                for name, values in zip(_POSE_REGISTERS, pose, strict=True):
+                    values[left[better]] = now[name][own[better]]
+                self._put(own[~better] if reach > 0 else own, take_stands(stands, left[~better] if reach > 0 else left))
+        self._restore_poses(rows, np.arange(n), pose)
         now["~depth"][rows], now["~wait"][rows] = best, 0
 
     @property
@@ -250,7 +345,7 @@ class ClearStep:
         p, now = self.population, self.population.now
         at = get_footing_arrays(p.footing)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
-        inputs = (at, BodyRows(rows, levels), previous, poses, self.limits, _retained_registers(p))
+        inputs = (at, BodyRows(rows, levels), previous, poses, self.limits, read_registers(p))
         self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))
 
     def _shift(self, rows: Rows, old: VectorArrays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -268,12 +363,13 @@ class ClearStep:
             outs,
             SHIFT_TURNS,
         )
-        self._run(partial(shift_bodies, self._surface.table, self._search(len(rows)), *inputs), len(rows))
+        ground, things = contact_faces(self.world, self.walk, len(rows), self.threads)
+        self._run(partial(shift_bodies, ground, things, *inputs), len(rows))
         return depths, outs
 
     def _run(self, work: partial[object], count: int) -> None:
         if count:
-            parallel.run_in_parts(work, count, self.threads, _ROWS_PER_THREAD)
+            parallel.run_in_parts(work, count, self.threads, ROWS_PER_THREAD)
 
 
 def settle_clear(world: World, population: Population, rows: Rows) -> bool:
@@ -289,49 +385,9 @@ def settle_clear(world: World, population: Population, rows: Rows) -> bool:
         return False
     free = np.full(n, np.inf, np.float32)
     limits = BodyLimits(np.full(n, np.pi, np.float32), free, _F(1), now["size"], *body_shapes(world, population), np.inf, np.inf)
-    ClearStep(
-        population, walk, limits, world.options.threads, np.asarray(rows, np.int64), np.full(len(rows), SHARP, np.uint8)
-    ).settle()
-    for name in ("up", "heading"):
+    levels = np.full(len(rows), SHARP, np.uint8)
+    ClearStep(world, population, walk, limits, world.options.threads, np.asarray(rows, np.int64), levels).settle()
+    for name in ("up", "heading", "position"):
         for axis in AXES:
             population.start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows]
     return True
-
-
-def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
-    """Return the tables for a search of faces for `count` rows."""
-    several = parallel.count_parts(count, threads, _ROWS_PER_THREAD)
-    table, boxes = walk.walk.table, walk.boxes
-    buffers = FaceBuffers(np.empty(several * boxes.triangle_order.size, np.int64), several, count)
-    several, near = table.piece_count > 1 or bool(table.cuts.first[-1]), walk.build_tables()[1]
-    return FaceSearch(several, near, table.piece, table.cuts.first, boxes.to_box_tree(), buffers)
-
-
-def body_shapes(
-    world: World, population: Population, margin: float = _MARGIN_PER_BODY
-) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Return the capsules (k, 4) of a species' bodies, and the index of each agent's body, uint8[n].
-
-    A row has the numbers of a `BodyShape` for a body of 1 mm, extended by `margin` at both ends."""
-    capsules = [find_capsule(world, key) for key in world.setting.list_body_keys(population.name)]
-    shapes = [
-        BodyShape(max(each.length - each.width, 0.0) / 2 + margin, each.width / 2, each.height, each.forward_offset)
-        for each in capsules
-    ]
-    return np.array(shapes, np.float64), numbers_by_row(population, world.setting)
-
-
-def _dot_rows(columns: Sequence[NDArray[np.float32]], vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the dot products of vectors, given as three columns, with vectors (k, 3)."""
-    result: NDArray[np.float32] = (columns[0] * vectors[:, 0] + columns[1] * vectors[:, 1]) + columns[2] * vectors[:, 2]
-    return result
-
-
-def _read_lift(population: Population, rows: Rows) -> VectorArrays:
-    return vec.take_rows(vec.get_vector_registers(population.now, "~lift"), rows)
-
-
-def _retained_registers(population: Population) -> BodyRegisters:
-    now = population.now
-    lift, out = vec.get_vector_registers(now, "~lift"), vec.get_vector_registers(now, "~out")
-    return BodyRegisters(lift, now["~wait"], now["~depth"], out)

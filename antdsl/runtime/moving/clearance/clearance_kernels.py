@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import FaceList, gather_faces
+from antdsl.ground.mesh.boxes import BoxTree, FaceList, gather_faces
 from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, NORMAL_OFFSET, ROW_FLOATS  # fmt: skip
 from antdsl.ground.mesh.stretches import get_clearance, project_to_face
 from antdsl.ground.mesh.surroundings import position_on_face
@@ -38,6 +38,8 @@ from antdsl.runtime.moving.body_records import (
     BodyRegisters,
     BodyRows,
     BodyStances,
+    ContactFaces,
+    FaceBuffers,
     FaceSearch,
     get_shape,
 )
@@ -47,11 +49,12 @@ from antdsl.runtime.moving.clearance.body_paths import (
     PATH_FLOATS,
     POINT_FLOATS,
     RISE_AT,
+    BodyShape,
     FacesNearby,
     profile_lift,
     trace_bends,
 )
-from antdsl.runtime.moving.contacts.body_contacts import BodyStance, shift_outside
+from antdsl.runtime.moving.contacts.body_contacts import BodyShift, BodyStance, shift_outside
 from antdsl.runtime.moving.postures import perpendicular, read_vector, tilt_within, turn_axis, turn_heading, turn_within
 
 _F = np.float32
@@ -70,9 +73,9 @@ _VALLEY_GAP_PER_BODY = 0.01  # body lengths; the same for a valley that is too n
 
 
 @inlined
-def _buffer(search: FaceSearch, begin: I64) -> I64:
+def _buffer(buffers: FaceBuffers, boxes: BoxTree, begin: I64) -> I64:
     """Return the index at which the buffer of a chunk begins."""
-    return compute_buffer_index(begin, search.buffers.count, search.buffers.several) * search.boxes.triangle_order.size
+    return compute_buffer_index(begin, buffers.count, buffers.several) * boxes.triangle_order.size
 
 
 @kernel_helper
@@ -132,7 +135,10 @@ def limit_steps(
     A step leads away from the surface that the body touched in the last step. It ends before an edge if the body cannot stand
     beyond it. It also ends before a valley that is too narrow for the body."""
     table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
-    points, faces = allocate_scratch(PATH_FLOATS, F64), FaceList(search.buffers.numbers, _buffer(search, begin))
+    points, faces = (
+        allocate_scratch(PATH_FLOATS, F64),
+        FaceList(search.buffers.numbers, _buffer(search.buffers, search.boxes, begin)),
+    )
     for j in range(begin, end):
         i = rows[j]
         displacement = read_vector(step, i)
@@ -217,7 +223,7 @@ def aim_bodies(
 
     `previous`: poses before the step. `now`: poses of the feet; they are replaced by the poses of the bodies."""
     table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
-    faces = FaceList(search.buffers.numbers, _buffer(search, begin))
+    faces = FaceList(search.buffers.numbers, _buffer(search.buffers, search.boxes, begin))
     ahead_points, behind_points = allocate_scratch(PATH_FLOATS, F64), allocate_scratch(PATH_FLOATS, F64)
     for j in range(begin, end):
         i = rows[j]
@@ -279,10 +285,42 @@ def aim_bodies(
             retained.lift[k][i] = _F(lift[k])
 
 
+@kernel_helper
+def _shift_outside_all(
+    ground: ContactFaces,
+    things: ContactFaces,
+    begin: I64,
+    shape: BodyShape,
+    stance: BodyStance,
+    shift: Vec3,
+    most: F64,
+    turns: I64,
+) -> BodyShift:
+    """Return the shift that brings a body outside the ground and obstacles, and its depth in what it is deepest in.
+
+    A body that touches an obstacle then leaves the ground again."""
+    table, pieces, boxes, buffers = ground
+    faces = FaceList(buffers.numbers, _buffer(buffers, boxes, begin))
+    result = shift_outside(table, pieces, boxes, faces, shape, stance, shift, most, turns)
+    if things.boxes.triangle_order.size == 0:
+        return result
+    others = FaceList(things.buffers.numbers, _buffer(things.buffers, things.boxes, begin))
+    for turn in range(2):
+        other = shift_outside(
+            things.table, things.pieces, things.boxes, others, shape, stance, result.shift, most, turns if turn == 0 else 0
+        )
+        change = minus(other.shift, result.shift)
+        if turn == 0 and dot(change, change) > 0:
+            result = shift_outside(table, pieces, boxes, faces, shape, stance, other.shift, most, turns)
+        elif other.depth > result.depth:
+            result = BodyShift(result.shift, other.depth, other.out)
+    return result
+
+
 @kernel
 def shift_bodies(
-    table: Array1[F64],
-    search: FaceSearch,
+    ground: ContactFaces,
+    things: ContactFaces,
     rows: Array1[I64],
     stands: BodyStances,
     limits: BodyLimits,
@@ -296,10 +334,11 @@ def shift_bodies(
 ) -> None:
     """Shift the bodies of `rows` from `begin` to before `end` out of the faces around them, starting from their `lift` (mm).
 
+    `ground`: the faces of the ground. `things`: the faces of obstacles.
+
     `old`: the shift of each of `rows` before the step. A body that would have to shift too far from it counts as deep inside.
     `turns`: as in `shift_outside`. `depths`, `outs` (3, k): receive the remaining depth of each of `rows` (body lengths), and the
     direction out."""
-    faces = FaceList(search.buffers.numbers, _buffer(search, begin))
     place, normals, pose = stands
     for j in range(begin, end):
         i = rows[j]
@@ -307,7 +346,7 @@ def shift_bodies(
         position = (place[i, 0], place[i, 1], place[i, 2])
         stance = BodyStance(position, get_row64(normals, i), read_vector(pose.up, i), read_vector(pose.heading, i), size)
         shape, most = get_shape(limits, i, size), MAX_LIFT_PER_BODY * size
-        result = shift_outside(table, search.pieces, search.boxes, faces, shape, stance, read_vector(lift, i), most, turns)
+        result = _shift_outside_all(ground, things, begin, shape, stance, read_vector(lift, i), most, turns)
         change = minus(result.shift, read_vector(old, j))
         depths[j] = _F(result.depth / size) if size > 0 else _F(0)
         if dot(change, change) > limits.jump * limits.jump * size * size:

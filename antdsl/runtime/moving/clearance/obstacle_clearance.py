@@ -1,11 +1,16 @@
-"""A lower bound of each agent's distance from an obstacle at the start of the step. With it, most agents need no ray."""
+"""A lower bound of each agent's distance from an obstacle at the start of the step, and the faces of all obstacles.
+
+With the bound, most agents need no ray."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import ROUNDING_BOUND
+from antdsl.ground.mesh.boxes import BoxTree, FaceBoxes
+from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, NORMAL_OFFSET, ROW_FLOATS
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import Population, World
 
@@ -26,3 +31,46 @@ def get_clearance(world: World, population: Population, obstacle: str) -> NDArra
 def may_touch(clearance: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which agents may have a face within `reach` (mm). `clearance`: the result of `get_clearance`."""
     return clearance <= reach * (1 + _ROUNDING_SLACK) + _ROUNDING_SLACK
+
+
+def mark_near_obstacles(
+    world: World, population: Population, reach: NDArray[np.float64], levels: NDArray[np.uint8], level: int
+) -> None:
+    """Set the `levels` of agents that may have a face of an obstacle within `reach` (mm)."""
+    names = _list_obstacles(world)
+    if names:
+        now, start = (vec.get_vector_registers(registers, "position") for registers in (population.now, population.start))
+        drift = vec.length(vec.subtract(now, start))
+        for name in names:
+            levels[may_touch(get_clearance(world, population, name) - drift, reach.astype(np.float32))] = level
+
+
+def find_obstacle_faces(world: World) -> tuple[NDArray[np.float64], NDArray[np.int32], BoxTree]:
+    """Return the faces of all obstacles as kernels read those of a ground: their table, their pieces and a tree of boxes.
+
+    They are computed again after an obstacle has moved."""
+    scenes = tuple(world.obstacles[name] for name in _list_obstacles(world))
+    if world.obstacle_faces is None or world.obstacle_faces[0] != scenes:
+        corners = np.concatenate([np.empty((0, 3, 3)), *(each.corners for each in scenes if isinstance(each, RayScene))])
+        world.obstacle_faces = scenes, _pack_faces(corners)
+    faces: tuple[NDArray[np.float64], NDArray[np.int32], BoxTree] = world.obstacle_faces[1]
+    return faces
+
+
+def _list_obstacles(world: World) -> list[str]:
+    return [name for name in world.plan.obstacles if name in world.obstacles]
+
+
+def _pack_faces(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32], BoxTree]:
+    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = vec.compute_stacked_cross(edge1.T, edge2.T)
+    area = np.sqrt(vec.dot(normal, normal))
+    live = np.flatnonzero(area > 0)
+    table = np.zeros((len(corners), ROW_FLOATS))
+    unit = (normal / np.where(area > 0, area, 1.0)).T
+    for offset, values in ((CORNER_OFFSET, corners[:, 0]), (EDGE1_OFFSET, edge1), (EDGE2_OFFSET, edge2), (NORMAL_OFFSET, unit)):
+        table[:, offset : offset + 3] = values
+    pieces, faces = np.zeros(len(corners), np.int32), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
+    if not live.size:
+        return table.ravel(), pieces, BoxTree(live, np.zeros(2, np.int64), np.empty((0, 6)))
+    return table.ravel(), pieces, FaceBoxes.build(corners.reshape(-1, 3), faces, live, pieces).to_box_tree()

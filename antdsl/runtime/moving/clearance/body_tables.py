@@ -1,0 +1,82 @@
+"""What a step of bodies that stay outside their ground reads and writes: their capsules, their registers and rows of stances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.walk_events import CrowdWalk
+from antdsl.ground.protocol import Footing
+from antdsl.numerics import parallel
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.body_rows import numbers_by_row
+from antdsl.runtime.moving.body_records import BodyRegisters, ContactFaces, FaceBuffers, FaceSearch
+from antdsl.runtime.moving.clearance.body_paths import BodyShape
+from antdsl.runtime.moving.clearance.obstacle_clearance import find_obstacle_faces
+from antdsl.runtime.moving.contacts.capsules import find_capsule
+from antdsl.runtime.world import Population, World
+
+ROWS_PER_THREAD = 32  # fewer rows are not worth another thread
+_MARGIN_PER_BODY = 0.04  # body lengths that are added at both ends of the capsule
+
+Rows = NDArray[np.int64]
+Stands = tuple[Footing, NDArray[np.float64], NDArray[np.float32]]  # footings, positions and normals
+
+
+def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
+    """Return the tables for a search of faces for `count` rows."""
+    several = parallel.count_parts(count, threads, ROWS_PER_THREAD)
+    table, boxes = walk.walk.table, walk.boxes
+    buffers = FaceBuffers(np.empty(several * boxes.triangle_order.size, np.int64), several, count)
+    several, near = table.piece_count > 1 or bool(table.cuts.first[-1]), walk.build_tables()[1]
+    return FaceSearch(several, near, table.piece, table.cuts.first, boxes.to_box_tree(), buffers)
+
+
+def contact_faces(world: World, walk: CrowdWalk, count: int, threads: int) -> tuple[ContactFaces, ContactFaces]:
+    """Return the faces of the ground and those of all obstacles, with buffers for `count` rows."""
+    several, table = parallel.count_parts(count, threads, ROWS_PER_THREAD), walk.walk.table
+    sets = ((walk.build_tables()[0].table, table.piece, walk.boxes.to_box_tree()), find_obstacle_faces(world))
+    ground, things = (
+        ContactFaces(faces, pieces, boxes, FaceBuffers(np.empty(several * boxes.triangle_order.size, np.int64), several, count))
+        for faces, pieces, boxes in sets
+    )
+    return ground, things
+
+
+def body_shapes(
+    world: World, population: Population, margin: float = _MARGIN_PER_BODY
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return the capsules (k, 4) of a species' bodies, and the index of each agent's body, uint8[n].
+
+    A row has the numbers of a `BodyShape` for a body of 1 mm, extended by `margin` at both ends."""
+    capsules = [find_capsule(world, key) for key in world.setting.list_body_keys(population.name)]
+    shapes = [
+        BodyShape(max(each.length - each.width, 0.0) / 2 + margin, each.width / 2, each.height, each.forward_offset)
+        for each in capsules
+    ]
+    return np.array(shapes, np.float64), numbers_by_row(population, world.setting)
+
+
+def take_stands(stands: Stands, which: NDArray[np.int64] | NDArray[np.bool_]) -> Stands:
+    """Return some rows of footings, positions and normals."""
+    which = np.flatnonzero(which) if which.dtype == np.bool_ else which
+    return stands[0].take_rows(which), stands[1][which], stands[2][which]
+
+
+def dot_rows(columns: Sequence[NDArray[np.float32]], vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the dot products of vectors, given as three columns, with vectors (k, 3)."""
+    result: NDArray[np.float32] = (columns[0] * vectors[:, 0] + columns[1] * vectors[:, 1]) + columns[2] * vectors[:, 2]
+    return result
+
+
+def read_lift(population: Population, rows: Rows) -> VectorArrays:
+    return vec.take_rows(vec.get_vector_registers(population.now, "~lift"), rows)
+
+
+def read_registers(population: Population) -> BodyRegisters:
+    now = population.now
+    lift, out = vec.get_vector_registers(now, "~lift"), vec.get_vector_registers(now, "~out")
+    return BodyRegisters(lift, now["~wait"], now["~depth"], out)
