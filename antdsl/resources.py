@@ -41,8 +41,13 @@ def find_library_file(name: str) -> Path | None:
     return file if name.isidentifier() and os.path.isfile(file) else None  # whatever its length
 
 
+def list_example_names() -> tuple[str, ...]:
+    """Return the names of the examples, sorted. Each is a folder with scenes."""
+    return tuple(sorted({path.parent.name for path in _locate_folder("examples").glob("*/*.yaml")}))
+
+
 def example_file(name: str) -> Path:
-    """Return the path of a file of the shipped examples, such as `foraging/scene.yaml`; `antdsl bench` measures them."""
+    """Return the path of a file of the examples, such as `foraging/scene.yaml`, or of an example's folder."""
     return _locate_folder("examples") / name
 
 

@@ -10,9 +10,10 @@ from typing import Any
 import typer
 
 from antdsl import __version__
-from antdsl.atomic_write import create_folder_durably, write_atomically
 from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.new_folders import check_new_folder, read_example_files, write_files
 from antdsl.cli.printing.messages import print_note
+from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.resources import project_template_file
 
 # The path of each file, and its name among the package's templates.
@@ -24,26 +25,48 @@ TEMPLATE_FILES = {
     ".github/workflows/antdsl.yml": "antdsl.yml",
     ".pre-commit-config.yaml": "pre-commit-config.yaml",
 }
+DEFAULT_TEMPLATE = "minimal"  # the package's own files; the other templates are examples
+EXAMPLE_BY_TEMPLATE = {
+    "foraging": "foraging", "arena": "arena", "roaches": "roaches", "evacuation": "evacuation",
+    "digging": "tunnel", "war": "battle",
+}  # fmt: skip
+_PROGRAM_AND_SCENE = ("walker.ant", "scene.yaml")  # an example has its own
 
 
-def read_template_file(name: str) -> str:
-    """Return the text of a file of the project."""
-    return (
-        project_template_file(TEMPLATE_FILES[name])
-        .read_text(encoding="utf-8")
-        .replace("antdsl-VERSION-", f"antdsl-{__version__}-")
-    )
+def read_template_file(name: str, title: str = "Walkers", program: str = "walker.ant") -> str:
+    """Return the text of a file of the project. `title`, `program`: the heading and the main program, for the README."""
+    text = project_template_file(TEMPLATE_FILES[name]).read_text(encoding="utf-8")
+    replacements = {"antdsl-VERSION-": f"antdsl-{__version__}-", "PROJECT-TITLE": title, "PROGRAM-FILE": program}
+    for placeholder, value in replacements.items():
+        text = text.replace(placeholder, value)
+    return text
 
 
-def new(folder: Path = typer.Argument(..., metavar="DIR", help="A new or empty folder.")) -> None:
+def new(
+    folder: Path = typer.Argument(..., metavar="DIR", help="A new or empty folder."),
+    template: str = typer.Option(
+        DEFAULT_TEMPLATE, "--template", metavar="NAME", help=f"{', '.join((DEFAULT_TEMPLATE, *EXAMPLE_BY_TEMPLATE))}."
+    ),
+) -> None:
     """Write a small project to start from, with its specs and what checks it in CI."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` already exists and is not empty", "name another folder")
-    for name in TEMPLATE_FILES:
-        create_folder_durably((folder / name).parent)
-        write_atomically(folder / name, read_template_file(name).encode())
-    write_atomically(folder / "ground.ply", build_ground_ply())
-    print_note(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
+    check_new_folder(folder)
+    if template == DEFAULT_TEMPLATE:
+        files = {name: read_template_file(name).encode() for name in TEMPLATE_FILES} | {"ground.ply": build_ground_ply()}
+        program = "walker.ant"
+    elif template in EXAMPLE_BY_TEMPLATE:
+        files = read_example_files(EXAMPLE_BY_TEMPLATE[template])
+        program = next(name for name in files if name.endswith(".ant"))
+        title = template.capitalize()
+        for name in TEMPLATE_FILES:
+            if name not in _PROGRAM_AND_SCENE:
+                files[name] = read_template_file(name, title, program).encode()
+    else:
+        names = [DEFAULT_TEMPLATE, *EXAMPLE_BY_TEMPLATE]
+        near = find_nearest_name(template, names)
+        advice = f"did you mean `{near}`?" if near else f"write one of {', '.join(f'`{name}`' for name in names)}"
+        raise CommandError(ExitCode.USAGE, f"error: there is no template `{template}`", advice)
+    write_files(folder, files)
+    print_note(f"{program} and scene.yaml are in {folder}; now:")
     for words in (("run", folder / "scene.yaml"), ("test", folder), ("render", folder / "out" / "scene", "--sheet")):
         print_note(f"  {shlex.join(['antdsl', *map(str, words)])}")
     print_note(f"{folder / 'README.md'} explains more; a GitHub workflow and pre-commit hooks are included")
