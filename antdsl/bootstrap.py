@@ -154,28 +154,28 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     return python
 
 
-def run_example(python: Path, out: Path) -> int:
+def run_example(python: Path, folder: Path) -> int:
     """Run the main task on an example: simulate foraging, then make a still and a contact sheet."""
     scene = ROOT / "examples" / "foraging" / "scene.yaml"
     antdsl = [str(python), "-P", "-m", "antdsl"]
-    for command in ([*antdsl, "run", str(scene), "--out", str(out)], [*antdsl, "render", str(out), "--sheet"]):
+    for command in ([*antdsl, "run", str(scene), "--out", str(folder)], [*antdsl, "render", str(folder), "--sheet"]):
         code = subprocess.run(command, cwd=ROOT).returncode
         if code:
             return code
-    print(f"the cache and its picture are in {out}")
+    print(f"the cache and its picture are in {folder}")
     return 0
 
 
-def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
-    """Run the tests. `quick`: only the quick part, in one process. Otherwise run the full suite as in CI, with one process per
+def run_tests(python: Path, is_quick: bool, arguments: list[str]) -> int:
+    """Run the tests. `is_quick`: only the quick part, in one process. Otherwise run the full suite as in CI, with one process per
     core; each test file runs in one process."""
     files = (
         [path.relative_to(ROOT).as_posix() for pattern in QUICK_TEST_PATTERNS for path in sorted(ROOT.glob(pattern))]
-        if quick
+        if is_quick
         else []
     )
     # The quick part is over before more processes have imported what they need.
-    parallel = [] if quick else ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
+    parallel = [] if is_quick else ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
     return subprocess.run([str(python), "-m", "pytest", "-q", *parallel, *arguments, *files], cwd=ROOT).returncode
 
 

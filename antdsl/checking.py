@@ -98,11 +98,11 @@ def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_se
 
 
 def _check_in_processes(
-    groups: list[list[Path]], choices: RunChoices, strict: bool, cores: int, parsed: SharedParsedFiles, result: CheckResult
+    groups: list[list[Path]], choices: RunChoices, strict: bool, cores: int, parsed_files: SharedParsedFiles, result: CheckResult
 ) -> None:
     """Check groups of files in parallel processes. Each process takes the next unchecked group from a pipe."""
     # The first is checked before the others are shared out: all that is imported and the library are then there once.
-    _check_sequentially(groups[0], choices, strict, parsed, result)
+    _check_sequentially(groups[0], choices, strict, parsed_files, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
     # A process that is ready takes the next group, the heaviest first: one byte of a pipe is the right to one group.
     groups = groups[:0:-1][:MAX_GROUPS]
@@ -111,10 +111,10 @@ def _check_in_processes(
     os.close(theirs)
     children: list[tuple[int, int]] = []
     try:
-        check = partial(_check_in_child, groups, mine, choices, strict, parsed, result.cpu_seconds)
+        check = partial(_check_in_child, groups, mine, choices, strict, parsed_files, result.cpu_seconds)
         for _ in range(min(cores, len(groups)) - 1):
             children.append(_start_child(check))
-        _check_claimed_groups(groups, mine, choices, strict, parsed, result)
+        _check_claimed_groups(groups, mine, choices, strict, parsed_files, result)
         while children:
             result.merge(_collect_child_result(*children.pop(0)))
     finally:
@@ -130,19 +130,19 @@ def _check_claimed_groups(
     claim_pipe: int,
     choices: RunChoices,
     strict: bool,
-    parsed: SharedParsedFiles,
+    parsed_files: SharedParsedFiles,
     result: CheckResult,
 ) -> None:
     """Check groups until none is left. `claim_pipe`: the pipe that yields the number of the next group."""
     while claim := os.read(claim_pipe, 1):
-        _check_sequentially(groups[claim[0]], choices, strict, parsed, result)
+        _check_sequentially(groups[claim[0]], choices, strict, parsed_files, result)
 
 
 def _check_sequentially(
     files: Iterable[Path],
     choices: RunChoices,
     strict: bool,
-    parsed: SharedParsedFiles,
+    parsed_files: SharedParsedFiles,
     result: CheckResult,
     programs: bool = False,
 ) -> None:
@@ -150,17 +150,17 @@ def _check_sequentially(
     for file in files:
         try:
             with limit_cpu_seconds(result.cpu_seconds):
-                program, result.reports[file] = check_path(file, choices, strict=strict, parsed=parsed)
+                program, result.reports[file] = check_path(file, choices, strict=strict, parsed=parsed_files)
         except CpuBudgetSpent as spent:
             program, result.reports[file] = None, _make_overdue_report(file, result.cpu_seconds, spent)
         if programs and program is not None:
             result.programs[file] = program
 
 
-def _make_overdue_report(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report:
+def _make_overdue_report(file: Path, seconds: float, budget_error: CpuBudgetSpent) -> Report:
     """Return the report of a file that exceeded its processor time. It names the file and the stage of the check that was
     running."""
-    modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(spent.__traceback__)]
+    modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(budget_error.__traceback__)]
     stages = [name.split(".")[1] for name in modules if name.startswith("antdsl.") and name != __name__]
     stage = next((each for each in reversed(stages) if each in _STAGE_PHRASES), "")
     words = f" while {_STAGE_PHRASES[stage]}" if stage else ""
@@ -236,14 +236,16 @@ def _check_in_child(
     claim_pipe: int,
     choices: RunChoices,
     strict: bool,
-    parsed: SharedParsedFiles,
+    parsed_files: SharedParsedFiles,
     cpu_seconds: float,
     result_pipe: int,
 ) -> None:
     """Check groups in a child process, and write the encoded reports to `result_pipe`."""
     results = CheckResult(cpu_seconds=cpu_seconds)
-    _check_claimed_groups(groups, claim_pipe, choices, strict, parsed, results)
-    write_parts(result_pipe, [encode_reports(results.reports, load_sources((), parsed))])  # scenes are read once, by the parent
+    _check_claimed_groups(groups, claim_pipe, choices, strict, parsed_files, results)
+    write_parts(
+        result_pipe, [encode_reports(results.reports, load_sources((), parsed_files))]
+    )  # scenes are read once, by the parent
 
 
 def _collect_child_result(process: int, result_pipe: int) -> CheckResult:

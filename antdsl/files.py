@@ -55,9 +55,9 @@ def _expand_patterns(paths: Iterable[Path], report: Report) -> Iterator[Path]:
         yield from readable_paths
 
 
-def load_sources(files: Iterable[Path], parsed: ParsedFileCache) -> list[Source]:
+def load_sources(files: Iterable[Path], parsed_files: ParsedFileCache) -> list[Source]:
     """Return the texts of the checked files that can be read: programs as they were parsed, and scenes."""
-    texts = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
+    texts = [file.source for file, _ in parsed_files.values() if not file.source.path.startswith("<")]
     for path in files:
         if path.suffix != ".ant":
             try:

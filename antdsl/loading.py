@@ -94,7 +94,7 @@ class LoadedSources:
         file = self._parse_file(path, display_path(path), span, (roots, text))
         if file is not None:
             self.files.append(file)
-            self._load_used_files(file, Roots(path.parent, roots.granted), 1, (path,))
+            self._load_used_files(file, Roots(path.parent, roots.folder_by_name), 1, (path,))
         return file
 
     def hash_texts(self) -> dict[str, str]:
@@ -189,7 +189,7 @@ class LoadedSources:
             module = self._parse_file(path, display_path(path), span, (roots, text))
             if module is not None:
                 self.module_by_path[text], self._module_paths[text] = module, path
-                self._load_used_files(module, Roots(path.parent, roots.granted), depth + 1, (*using_files, path))
+                self._load_used_files(module, Roots(path.parent, roots.folder_by_name), depth + 1, (*using_files, path))
 
 
 def find_use_lines(file: nodes.File) -> tuple[nodes.Use, ...]:

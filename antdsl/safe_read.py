@@ -41,10 +41,10 @@ def resolve_path(path: PathName) -> Path:
     return Path(os.path.realpath(path))
 
 
-def open_regular_file(path: PathName, *, follow: bool = True, folder: int | None = None) -> int:
+def open_regular_file(path: PathName, *, follows_links: bool = True, folder: int | None = None) -> int:
     """Return a handle on a regular file, to be closed by the caller. Raises NotRegular or another OSError.
 
-    `follow`: follow a link at the end of the path.
+    `follows_links`: follow a link at the end of the path.
     `folder`: the handle of an open folder that the path is relative to.
 
     A file that is not regular is not even opened, because opening alone can wake the writer of a pipe or start a device. If
@@ -52,8 +52,8 @@ def open_regular_file(path: PathName, *, follow: bool = True, folder: int | None
     """
     below = {"dir_fd": folder} if folder is not None and _SUPPORTS_FOLDER_HANDLE else {}
     try:
-        _require_regular_file(os.stat(path, follow_symlinks=follow, **below))
-        handle = os.open(path, _READ_FLAGS | (0 if follow else getattr(os, "O_NOFOLLOW", 0)), **below)
+        _require_regular_file(os.stat(path, follow_symlinks=follows_links, **below))
+        handle = os.open(path, _READ_FLAGS | (0 if follows_links else getattr(os, "O_NOFOLLOW", 0)), **below)
     except ValueError:  # a name with a zero character
         raise OSError(errno.EINVAL, "no file can have this name") from None
     try:
@@ -99,9 +99,10 @@ def read_handle(handle: int, cap: int) -> bytes:
         os.close(handle)
 
 
-def read_size_limited(path: PathName, cap: int, *, follow: bool = True) -> bytes:
-    """Return all bytes of a regular file. Raises NotRegular, TooLarge or another OSError. `follow`: as in `open_regular_file`."""
-    return read_handle(open_regular_file(path, follow=follow), cap)
+def read_size_limited(path: PathName, cap: int, *, follows_links: bool = True) -> bytes:
+    """Return all bytes of a regular file. Raises NotRegular, TooLarge or another OSError. `follows_links`: as in
+    `open_regular_file`."""
+    return read_handle(open_regular_file(path, follows_links=follows_links), cap)
 
 
 def read_first_bytes(path: PathName, count: int) -> bytes:
@@ -113,10 +114,10 @@ def read_first_bytes(path: PathName, count: int) -> bytes:
         os.close(handle)
 
 
-def open_size_limited(path: PathName, cap: int, *, follow: bool = True) -> IO[bytes]:
-    """Open a regular file of at most `cap` bytes for random access. Raises NotRegular, TooLarge or another OSError. `follow`: as
-    in `open_regular_file`."""
-    handle = open_regular_file(path, follow=follow)
+def open_size_limited(path: PathName, cap: int, *, follows_links: bool = True) -> IO[bytes]:
+    """Open a regular file of at most `cap` bytes for random access. Raises NotRegular, TooLarge or another OSError.
+    `follows_links`: as in `open_regular_file`."""
+    handle = open_regular_file(path, follows_links=follows_links)
     try:
         read_checked_size(handle, cap)
         return os.fdopen(handle, "rb")

@@ -62,7 +62,7 @@ def read_private(path: Path, cap: int) -> bytes:
     names, belongs to another user, or is readable or writable by others.
     """
     _require_private(os.lstat(path.parent), stat.S_IWGRP | stat.S_IWOTH)
-    handle = open_regular_file(path, follow=False)
+    handle = open_regular_file(path, follows_links=False)
     try:
         _require_private(os.fstat(handle), stat.S_IRWXG | stat.S_IRWXO)
     except BaseException:
@@ -77,7 +77,7 @@ def _require_private(status: os.stat_result, forbidden_mode_bits: int) -> None:
     if stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", False):
         raise NotPrivateError(0, "it is a link")
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
-        raise NotPrivateError(0, "it has a second name elsewhere")
+        raise NotPrivateError(0, "it has another hard link")
     if sys.platform == "win32":
         return
     if status.st_uid != os.geteuid():

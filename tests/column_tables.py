@@ -16,7 +16,7 @@ _LETTERS = {"frame": "", "species": "n", "one": "k", "pair": "p", "event": "e", 
 
 def shape(column: Column) -> str:
     """The shape of a column in a frame, as in the page."""
-    sizes = [_LETTERS[column.of], *map(str, column.shape)]
+    sizes = [_LETTERS[column.row_kind], *map(str, column.shape)]
     return f"({', '.join(size for size in sizes if size)})"
 
 

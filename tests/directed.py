@@ -66,7 +66,7 @@ def write_mesh(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def start(shot: Shot, **options: object) -> World:
-    return bind(shot.plan, shot.setting, Options(**options), built=BUILT)  # type: ignore[arg-type]
+    return bind(shot.plan, shot.setting, Options(**options), binding_cache=BUILT)  # type: ignore[arg-type]
 
 
 def row_of(world: World, agent: int) -> int:

@@ -76,8 +76,8 @@ def scratched(world: World) -> None:
     """Give all who scratch what comes of it."""
     for population in world.populations.values():
         for entry in population.effects.take_requests("scratch"):
-            if entry.request.own is not None:
-                population.now[entry.request.own][entry.rows] += entry.required_operand(0) * entry.required_operand(1)
+            if entry.request.register is not None:
+                population.now[entry.request.register][entry.rows] += entry.required_operand(0) * entry.required_operand(1)
 
 
 phases.SETTLER_BY_EFFECT["scratch"] = scratched

@@ -61,23 +61,23 @@ class Agent:
             match s:
                 case ir.If():
                     if self.value(s.condition):
-                        self._run(s.then)
+                        self._run(s.body)
                 case ir.Store():
                     value = self.value(s.value)
                     assert s.allows_infinity or not isinstance(value, float) or math.isfinite(value), s
                     self.now[s.register] = value
                 case ir.Claim():
                     assert s.item is not None and s.amount is not None
-                    self.done.append(("claim", s.of, s.attribute, self.value(s.item), self.value(s.amount)))
+                    self.done.append(("claim", s.target, s.attribute, self.value(s.item), self.value(s.amount)))
                     self.now[s.won_register] = self.win
-                    if s.own and self.win:
-                        self.now[s.own] += self.value(s.amount)
+                    if s.register and self.win:
+                        self.now[s.register] += self.value(s.amount)
                 case ir.Give():
-                    amount = self.now[s.own] if s.amount is None else min(self.now[s.own], self.value(s.amount))
-                    self.now[s.own] -= amount
+                    amount = self.now[s.register] if s.amount is None else min(self.now[s.register], self.value(s.amount))
+                    self.now[s.register] -= amount
                     self.done.append(("give", s.items, self.value(s.item), amount))
                 case ir.Request():
-                    of = (s.of,) if s.of else ()
+                    of = (s.target,) if s.target else ()
                     self.done.append((s.op, *of, *(None if node is None else self.value(node) for node in s.args)))
 
     def value(self, node: PlanNode) -> Any:

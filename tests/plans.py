@@ -87,7 +87,7 @@ def rich() -> ir.Plan:
         ir.Register("load", F, "attribute"),
         ir.Register("fear", F, "attribute", 1.0),
         ir.Register("bearing", F, "memory"),
-        ir.Register("friend", L, "attribute", -1, of="ant"),
+        ir.Register("friend", L, "attribute", -1, referenced_species="ant"),
         ir.Register("source", R, "attribute", -1),
         ir.Register("quiet", B, "memory"),
         ir.Register("main.pending", R, "temp"),
@@ -222,7 +222,9 @@ def rich() -> ir.Plan:
             store("hops", t("add", t.snap("hops"), t("number", t("reduce.any", everywhere, t("lt", t("pair.distance"), 60.0))))),
         ),
     )
-    fly_registers = registers(ir.Register("prey", L, "attribute", -1, of="ant"), ir.Register("hops", F, "attribute"))
+    fly_registers = registers(
+        ir.Register("prey", L, "attribute", -1, referenced_species="ant"), ir.Register("hops", F, "attribute")
+    )
     fly = ir.SpeciesPlan("fly", fly_registers, (), block(store("response", t.b.number(0))), block(), block(), fly_blend, (), ())
     return ir.Plan(
         species={"ant": ant, "fly": fly},

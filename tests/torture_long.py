@@ -130,7 +130,7 @@ def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) 
         previous, at = next(steady)
         seconds.append(time.perf_counter() - start)
         measures.look(ground, [mesh], previous, at)
-        missed |= at.blocked if by_rays else at.lost
+        missed |= at.is_blocked if by_rays else at.is_lost
         if walls is not None and k % EVERY == EVERY - 1:
             walls.look(ground, at)
         if name in ("pot", "rag", "ground"):  # sheets of one winding: who comes to the other side went through, or round

@@ -37,7 +37,7 @@ def crowd(ground: MeshGround, meshes: list[Mesh], n: int, rng: np.random.Generat
     """Agents evenly over all faces, on both sides of them, heading anywhere."""
     corners = np.concatenate([v[f] for v, f in meshes])
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    area[~ground.triangles[3].live] = 0
+    area[~ground.triangles[3].is_live] = 0
     face = rng.choice(len(area), n, p=area / area.sum())
     owner = np.repeat(np.arange(len(meshes)), [len(f) for _, f in meshes])
     first = np.cumsum([0, *(len(f) for _, f in meshes)])
@@ -55,7 +55,7 @@ def wander(
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (len(at.up), 1))
         heading /= np.linalg.norm(heading, axis=1, keepdims=True)
         # Who has come to a border turns round, or it would stand there for ever.
-        heading = np.where(at.blocked[:, None], -heading, heading)
+        heading = np.where(at.is_blocked[:, None], -heading, heading)
         previous, at = at, ground.move(at.footing, heading * STEP, heading, at.up, BODY, threads)
         yield previous, at
 
@@ -114,7 +114,7 @@ class WalkMeasures:
         self.away = max(self.away, float(away.max()) / BODY)
         self.tilt = max(self.tilt, float(np.abs((at.heading * at.up).sum(axis=1)).max()))
         self.jump = max(self.jump, float(distances.max()))
-        self.lost += int(np.count_nonzero(at.lost | ~np.isfinite(at.position).all(axis=1)))
+        self.lost += int(np.count_nonzero(at.is_lost | ~np.isfinite(at.position).all(axis=1)))
         self.moved += float(distances.mean())
 
     def good(self) -> None:

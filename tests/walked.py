@@ -110,14 +110,14 @@ class Reference:
             self.second, self.third = np.cross(two, self.across) / square, np.cross(self.across, one) / square
         self.sides = np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
         self.low, self.high = self.corners.min(axis=1), self.corners.max(axis=1)
-        self.near = np.flatnonzero(self.table.live)
+        self.near = np.flatnonzero(self.table.is_live)
 
     # ---- what is where
 
     def look_around(self, place: Floats, reach: float) -> None:
         """Take into account the faces within `reach` of a place along each axis."""
         result = (self.low <= place + reach).all(axis=1) & (self.high >= place - reach).all(axis=1)
-        self.near = np.flatnonzero(result & self.table.live)
+        self.near = np.flatnonzero(result & self.table.is_live)
 
     def first(self, origin: Floats, step: Floats, further: float, own: int = -1, piece: int = -1) -> tuple[int, float, Floats]:
         """The first face that a way meets, but `own` and those of a `piece`; after what part of it (which may be `further` mm
@@ -168,7 +168,7 @@ class Reference:
 
     def together(self, face: int, side: float, other: int, other_side: float) -> bool:
         """Whether sides of faces are of two pieces, or may be come to from each other in one."""
-        side_groups, piece = self.table.way, self.table.piece
+        side_groups, piece = self.table.side_groups, self.table.piece
         return bool(piece[face] != piece[other] or side_groups[int(side < 0), face] == side_groups[int(other_side < 0), other])
 
     def edge(self, face: int, k: int) -> tuple[Floats, Floats, Floats]:

@@ -186,10 +186,10 @@ CASES: Mapping[str, Case] = {
             (1_000, 15_000),
             sight_radius_mm=programs.SIGHT_RADIUS_MM,
         ),
-        Case("trails", "ants by two scents on flat ground, as on a grid", _open_trails_case, (1_000, 15_000, 100_000)),
+        Case("trails", "ants that follow two scents on flat ground", _open_trails_case, (1_000, 15_000, 100_000)),
         Case(
             "crowd",
-            "people who walk round each other on a plane, about 9 neighbours each",
+            "people who walk around each other on a plane, about 9 neighbours each",
             _open_crowd_case,
             (1_000, 15_000, 100_000),
             sight_radius_mm=programs.PERSON_SIGHT_RADIUS_MM,
@@ -209,7 +209,7 @@ CASES: Mapping[str, Case] = {
             sight_radius_mm=25.0,
         ),
         Case("tunnel", "scouts dig through a hill, others follow", _make_example_opener("tunnel/scene.yaml")),
-        Case("moods", "roaches with several machines of states", _make_example_opener("moods/scene.yaml"), (200, 15_000)),
+        Case("moods", "roaches with several state machines", _make_example_opener("moods/scene.yaml"), (200, 15_000)),
         Case("anthill", "builders that dig a nest out of a block", _make_example_opener("anthill/scene.yaml")),
         Case(
             "node",

@@ -94,7 +94,7 @@ def build_phase_table(result: CaseResult) -> tuple[list[str], list[list[str]]]:
         columns += [f"{find_measured_backend(measurement)}: CPU ms", "wall ms"]
     first = result.alone[0].costs[find_measured_backend(result.alone[0])]
     rows = []
-    for phase in sorted(first.phases_cpu, key=lambda each: -first.phases_cpu[each]):
+    for phase in sorted(first.phases_cpu, key=lambda phase_name: -first.phases_cpu[phase_name]):
         row = [phase]
         for measurement in result.alone:
             cost = measurement.costs[find_measured_backend(measurement)]

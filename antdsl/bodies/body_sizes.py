@@ -23,14 +23,14 @@ _STANDING_BODIES = ("person",)  # library bodies with a fixed size; animals of o
 
 
 def standing_proportions(
-    program: Program, worn: Mapping[str, Definition], words: Mapping[str, str]
+    program: Program, definitions: Mapping[str, Definition], words: Mapping[str, str]
 ) -> dict[str, BodyProportions]:
-    """Return the proportions of the bodies of species that set their height. `worn`: bodies from files. `words`: the library's
-    bodies by species."""
+    """Return the proportions of the bodies of species that set their height. `definitions`: bodies from files. `words`: the
+    library's bodies by species."""
     return {
-        name: _proportions(worn.get(name) or load_library_body(words[name]), words.get(name))
+        name: _proportions(definitions.get(name) or load_library_body(words[name]), words.get(name))
         for name, species in program.species.items()
-        if is_standing(species) and (name in worn or name in words)
+        if is_standing(species) and (name in definitions or name in words)
     }
 
 
@@ -43,7 +43,7 @@ def _proportions(body: Definition, word: str | None) -> BodyProportions:
 
 
 def warn_of_sizes(
-    scene: Scene, program: Program, worn: Mapping[str, Definition], words: Mapping[str, str], report: Report
+    scene: Scene, program: Program, definitions: Mapping[str, Definition], words: Mapping[str, str], report: Report
 ) -> None:
     """Warn if `size`, `height`, `radius` and the body of a species differ by more than a factor of 2.
 
@@ -51,7 +51,7 @@ def warn_of_sizes(
     for line in scene.model.crowd:
         species = program.species.get(line.species)
         word = words.get(line.species)
-        body = worn.get(line.species) or (load_library_body(word) if word in _STANDING_BODIES else None)
+        body = definitions.get(line.species) or (load_library_body(word) if word in _STANDING_BODIES else None)
         if species is not None and body is not None:
             _warn_of_species(scene, program, species, body, word, report)
 

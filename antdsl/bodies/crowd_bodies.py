@@ -154,7 +154,7 @@ def _first_bodies(bodies: Mapping[str, Body]) -> dict[str, Body]:
 
 
 def _check_layers(
-    scene: Scene, program: Program, bodies: Iterable[NamedBody], worn: Mapping[str, Definition], report: Report
+    scene: Scene, program: Program, bodies: Iterable[NamedBody], definitions: Mapping[str, Definition], report: Report
 ) -> None:
     """Report layers that crowd lines wear and that a body of the species does not have. Also report more layers than can be
     distinguished."""
@@ -171,23 +171,23 @@ def _check_layers(
         named |= set(dressed)
         place = scene.span("crowd", number, "wear")
         for key in keys_by_species[line.species]:
-            if key in worn:
-                _check_worn_layers(line.species, worn[key], dressed, len(keys_by_species[line.species]) > 1, place, report)
+            if key in definitions:
+                _check_worn_layers(line.species, definitions[key], dressed, len(keys_by_species[line.species]) > 1, place, report)
         if len(named) > MAX_WORN_LAYERS:
             words = f"agents of `{line.species}` may wear {len(named)} layers, but at most {MAX_WORN_LAYERS} are possible"
             report.error("too-large", words, place, "combine shapes that are worn together in one layer")
 
 
 def _check_worn_layers(
-    species: str, body: Definition, dressed: Iterable[str], several: bool, place: Span, report: Report
+    species: str, body: Definition, worn_layers: Iterable[str], has_other_bodies: bool, place: Span, report: Report
 ) -> None:
-    """Report layers of a crowd line that a body does not have. `several`: the species has other bodies too."""
-    for name in dressed:
+    """Report layers of a crowd line that a body does not have. `has_other_bodies`: the species has other bodies too."""
+    for name in worn_layers:
         if name not in body.layers:
             near = find_nearest_name(name, list(body.layers))
             known = ", ".join(f"`{each}`" for each in list(body.layers)[:_MAX_LISTED_NAMES])
             has = f"it has {known}" if known else "it has no layers"
-            which = f"the body `{body.name}` of `{species}`" if several else f"the body of `{species}`"
+            which = f"the body `{body.name}` of `{species}`" if has_other_bodies else f"the body of `{species}`"
             report.error(
                 "unknown-name", f"{which} has no layer `{name}`", place, f"did you mean `{near}`? {has}" if near else has
             )
@@ -200,17 +200,18 @@ def build_clip_data(clip: Clip, body: Definition) -> ClipData:
     return ClipData(seconds, clip.stride / body.length, clip.loop, marks)
 
 
-def compute_collision_size(body: Definition, stands: bool = False) -> BodyCapsuleData:
+def compute_collision_size(body: Definition, is_standing: bool = False) -> BodyCapsuleData:
     """Return the collision size of a body.
 
-    It is the body's own capsule, else length and width of the box of its layer `collision` in the rest pose, or, if it `stands`,
-    in its idle clip. Without that layer, the layer that is always displayed is used. The length is never less than the width."""
+    It is the body's own capsule, else length and width of the box of its layer `collision` in the rest pose, or, if it
+    `is_standing`, in its idle clip. Without that layer, the layer that is always displayed is used. The length is never less
+    than the width."""
     if body.capsule is not None:
         length, width, height, ahead = (each / body.length for each in body.capsule)
         return BodyCapsuleData(max(length, width), width, height, ahead)
     layer = body.layers.get(COLLISION_LAYER) or find_base_layer(body)
     low, high = (
-        standing_box(body, layer) if stands else turn_box(body, compute_rest_box(replace(body, layers={layer.name: layer})))
+        standing_box(body, layer) if is_standing else turn_box(body, compute_rest_box(replace(body, layers={layer.name: layer})))
     )
     width = max(float(high[2] - low[2]), 1e-3)
     middle = (low + high) / 2
@@ -253,15 +254,15 @@ def _check_body(
     names a body, so the body was chosen by the species' name."""
     lacks: dict[str, tuple[str, Label]] = {}  # help text and place of each missing name
 
-    def want(what: str, name: str, known: Iterable[str], label: Label) -> None:
-        names = sorted(set(known))
+    def want(noun: str, name: str, known_names: Iterable[str], label: Label) -> None:
+        names = sorted(set(known_names))
         if not name or name in names:
             return
         near = find_nearest_name(name, names)
         listed = ", ".join(f"`{each}`" for each in names[:_MAX_LISTED_NAMES]) + (" …" if len(names) > _MAX_LISTED_NAMES else "")
-        has = f"it has {listed}" if names else f"it has no {what}s"
+        has = f"it has {listed}" if names else f"it has no {noun}s"
         help = f"did you mean `{near}`? {has}" if near else has  # several words, unlike a replacement for the file's path
-        lacks.setdefault(f"{what} `{name}`", (help, label))
+        lacks.setdefault(f"{noun} `{name}`", (help, label))
 
     marks = [mark for clip in body.clips.values() for mark in clip.marks]
     channels = map_language_names(each.name for each in body.rig.channels).values()
@@ -276,7 +277,7 @@ def _check_body(
         for line in _iterate_play_lines(machine):
             for clip in (line.clip, *line.blend_clips):
                 want("clip", clip, body.clips, Label(line.span, "played here"))
-            want("transform group", line.on, body.groups, Label(line.span, "named here"))
+            want("transform group", line.group, body.groups, Label(line.span, "named here"))
     for test in iterate_parts(species):
         if isinstance(test, ClipTest):
             want("mark", test.mark, marks, Label(test.span, "requested here"))

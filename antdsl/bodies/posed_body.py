@@ -79,20 +79,20 @@ class PosedBody:
         self.tint_weights = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
         self.material_names = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
-    def compute_colours(self, driven: DrivenPose) -> Floats:
+    def compute_colours(self, driven_pose: DrivenPose) -> Floats:
         """Return linear colours of materials, float32[n, v, 3], or [1, v, 3] if all agents have the same. The variation of the
         material `state` is left out, see `compute_natural_colours`."""
         variation = self._definition.variation
         own = replace(variation, materials={n: c for n, c in variation.materials.items() if n != STATE_MATERIAL})
-        return compute_vertex_colours(own, driven.variation_draws, self.material_names, self.material_colours)
+        return compute_vertex_colours(own, driven_pose.variation_draws, self.material_names, self.material_colours)
 
-    def compute_natural_colours(self, driven: DrivenPose, count: int) -> Floats:
+    def compute_natural_colours(self, driven_pose: DrivenPose, count: int) -> Floats:
         """Return the linear colour of the material `state` for `count` agents, float32[count, 3], with their variation.
 
         Bodies without this material give a neutral grey."""
         own = np.array([self._full_definition.materials.get(STATE_MATERIAL, NEUTRAL_COLOUR)], np.float32)
         variation = self._full_definition.variation
-        colours = compute_vertex_colours(variation, driven.variation_draws, np.array([STATE_MATERIAL]), own)
+        colours = compute_vertex_colours(variation, driven_pose.variation_draws, np.array([STATE_MATERIAL]), own)
         return np.broadcast_to(colours[:, 0], (count, 3))
 
     @cached_property
@@ -196,26 +196,34 @@ class PosedBody:
         feet: BodySpaceFeet | None = None,
         threads: int = 1,
         *,
-        driven: DrivenPose = NO_DRIVEN_POSE,
-        local: bool = False,
+        driven_pose: DrivenPose = NO_DRIVEN_POSE,
+        needs_local: bool = False,
     ) -> Poses:
         """Return transforms and channels of `count` agents, in the definition's space.
 
         `machines`: select the clips that agents play. `feet`: if given, legs bend to reach these feet, and trunks move with them.
-        `driven`: values that drive poses in addition to clips. `local`: also return local transforms.
+        `driven_pose`: values that drive poses in addition to clips. `needs_local`: also return local transforms.
         """
-        playing = build_machine_playback(self._table, self._played, machines, count, driven.lean)
-        poses = blend_poses(self._table, self._definition.groups, playing, with_local=local, threads=threads)
-        poses = set_pose_channels(self._table, poses, driven.channels)
+        playing = build_machine_playback(self._table, self._played, machines, count, driven_pose.lean)
+        poses = blend_poses(self._table, self._definition.groups, playing, needs_local=needs_local, threads=threads)
+        poses = set_pose_channels(self._table, poses, driven_pose.channels)
         poses = turn_towards_looks(
-            self._table, poses, driven.look_directions, self._definition.groups, self._definition.compute_base_matrix()[:3, :3]
+            self._table,
+            poses,
+            driven_pose.look_directions,
+            self._definition.groups,
+            self._definition.compute_base_matrix()[:3, :3],
         )
-        poses = offset_joints(self._table, poses, driven.joint_offsets, self._definition.compute_base_matrix()[:3, :3])
-        poses = scale_groups(self._table, poses, self._definition.variation, self._definition.groups, driven.variation_draws)
+        poses = offset_joints(self._table, poses, driven_pose.joint_offsets, self._definition.compute_base_matrix()[:3, :3])
+        poses = scale_groups(self._table, poses, self._definition.variation, self._definition.groups, driven_pose.variation_draws)
         if self.leg_solver is not None and feet is not None:
             stands = self.leg_solver.compute_stance_weights(self._played, machines, count)
             poses = self.leg_solver.bend_legs(poses, feet.scale_trunk(stands), stands)
-        return replace(poses, local=to_local_transforms(self._table, poses.world)) if local and poses.local is None else poses
+        return (
+            replace(poses, local_transforms=to_local_transforms(self._table, poses.world_transforms))
+            if needs_local and poses.local_transforms is None
+            else poses
+        )
 
     def pose_vertices(
         self,
@@ -224,17 +232,17 @@ class PosedBody:
         feet: BodySpaceFeet | None = None,
         threads: int = 1,
         *,
-        driven: DrivenPose = NO_DRIVEN_POSE,
+        driven_pose: DrivenPose = NO_DRIVEN_POSE,
     ) -> tuple[Floats, Floats]:
         """Return vertices and unit normals float32[n, v, 3] of `count` agents, in body lengths. Arguments: as in `poses`."""
-        points, normals = self.compute_shape_points(self.compute_poses(machines, count, feet, threads, driven=driven))
+        points, normals = self.compute_shape_points(self.compute_poses(machines, count, feet, threads, driven_pose=driven_pose))
         return points[:, self.point_indices], normals[:, self.point_indices]
 
     def compute_shape_points(self, poses: Poses) -> tuple[Floats, Floats]:
         """Return points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other. Lengths are body
         lengths; front is +x, up +y."""
         deformed_shapes = [deform_binding(self._definition, binding, poses) for binding in self._bindings]
-        none = np.zeros((len(poses.world), 0, 3), np.float32)
+        none = np.zeros((len(poses.world_transforms), 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in deformed_shapes)], axis=1)
         normals = np.concatenate([none, *(each.normals for each in deformed_shapes if each.normals is not None)], axis=1)
         return points @ self._base_matrix.T, normals @ self._rotation.T
@@ -337,7 +345,11 @@ def coarsen_shape(shape: Shape, cell: float) -> Shape:
     faces = of[shape.faces].astype(np.int32)
     has_area = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     follows = shape.capture
-    capture = None if follows is None else Capture(follows.names, follows.joints[first], follows.weights[first], follows.inverse)
+    capture = (
+        None
+        if follows is None
+        else Capture(follows.names, follows.joints[first], follows.weights[first], follows.inverse_matrices)
+    )
     return Shape(
         shape.name, points.astype(np.float32), faces[has_area], normals, None, shape.materials,
         None if shape.material is None else shape.material[has_area],

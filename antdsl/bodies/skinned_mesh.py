@@ -89,15 +89,15 @@ class _BoneTable:
         self.joints: list[int] = []
         self.inverses: list[Matrix] = []
 
-    def get_bone_number(self, joint: int, inverse: Matrix) -> int:
+    def get_bone_number(self, joint: int, inverse_matrix: Matrix) -> int:
         """Return the number of the bone with a joint and an inverse matrix. A new pair gets the next number."""
         for number, (other, known) in enumerate(zip(self.joints, self.inverses, strict=True)):
-            if other == joint and np.abs(known - inverse).max() <= _EQUAL_MATRIX_TOLERANCE * max(
-                1.0, float(np.abs(inverse[:, :3]).max())
+            if other == joint and np.abs(known - inverse_matrix).max() <= _EQUAL_MATRIX_TOLERANCE * max(
+                1.0, float(np.abs(inverse_matrix[:, :3]).max())
             ):
                 return number
         self.joints.append(joint)
-        self.inverses.append(inverse)
+        self.inverses.append(inverse_matrix)
         return len(self.joints) - 1
 
 
@@ -134,7 +134,10 @@ def _build_skinned_part(definition: Definition, binding: Binding, bone_table: _B
     if capture is None:
         raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
     number = np.array(
-        [bone_table.get_bone_number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)],
+        [
+            bone_table.get_bone_number(definition.rig.joint(name), capture.inverse_matrices[k])
+            for k, name in enumerate(capture.names)
+        ],
         np.int32,
     )
     joints, weights = _select_strongest_joints(capture)

@@ -40,13 +40,14 @@ def _filter_neighbourhood(grid: NDArray[T], rings: int, combine: Any) -> NDArray
     return np.ascontiguousarray(grid)
 
 
-def compute_blocked_distances(free: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the distance, in cells between centres, to the nearest cell that is not `free`; at least one cell must not be free.
+def compute_blocked_distances(is_free: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the distance, in cells between centres, to the nearest cell that is not `is_free`; at least one cell must not be
+    free.
 
     The axes are processed one after another. For each cell, the result is the minimum over its line of two terms: the squared
     value of a cell of the line, plus its squared distance along the line."""
-    square = np.where(free, np.int32(_MAX_SQUARED_CELLS), np.int32(0))
-    for axis in np.argsort(free.shape, kind="stable"):  # after the shortest axis, few cells are far from all blocked cells
+    square = np.where(is_free, np.int32(_MAX_SQUARED_CELLS), np.int32(0))
+    for axis in np.argsort(is_free.shape, kind="stable"):  # after the shortest axis, few cells are far from all blocked cells
         line = np.moveaxis(square, axis, 0)
         nearest = line.copy()
         for step in range(1, len(line)):

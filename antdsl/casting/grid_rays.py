@@ -303,9 +303,9 @@ def _prefetch_list(grid: GridTables, cell: I64) -> None:
 
 
 @inlined
-def _intersect_axis(p: F64, inverse: F64, moves: BOOL, size: F64) -> tuple[F64, F64]:
+def _intersect_axis(p: F64, inverse_direction: F64, is_moving: BOOL, size: F64) -> tuple[F64, F64]:
     """Return the ray parameters at which a ray enters and leaves the grid along one axis."""
-    if not moves:
+    if not is_moving:
         return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)
-    one, two = -p * inverse, (size - p) * inverse
+    one, two = -p * inverse_direction, (size - p) * inverse_direction
     return (one, two) if one < two else (two, one)

@@ -343,20 +343,20 @@ class RayScene(ProximityQueries):
         return *self._split_face_numbers(face), place + self.origin, distance
 
     def _find_closest_by_open3d(
-        self, local: Vectors, threads: int, max_distance: NDArray[Any] | float
+        self, local_points: Vectors, threads: int, max_distance: NDArray[Any] | float
     ) -> tuple[Vectors, Vectors, Index]:
         """Return position, distance and face nearest to points relative to the scene's origin, by Open3D."""
-        place, square, face = self._faces.find_nearest(local, self._query_open3d_nearest(local, threads))
+        place, square, face = self._faces.find_nearest(local_points, self._query_open3d_nearest(local_points, threads))
         # At a slightly larger distance, an equally near face on another side is nearer. So both are found in any case.
         distance = np.sqrt(square)
         candidates = np.flatnonzero(distance <= max_distance)
         if candidates.size:
-            local, square, one = local[candidates], square[candidates], face[candidates]
-            nudge = (local - place[candidates]) * (
+            local_points, square, one = local_points[candidates], square[candidates], face[candidates]
+            nudge = (local_points - place[candidates]) * (
                 _NUDGE_TOLERANCES * self._faces.tolerance / np.maximum(distance[candidates], 1e-30)
             )[:, None]
             other_places, other_squares, other = self._faces.find_nearest(
-                local, self._query_open3d_nearest(local + nudge, threads)
+                local_points, self._query_open3d_nearest(local_points + nudge, threads)
             )
             nearer = np.flatnonzero((other_squares < square) | ((other_squares == square) & (other < one)))
             rows = candidates[nearer]

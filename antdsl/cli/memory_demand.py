@@ -49,7 +49,7 @@ def require_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot:
     if available is None or not works or needed <= _USABLE_MEMORY_SHARE * available:
         return
     _, k, work = works[0]
-    largest = sorted(work, key=lambda each: -each.bytes)[:_MAX_LISTED_THINGS]
+    largest = sorted(work, key=lambda estimate: -estimate.bytes)[:_MAX_LISTED_THINGS]
     names = ", ".join(
         f"{each.thing} {format_bytes(each.bytes)} ({each.part_count:,} {each.unit_name})" for each in largest if each.bytes
     )

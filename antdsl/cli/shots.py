@@ -29,7 +29,7 @@ def run_shots(
     options: Mapping[str, Any],
     threads: int,
     scheduler: SchedulerAddress,
-    quiet: bool,
+    is_quiet: bool,
     ignore_memory_limit: bool,
 ) -> None:
     """Simulate scenes in parallel.
@@ -94,8 +94,8 @@ def run_shots(
             engine = stack.enter_context(open_engine(scheduler, processes, per, files))
             where_to = {each.key: folder for each, folder in zip(tasks, folders, strict=True)}
 
-            def parent(each: Task) -> Path:
-                return where_to[each.key].parent
+            def parent(task: Task) -> Path:
+                return where_to[task.key].parent
 
             for answered in run_tasks(tasks, engine, report_note=print_warning, choose_folder=parent):
                 folder = where_to[answered.task.key]
@@ -107,7 +107,7 @@ def run_shots(
                     continue
                 if answered.answer["files"]:
                     remove_other_frames(folder, answered.answer["files"], folder.name)
-                if not quiet:
+                if not is_quiet:
                     print_note(f"{answered.answer['frames']} frames; the cache is in {folder}")
     except KeyboardInterrupt as error:
         raise CommandError(choose_stop_exit_code(error), "stopped", "continue with the same command and `--resume`") from None

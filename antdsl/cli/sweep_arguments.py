@@ -75,7 +75,7 @@ def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
     assert chosen is not None
     job_options: dict[str, Any] = {
         "frames": parse_frame_range(request.frames),
-        "until": tuple(request.until_empty),
+        "stop_amounts": tuple(request.until_empty),
         "grants": parse_grants(request.root),
     }
     numbers = _parse_seeds(request.seeds)

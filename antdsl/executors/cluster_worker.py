@@ -45,7 +45,7 @@ class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
             worker.log_event(self.name, {"refused": explain_mismatch(worker.address, describe_worker(), self.sources)})
             return
         if self.visible_file is not None and not self.visible_file.is_visible():
-            message = f"worker {worker.address} does not see `{self.visible_file.path}`, as the others do, so it is given nothing"
+            message = f"worker {worker.address} does not see `{self.visible_file.path}`, as the others do, so it gets no tasks"
             worker.log_event(self.name, {"refused": message})
             return
         folder = Path(worker.local_directory) / self.name
@@ -98,7 +98,7 @@ def explain_mismatch(address: str, worker_versions: Mapping[str, str], expected_
     return (
         f"worker {address} on {worker_versions['host']} has antdsl {worker_versions['antdsl']} with other sources "
         f"({worker_versions['sources'][:8]}, "
-        f"here {expected_sources[:8]}), so it is given nothing: install there what is installed here"
+        f"here {expected_sources[:8]}), so it gets no tasks: install the same version there"
     )
 
 
@@ -126,7 +126,7 @@ def read_file_part(project_name: str, file: str, start: int) -> bytes:
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise TaskRejected(f"`{file}` is not one of the files that a task wrote")
-    with open_size_limited(path, MAX_TASK_OUTPUT_BYTES, follow=False) as handle:
+    with open_size_limited(path, MAX_TASK_OUTPUT_BYTES, follows_links=False) as handle:
         handle.seek(start)
         return handle.read(FILE_PART_BYTES)
 

@@ -202,9 +202,9 @@ def run_tasks(
         engine.stop()
 
 
-def _find_finished(running: Mapping[Future[str], Task]) -> list[Future[str]]:
+def _find_finished(running_tasks: Mapping[Future[str], Task]) -> list[Future[str]]:
     """Return the futures that have ended. `wait` never returns one that was cancelled in the moment in which its task ended."""
-    return [future for future in running if future.done()]
+    return [future for future in running_tasks if future.done()]
 
 
 def _is_broken(future: Future[str]) -> bool:

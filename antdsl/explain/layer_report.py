@@ -29,7 +29,7 @@ def _build_layer_report(world: World, mode: str, note: LayerNote, trace: AgentTr
     if not trace.values.get(note.has_budget, False):
         return LayerReport(where, "no strength", None, left, None, 0.0, no_push, 0.0, 0.0)
     condition = build_condition_part(world, note.condition, trace.values)
-    if not trace.values.get(note.holds, False):
+    if not trace.values.get(note.condition_value, False):
         return LayerReport(where, "off", condition, left, None, 0.0, no_push, 0.0, 0.0)
     push = np.array([trace.values[node] for node in note.push], _F32)
     size = compute_length(push)
@@ -76,7 +76,7 @@ def find_steering_lines(species: str, notes: SourceNotes, trace: AgentTrace, sit
     for note in notes.steers:
         if note.site.startswith(sites) and all(node in trace.values for node in note.push):
             push = np.array([trace.values[node] for node in note.push], _F32)
-            if note.holds is None or trace.values.get(note.holds, False):
-                part = "state" if note.holds is None else "layers"
+            if note.condition_value is None or trace.values.get(note.condition_value, False):
+                part = "state" if note.condition_value is None else "layers"
                 steer_lines.append(SteeringLine(note.text, to_float_triple(push), float(compute_length(push)), part))
     return tuple(steer_lines)

@@ -26,7 +26,7 @@ def build_machine_step(
     winning_change = next((note for note in own_changes if note.number == winner), None)
     claim = (
         _build_claim_result(world, population, winning_change, trace)
-        if winning_change is not None and winning_change.transition.take is not None
+        if winning_change is not None and winning_change.transition.take_action is not None
         else None
     )
     changed = winning_change is not None and (claim is None or claim.won)
@@ -54,10 +54,10 @@ def _build_transition_report(
         kind,
         _describe_target(machine, t),
         build_condition_part(world, note.condition, trace.values),
-        note.holds is None or bool(trace.values[note.holds]),
+        note.condition_value is None or bool(trace.values[note.condition_value]),
         tuple(build_timer_reading(each, trace.values) for each in note.timers),
-        build_condition_part(world, note.take, trace.values),
-        bool(trace.values[note.fires]),
+        build_condition_part(world, note.take_note, trace.values),
+        bool(trace.values[note.is_taken]),
         note.number == winner,
     )
 
@@ -77,20 +77,22 @@ def _build_claim_result(world: World, population: Population, taken_change: Chan
     if entry is None:
         return None
     statement = entry.statement
-    name, amount = statement.of, float(entry.amount[0])
+    name, amount = statement.target, float(entry.amount[0])
     if statement.item is not None:
-        names = world.items[statement.of].names
+        names = world.items[statement.target].names
         item = int(entry.item[0])
         name = names[item] if 0 <= item < len(names) else "none"
     return ClaimResult(
-        statement.of,
+        statement.target,
         name,
-        statement.attribute or statement.own or "",
+        statement.attribute or statement.register or "",
         amount if np.isfinite(amount) else None,
         _compute_claim_draw(world, population, entry, trace.row),
         bool(population.now[statement.won_register][trace.row]),
         locate_span(
-            taken_change.transition.take.span if taken_change.transition.take is not None else taken_change.transition.span
+            taken_change.transition.take_action.span
+            if taken_change.transition.take_action is not None
+            else taken_change.transition.span
         ),
     )
 

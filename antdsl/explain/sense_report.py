@@ -66,7 +66,7 @@ def _build_sense_readings(node: PlanNode, value: Any) -> Iterator[SenseReading]:
         return
     kind, _, operation = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
-    label, name = (f"{kind} {operation}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)
+    label, name = (f"{kind} {operation}".strip(), str(node.attrs[0])) if row.thing_kind else ("sense", node.op)
     yield SenseReading(label, name, _find_node_text(node), _describe_sense(row, values), values)
 
 

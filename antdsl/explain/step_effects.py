@@ -118,10 +118,14 @@ def _find_register_type(name: str, register: Register, species: Species) -> Valu
     """Return the type of a register that no attribute declares: a machine's register, or a memory."""
     machine, _, part = name.partition(".")
     if part in ("state", "previous") and any(m.name == machine for m in species.machines):
-        return ValueType(TypeKind.STATE, of=f"{species.name}.{machine}")
+        return ValueType(TypeKind.STATE, referent=f"{species.name}.{machine}")
     if part == "time_in_state":
         return ValueType(TypeKind.NUMBER, Dimension(time=1))
-    return ValueType(TypeKind.AGENT, of=register.of) if register.of else ValueType(TypeKind.NUMBER)
+    return (
+        ValueType(TypeKind.AGENT, referent=register.referenced_species)
+        if register.referenced_species
+        else ValueType(TypeKind.NUMBER)
+    )
 
 
 def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
@@ -132,7 +136,7 @@ def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
     }
     sentences = lines_by_effect.pop("deposit")
     sentences += [
-        f"give {entry.statement.own} {float(entry.amount[0]):.4g} to {entry.statement.items}" for entry in effects.gives
+        f"give {entry.statement.register} {float(entry.amount[0]):.4g} to {entry.statement.items}" for entry in effects.gifts
     ]
     sentences += [line for lines in lines_by_effect.values() for line in lines]
     sentences += [f"a value for `{entry.register}` is not a number and was rejected" for entry in effects.faults]
@@ -151,5 +155,6 @@ def _describe_request(row: Effect, entry: RequestEntry) -> str:
         for name, arg in args.items()
     }
     return fill_template(
-        row.trace_template, {**values, "of": entry.request.of, "own": entry.request.own, "receiver": entry.request.target_species}
+        row.trace_template,
+        {**values, "of": entry.request.target, "own": entry.request.register, "receiver": entry.request.target_species},
     )

@@ -75,7 +75,9 @@ def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
     """Return whether a handler of collisions has run: its agent has begun to touch another."""
     if handler.event != "collision":
         return False
-    return any(node.op == "contact" and node.attrs[0] == handler.of and value[0] != -1 for node, value in trace.senses.items())
+    return any(
+        node.op == "contact" and node.attrs[0] == handler.other_species and value[0] != -1 for node, value in trace.senses.items()
+    )
 
 
 def _build_explanation(replay: Replay, frame: int, world: World, population: Population, trace: AgentTrace) -> Explanation:

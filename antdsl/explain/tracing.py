@@ -46,13 +46,13 @@ class TracedAgent(AgentRun):
         population: Population,
         plan: ir.SpeciesPlan,
         row: int,
-        now: dict[str, Any],
+        registers: dict[str, Any],
         notes: SourceNotes,
         replacement_by_node: Mapping[ir.PlanNode, ir.PlanNode],
     ) -> None:
-        super().__init__(world, population, row, now, 0, EffectRequests(), number_statements(plan))
+        super().__init__(world, population, row, registers, 0, EffectRequests(), number_statements(plan))
         self.plan, self.notes, self.replacement_by_node = plan, notes, replacement_by_node
-        self.trace = AgentTrace(row, {name: array[0] for name, array in now.items()}, {})
+        self.trace = AgentTrace(row, {name: array[0] for name, array in registers.items()}, {})
 
     def run_step_blocks(self) -> AgentTrace:
         """Run the blocks of a step in order. Claims have the results that the world has resolved."""
@@ -142,20 +142,22 @@ def list_part_nodes(note: PartNote | None) -> list[ir.PlanNode]:
 
 def list_change_nodes(note: ChangeNote) -> list[ir.PlanNode]:
     """Return all nodes of a noted transition."""
-    timers = [node for timer in note.timers for node in (timer.elapsed, timer.required, timer.holds)]
-    condition_nodes = [note.fires] if note.holds is None else [note.fires, note.holds]
-    return [*condition_nodes, *timers, *list_part_nodes(note.condition), *list_part_nodes(note.take)]
+    timers = [node for timer in note.timers for node in (timer.elapsed, timer.required, timer.is_over)]
+    condition_nodes = [note.is_taken] if note.condition_value is None else [note.is_taken, note.condition_value]
+    return [*condition_nodes, *timers, *list_part_nodes(note.condition), *list_part_nodes(note.take_note)]
 
 
 def list_layer_nodes(note: LayerNote) -> list[ir.PlanNode]:
     """Return all nodes of a noted layer."""
-    return [note.budget_left, note.has_budget, note.holds, *note.push, *list_part_nodes(note.condition)]
+    return [note.budget_left, note.has_budget, note.condition_value, *note.push, *list_part_nodes(note.condition)]
 
 
 def list_act_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
     """Return all nodes noted in acting: `steer` and `face` lines, and choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
-    steered = [node for note in notes.steers for node in (*note.push, *([] if note.holds is None else [note.holds]))]
+    steered = [
+        node for note in notes.steers for node in (*note.push, *([] if note.condition_value is None else [note.condition_value]))
+    ]
     return [*steered, *chosen]
 
 

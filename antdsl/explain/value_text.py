@@ -88,5 +88,5 @@ def build_timer_reading(note: TimerNote, values: NodeValues) -> TimerReading:
     """Return a noted timer with its elapsed and required amount."""
     unit = "steps" if note.timer_kind == "held" else "s"
     return TimerReading(
-        note.timer_kind, float(values[note.elapsed]), float(values[note.required]), unit, bool(values[note.holds])
+        note.timer_kind, float(values[note.elapsed]), float(values[note.required]), unit, bool(values[note.is_over])
     )

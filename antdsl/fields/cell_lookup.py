@@ -20,10 +20,12 @@ def _find_axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
 
 
 @inlined
-def _find_cell(direct: Array1[I32], has_direct_table: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64) -> I64:
+def _find_cell(
+    direct_table: Array1[I32], has_direct_table: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64
+) -> I64:
     """Return the cell of a key, -1 if no cell has the key."""
     if has_direct_table:
-        return np.int64(direct[key])
+        return np.int64(direct_table[key])
     a = find_lower_bound(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
     return a if a < keys.size and keys[a] == key else -1
 

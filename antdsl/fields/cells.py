@@ -34,9 +34,9 @@ class FieldTooFine(ValueError):
     """A field would need more cells than `limits.MAX_FIELD_CELLS`, or (`is_axis_limit`) more along an axis than can be numbered.
     It is raised before anything is allocated."""
 
-    def __init__(self, needed: int, cap: int, is_axis_limit: bool = False) -> None:
-        super().__init__(f"about {needed:,} cells are needed, but only {cap:,} are allowed; increase `cell`")
-        self.needed, self.cap, self.is_axis_limit = needed, cap, is_axis_limit
+    def __init__(self, needed_count: int, cap: int, is_axis_limit: bool = False) -> None:
+        super().__init__(f"about {needed_count:,} cells are needed, but only {cap:,} are allowed; increase `cell`")
+        self.needed, self.cap, self.is_axis_limit = needed_count, cap, is_axis_limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +88,12 @@ class SurfaceCells:
         self._start_table = self._build_start_table()
         self._tables: dict[int, Cells] = {}
 
-    def _build_cell_tables(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
+    def _build_cell_tables(self, corners: Floats, scaled_corners: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
         """Return keys, positions and normals of all cells, computed from the part of each triangle that lies in each voxel."""
         side = find_facing_sides(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
-        for voxel, face in iterate_triangle_cells(scaled):
+        for voxel, face in iterate_triangle_cells(scaled_corners):
             middle = voxel.astype(np.float64) * self.cell
             point = find_nearest_on_triangle(middle, corners[face])
             part = np.column_stack([point, normal[face], np.ones(len(face))])
@@ -197,7 +197,7 @@ class SurfaceCells:
         """Write the cell of each point's voxel and side, -1 for none. Return the number of points without a cell, and the
         state for the next call."""
         state = previous_cells
-        if state is None or state.of is not self or len(state.keys) != len(points):
+        if state is None or state.surface_cells is not self or len(state.keys) != len(points):
             state = CellLookupState(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
         index, direct = (self._block_index, NO_CELLS) if self._direct_table is None else (NO_INDEX, self._direct_table)
         keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
@@ -330,10 +330,10 @@ class SurfaceCells:
             cells.append(other.take(others).astype(np.int32))
         return CellLinks(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
-    def _count_voxel_steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _count_voxel_steps(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the number of voxel steps between the cells of each pair, summed over all axes."""
-        steps = np.zeros(len(one), np.int64)
-        voxels = [self._voxel_numbers.take(cells) for cells in (one, two)]
+        steps = np.zeros(len(first), np.int64)
+        voxels = [self._voxel_numbers.take(cells) for cells in (first, second)]
         for size in (self._size[2], self._size[1]):
             steps += np.abs(voxels[0] % size - voxels[1] % size)
             voxels = [each // size for each in voxels]
@@ -385,10 +385,10 @@ class SurfaceCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellLookupState:
-    """The results of a cell lookup in the cells `of`, for the next lookup: each point's `keys` (voxel and side), and its
-    `cells`. `keys` is -1 outside the box, `cells` is -1 if there is none."""
+    """The results of a cell lookup in the cells `surface_cells`, for the next lookup: each point's `keys` (voxel and side), and
+    its `cells`. `keys` is -1 outside the box, `cells` is -1 if there is none."""
 
-    of: SurfaceCells
+    surface_cells: SurfaceCells
     keys: NDArray[np.int64]
     cells: Cells
 

@@ -28,9 +28,9 @@ _MAX_CUTS_PER_EDGE = 1024  # maximum number of pieces along an edge
 class LatticeTooFine(ValueError):
     """The lattice would need more points than allowed; `needed` is the approximate count."""
 
-    def __init__(self, needed: int) -> None:
-        super().__init__(f"about {needed:,} points")
-        self.needed = needed
+    def __init__(self, needed_count: int) -> None:
+        super().__init__(f"about {needed_count:,} points")
+        self.needed = needed_count
 
 
 def count_slots(cuts: Index) -> int:

@@ -86,12 +86,12 @@ class GrowingCells(SurfaceCells):
         fill_nearby_cells(self._direct_table, self._size, self.position, points, voxel, side, best)
         return best
 
-    def _grow_capacity(self, needed: int) -> None:
-        """Extend the arrays so that they have space for `needed` cells."""
-        if needed <= len(self):
+    def _grow_capacity(self, needed_count: int) -> None:
+        """Extend the arrays so that they have space for `needed_count` cells."""
+        if needed_count <= len(self):
             return
         old_count = len(self)
-        added_count = max(needed - old_count, old_count // _GROWTH_DIVISOR, _MIN_ADDED_CAPACITY)
+        added_count = max(needed_count - old_count, old_count // _GROWTH_DIVISOR, _MIN_ADDED_CAPACITY)
         self._keys = np.concatenate([self._keys, np.full(added_count, _NO_KEY)])
         self._voxel_numbers = np.concatenate([self._voxel_numbers, np.full(added_count, _ISOLATED_VOXEL)])
         self.position, self.normal = (np.concatenate([v, np.zeros((added_count, 3))]) for v in (self.position, self.normal))
@@ -204,12 +204,12 @@ def fill_nearest_cells(
 @kernel
 def fill_nearby_cells(
     direct_table: Array1[I32], size: Array1[I64], position: Array2[F64], points: Array2[F64], voxel: Array2[I64],
-    side: Array1[I64], best: Array1[I64],
+    side: Array1[I64], nearest_cells: Array1[I64],
 ) -> None:  # fmt: skip
-    """Write to `best` the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
-    for n in range(best.size):
+    """Write to `nearest_cells` the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
+    for n in range(nearest_cells.size):
         least_gap = np.inf
-        best[n] = -1
+        nearest_cells[n] = -1
         for i in range(voxel[n, 0] - 1, voxel[n, 0] + 2):
             for j in range(voxel[n, 1] - 1, voxel[n, 1] + 2):
                 for m in range(voxel[n, 2] - 1, voxel[n, 2] + 2):
@@ -221,4 +221,4 @@ def fill_nearby_cells(
                             continue
                         gap = _compute_squared_distance(position, candidate, points[n, 0], points[n, 1], points[n, 2])
                         if gap < least_gap:
-                            least_gap, best[n] = gap, candidate
+                            least_gap, nearest_cells[n] = gap, candidate

@@ -55,7 +55,7 @@ class PathFlow(SurfaceFlow):
     target_gap: float = 0.0  # mm from the ground to the nearest point of the target, without its radius
     strength: float = 1.0
     crowding: float = 0.0
-    every: int = 1  # update interval in steps
+    interval: int = 1  # update interval in steps
     is_due: Callable[[World], bool] = lambda world: False
     crowd: NDArray[np.int64] | None = None  # covered area at each point, in units of 1 / _COVERAGE_PARTS_PER_MM2 mm²
     reached: NDArray[np.bool_] | None = None  # mask of the points with a path to the goal

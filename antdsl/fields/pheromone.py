@@ -267,10 +267,14 @@ def _find_dependent_cells(block: Cells, cells: int) -> tuple[NDArray[np.int64], 
 class _DiffusionFlow:
     """A symmetric flow between cells: inflow from the linked cells minus outflow."""
 
-    def __init__(self, inward: Any) -> None:
-        rows = np.repeat(np.arange(inward.shape[0]), np.diff(inward.indptr))
-        self._outflow_shares = np.bincount(rows, inward.data, inward.shape[0]).astype(np.float64)
-        self._inflow_matrix = inward.data, inward.indices.astype(np.int32, copy=False), inward.indptr.astype(np.int64, copy=False)
+    def __init__(self, inflow_matrix: Any) -> None:
+        rows = np.repeat(np.arange(inflow_matrix.shape[0]), np.diff(inflow_matrix.indptr))
+        self._outflow_shares = np.bincount(rows, inflow_matrix.data, inflow_matrix.shape[0]).astype(np.float64)
+        self._inflow_matrix = (
+            inflow_matrix.data,
+            inflow_matrix.indices.astype(np.int32, copy=False),
+            inflow_matrix.indptr.astype(np.int64, copy=False),
+        )
         self._inflow = np.empty(0)
 
     def compute(self, amounts: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
@@ -324,7 +328,7 @@ def compute_cell_inflow(
 def step_cells(
     values: Array1[F64],
     change: Array1[F64],
-    pending: Array1[I64],
+    pending_deposits: Array1[I64],
     spread: F64,
     remaining_share: F64,
     unit: F64,
@@ -337,8 +341,8 @@ def step_cells(
     """Advance the cells from `begin` to before `end` by one step.
 
     Adds `spread` times `change` (none if the array is empty), multiplies by `remaining_share`, then applies the deposits
-    `pending`.
-    `pending`: deposits in multiples of `unit`; set to 0 once applied.
+    `pending_deposits`.
+    `pending_deposits`: deposits in multiples of `unit`; set to 0 once applied.
     `deposit_mode`: 1 adds deposits; 2 uses them as the least amount of the cell.
     `limit`: the largest amount. Amounts below `flush_threshold` become 0."""
     spreads = change.size > 0
@@ -348,12 +352,12 @@ def step_cells(
             value += spread * change[n]
         value *= remaining_share
         if deposit_mode > 0:
-            landed = np.float64(pending[n]) * unit
+            landed = np.float64(pending_deposits[n]) * unit
             if deposit_mode == 1:
                 value += landed
             elif landed > value:
                 value = landed
-            pending[n] = 0
+            pending_deposits[n] = 0
         value = min(value, limit)
         if value < flush_threshold:
             value = 0.0
@@ -362,13 +366,13 @@ def step_cells(
 
 @kernel
 def find_strongest(
-    agent_cells: Array1[I32], block: Array2[I32], values: Array1[F64], best: Array1[I64], value: Array1[F64]
+    agent_cells: Array1[I32], block: Array2[I32], values: Array1[F64], best_cells: Array1[I64], value: Array1[F64]
 ) -> None:
-    """Write the largest amount in each row of `block` [cells, k] to `value`, and the first cell that has it to `best`.
+    """Write the largest amount in each row of `block` [cells, k] to `value`, and the first cell that has it to `best_cells`.
 
     `agent_cells` [n]: the agents' cells, -1 for none. `values` [cells + 1]: amounts, with a final 0 for "no cell". If all amounts
     are 0,
-        `best` is the agent's own cell and `value` is 0."""
+        `best_cells` is the agent's own cell and `value` is 0."""
     none = values.size - 1
     for n in range(agent_cells.size):
         cell = agent_cells[n]
@@ -380,4 +384,4 @@ def find_strongest(
                 candidate = block[cell, k]
                 if values[candidate] > strongest:
                     strongest_cell, strongest = candidate, values[candidate]
-        best[n], value[n] = strongest_cell, strongest
+        best_cells[n], value[n] = strongest_cell, strongest

@@ -109,7 +109,7 @@ class _ChartBuilder:
 def _make_state_box(state: State) -> Box:
     """Return the box of a state."""
     label = " ".join(state.label.split())
-    lasts = f"for at least {_source_text(state.at_least.span)}" if state.at_least is not None else ""
+    lasts = f"for at least {_source_text(state.min_duration.span)}" if state.min_duration is not None else ""
     details = " · ".join(part for part in (label, lasts, _format_location(state.span)) if part)
     return Box(f"s{state.index}", "state", state.name, " · ".join(p for p in (label, lasts) if p), state.colour, details)
 
@@ -127,7 +127,7 @@ def _format_condition(change: Transition) -> str:
         _source_text(change.condition.span) if change.condition is not None else "",
         f"after {_source_text(change.delay.span)}" if change.delay is not None else "",
         f"held {_source_text(change.hold_time.span)}" if change.hold_time is not None else "",
-        _source_text(change.take.span) if change.take is not None else "",
+        _source_text(change.take_action.span) if change.take_action is not None else "",
     ]
     return " ".join(part for part in parts if part)
 

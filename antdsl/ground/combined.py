@@ -27,16 +27,17 @@ _EYE_HEIGHT_PER_BODY = 0.02  # body lengths above the path from which an agent s
 
 @dataclass(slots=True)
 class _WalkState:
-    """Agents during a walk: footings, orientations and `remaining` displacements. Each component of a vector is contiguous."""
+    """Agents during a walk: footings, orientations and `remaining_displacements` displacements. Each component of a vector is
+    contiguous."""
 
     footing: Footing
     place: Floats
     up: Floats
     heading: Floats
     direction: Floats
-    remaining: Floats
+    remaining_displacements: Floats
     distance: Floats
-    blocked: NDArray[np.bool_]
+    is_blocked: NDArray[np.bool_]
     stops_at_borders: bool  # paths on meshes end at open borders
 
 
@@ -203,7 +204,7 @@ class CombinedGround:
                 break
             rows = self._walk_stretch(walk, rows, body, threads, is_last=hop == _MAX_SURFACE_CHANGES - 1)
         lost = footing.mesh < 0
-        return GroundMove(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.distance, walk.blocked, lost)
+        return GroundMove(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.distance, walk.is_blocked, lost)
 
     # ---- parts of moving
 
@@ -226,17 +227,17 @@ class CombinedGround:
         meshes = self.meshes
         assert meshes is not None
         previous_footing = walk.footing.take_on_meshes(rows)
-        wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining, walk.heading, walk.up))
+        wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining_displacements, walk.heading, walk.up))
         moved = meshes.move(previous_footing, wish, ahead, up, body[rows], threads, walk.stops_at_borders)
-        entries = self._find_entries(moved.position, lambda who: meshes.position(previous_footing.take_rows(who)))
+        entries = self._find_entries(moved.position, lambda rows: meshes.position(previous_footing.take_rows(rows)))
         self._finish_walks(walk, rows, entries.rows, moved)
         return self._step_onto_solid(walk, rows, entries, moved, body, threads, is_last)
 
     @staticmethod
-    def _finish_walks(walk: _WalkState, rows: Rows, unfinished_rows: Rows, moved: GroundMove) -> None:
+    def _finish_walks(walk: _WalkState, rows: Rows, unfinished_rows: Rows, move: GroundMove) -> None:
         """Store the results of all agents in `rows` that have finished their walk. The agents in `unfinished_rows` have not."""
-        footing, vectors = moved.footing, [moved.position, moved.up, moved.heading, moved.direction]
-        travelled, blocked = moved.travelled, moved.blocked
+        footing, vectors = move.footing, [move.position, move.up, move.heading, move.direction]
+        travelled, blocked = move.travelled, move.is_blocked
         if unfinished_rows.size:
             has_ended = np.ones(rows.size, np.bool_)
             has_ended[unfinished_rows] = False
@@ -249,8 +250,8 @@ class CombinedGround:
             for axis in range(3):
                 into[rows, axis] = vector[:, axis]
         walk.distance[rows] += travelled
-        walk.blocked[rows] |= blocked
-        walk.remaining[rows] = 0.0
+        walk.is_blocked[rows] |= blocked
+        walk.remaining_displacements[rows] = 0.0
 
     def _find_entries(self, end: Floats, start: Callable[[Rows], Floats], ignored_solid: int = -1) -> _SolidEntries:
         """Return the agents that enter undug solid on the path to `end`.
@@ -275,7 +276,7 @@ class CombinedGround:
         return _SolidEntries(who, which[who], part[who], positions[who])
 
     def _step_onto_solid(
-        self, walk: _WalkState, rows: Rows, entries: _SolidEntries, moved: GroundMove, body: Floats, threads: int, is_last: bool
+        self, walk: _WalkState, rows: Rows, entries: _SolidEntries, move: GroundMove, body: Floats, threads: int, is_last: bool
     ) -> Rows:
         """Place the agents in `rows` that entered a solid on it. Return the agents with distance left."""
         again = [np.empty(0, np.intp)]
@@ -285,23 +286,23 @@ class CombinedGround:
                 continue
             of, part = entries.rows[mine], entries.path_fraction[mine]
             # From slightly above: an agent exactly at the seam might be below a mesh after its next step.
-            above = entries.place[mine] + moved.up[of] * (_EYE_HEIGHT_PER_BODY * body[rows[of]])[:, None]
+            above = entries.place[mine] + move.up[of] * (_EYE_HEIGHT_PER_BODY * body[rows[of]])[:, None]
             landed = volume.project_to_surface(above, compute_normals(volume, above), 2 * volume.voxel)
             ok = landed.is_in_reach
             if self.meshes is not None:
                 ok &= ~self.meshes.find_path_hits(above, landed.points - above, threads)[0]
             shut = rows[of[~ok]]  # no reachable position, so they return to the start of the step
-            walk.blocked[shut], walk.remaining[shut] = True, 0.0
+            walk.is_blocked[shut], walk.remaining_displacements[shut] = True, 0.0
             walk.place[shut] = self.position(walk.footing.take_rows(shut))
             on, of, part = rows[of[ok]], of[ok], part[ok]
             normal, place = landed.normals[ok], landed.points[ok]
-            previous_up, direction = moved.up[of], moved.direction[of]
-            walk.heading[on] = rotate_between_normals(moved.heading[of].T, previous_up.T, normal.T, direction.T).T
+            previous_up, direction = move.up[of], move.direction[of]
+            walk.heading[on] = rotate_between_normals(move.heading[of].T, previous_up.T, normal.T, direction.T).T
             walk.direction[on] = rotate_between_normals(direction.T, previous_up.T, normal.T, direction.T).T
             walk.place[on], walk.up[on] = place, normal
-            walk.distance[on] += moved.travelled[of] * part
-            rest = np.zeros(len(on)) if is_last else moved.travelled[of] * (1 - part)
-            walk.remaining[on] = walk.direction[on] * rest[:, None]
+            walk.distance[on] += move.travelled[of] * part
+            rest = np.zeros(len(on)) if is_last else move.travelled[of] * (1 - part)
+            walk.remaining_displacements[on] = walk.direction[on] * rest[:, None]
             walk.footing.put_rows(on, Footing.from_solids(self._count + k, place))
             again.append(on[rest > 0])
         return np.concatenate(again)
@@ -312,16 +313,16 @@ class CombinedGround:
         """Walk `rows` over solid number `k`, up to the first mesh. Return the agents with distance left."""
         previous_footing = walk.footing
         start = np.stack([previous_footing.x[rows], previous_footing.y[rows], previous_footing.z[rows]]).T
-        wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining, walk.heading, walk.up))
+        wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining_displacements, walk.heading, walk.up))
         moved = walk_on(volume, start, wish, ahead, up, body[rows], self._count + k)
         is_hit, part, footing = self._find_mesh_crossings(start, moved.position, up, moved.up, body[rows], threads)
-        entries = self._find_entries(moved.position, lambda who: start[who], k)
+        entries = self._find_entries(moved.position, lambda rows: start[rows], k)
         earlier = entries.path_fraction < part[entries.rows]
         entries = _SolidEntries(
             entries.rows[earlier], entries.solids[earlier], entries.path_fraction[earlier], entries.place[earlier]
         )
         is_hit[entries.rows] = False
-        lost = moved.lost & ~is_hit
+        lost = moved.is_lost & ~is_hit
         lost[entries.rows] = False
         other = is_hit | lost
         other[entries.rows] = True
@@ -344,7 +345,7 @@ class CombinedGround:
         walk.place[down], walk.up[down] = self.meshes.position(onto), normal
         walk.distance[down] += moved.travelled[is_hit] * part[is_hit]
         rest = np.zeros(len(down)) if is_last else moved.travelled[is_hit] * (1 - part[is_hit])
-        walk.remaining[down] = walk.direction[down] * rest[:, None]
+        walk.remaining_displacements[down] = walk.direction[down] * rest[:, None]
         return np.concatenate([again, down[rest > 0]])
 
     def _drop_to_ground(self, walk: _WalkState, rows: Rows) -> None:
@@ -372,10 +373,10 @@ class CombinedGround:
         walk.place[rows] = self.position(onto)
         normal = self.compute_upright_normals(onto, walk.up[rows])
         walk.heading[rows] = walk.direction[rows] = compute_unit_tangents(walk.heading[rows], normal)
-        walk.up[rows], walk.remaining[rows] = normal, 0.0
+        walk.up[rows], walk.remaining_displacements[rows] = normal, 0.0
 
     def _find_mesh_crossings(
-        self, start: Floats, end: Floats, up: Floats, up_after: Floats, body: Floats, threads: int
+        self, start: Floats, end: Floats, up: Floats, end_up: Floats, body: Floats, threads: int
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
         """Return which agents have a mesh across their path, as seen from slightly above the path.
 
@@ -384,7 +385,7 @@ class CombinedGround:
         if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.create_unplaced(n)
         lift = (_EYE_HEIGHT_PER_BODY * body)[:, None]
-        a, b = start + up * lift, end + up_after * lift
+        a, b = start + up * lift, end + end_up * lift
         return self.meshes.find_path_hits(a, b - a, threads)
 
     # ---- footings

@@ -26,8 +26,8 @@ class MovingGround(MeshGround):
 
     `rest` has the initial positions of all meshes; field cells refer to it."""
 
-    def __init__(self, surfaces: Mapping[str, MeshArrays], moving: Iterable[str], by_rays: bool = False) -> None:
-        self._is_moving = np.isin(list(surfaces), list(moving))
+    def __init__(self, surfaces: Mapping[str, MeshArrays], moving_names: Iterable[str], by_rays: bool = False) -> None:
+        self._is_moving = np.isin(list(surfaces), list(moving_names))
         super().__init__(surfaces, by_rays)
         counts = [len(np.reshape(v, (-1, 3))) for v, _ in surfaces.values()]
         ends = np.cumsum([0, *counts])
@@ -36,7 +36,7 @@ class MovingGround(MeshGround):
             name: slice(int(self._first_face[k]), int(self._first_face[k + 1])) for k, name in enumerate(self.names)
         }
         self._rest_topology = self._topology.copy()
-        self._static_face_count = int((self._topology.live & ~self._is_moving.take(self._mesh_of_face)).sum())
+        self._static_face_count = int((self._topology.is_live & ~self._is_moving.take(self._mesh_of_face)).sum())
         self._box_by_mesh = {name: _compute_box(self._vertices[rows]) for name, rows in self._vertex_slices.items()}
         self._static_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = _MovingClearances(self)  # type: ignore[assignment]
@@ -115,7 +115,7 @@ class MovingGround(MeshGround):
 
     def _build_ray_scene(self, surfaces: tuple[int, ...], store_tables: bool = True) -> tuple[RayScene, Index]:
         """Return a ray scene of the surfaces `surfaces`, and the ground's face number of each of its faces."""
-        live = np.flatnonzero(self._topology.live & np.isin(self._mesh_of_face, surfaces))
+        live = np.flatnonzero(self._topology.is_live & np.isin(self._mesh_of_face, surfaces))
         return RayScene(self._vertices, self._faces[live], store_tables=store_tables), live
 
 
@@ -134,8 +134,8 @@ def _compute_face_boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Flo
 class _RayScenePair:
     """Combines two ray scenes of one mesh each; the faces of the second are numbered after those of the first."""
 
-    def __init__(self, one: RayScene, two: RayScene, faces: int) -> None:
-        self._first_scene, self._second_scene, self._first_face_count = one, two, faces
+    def __init__(self, first: RayScene, second: RayScene, faces: int) -> None:
+        self._first_scene, self._second_scene, self._first_face_count = first, second, faces
 
     def find_first_hits(self, origin: Floats, direction: Floats, threads: int = 1) -> RayHitArrays:
         """Return the first hits in both scenes, as `RayScene.find_first_hits`."""

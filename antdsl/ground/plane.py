@@ -108,7 +108,7 @@ def walk_all_straight(
     point: Strided2[F64],
     displacements: Strided2[F64],
     ahead: Strided2[F64],
-    to: Array2[F64],
+    end_positions: Array2[F64],
     heading: Array2[F64],
     direction: Array2[F64],
     travelled: Array1[F64],
@@ -119,5 +119,5 @@ def walk_all_straight(
         step, look = (displacements[i, 0], displacements[i, 1], displacements[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
         pose, far = walk_straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
         for k in range(3):
-            to[i, k], heading[i, k], direction[i, k] = pose.place[k], pose.heading[k], pose.direction[k]
+            end_positions[i, k], heading[i, k], direction[i, k] = pose.place[k], pose.heading[k], pose.direction[k]
         travelled[i] = far

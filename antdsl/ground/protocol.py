@@ -54,10 +54,10 @@ class Footing:
     # ---- made
 
     @staticmethod
-    def from_faces(mesh: Numbers, face: Numbers, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
-        """Return footings on faces of meshes. Without `over`, no agent is stepping over a border."""
-        over = np.zeros(len(face)) if over is None else over
-        return Footing({"mesh": mesh, "face": face, "b1": b1, "b2": b2, "over": over})
+    def from_faces(mesh: Numbers, face: Numbers, b1: Floats, b2: Floats, heights: Floats | None = None) -> Footing:
+        """Return footings on faces of meshes. Without `heights`, no agent is stepping over a border."""
+        heights = np.zeros(len(face)) if heights is None else heights
+        return Footing({"mesh": mesh, "face": face, "b1": b1, "b2": b2, "over": heights})
 
     @staticmethod
     def from_solids(mesh: int | Numbers, place: Floats) -> Footing:
@@ -163,9 +163,9 @@ class Footing:
         )
 
     @staticmethod
-    def select(use_first: Flags, one: Footing, other: Footing) -> Footing:
-        """Return, on meshes, the footings of `one` where `use_first` is true, else those of `other`."""
-        return Footing({name: np.where(use_first, column, other.columns[name]) for name, column in one.columns.items()})
+    def select(use_first: Flags, first: Footing, second: Footing) -> Footing:
+        """Return, on meshes, the footings of `first` where `use_first` is true, else those of `second`."""
+        return Footing({name: np.where(use_first, column, second.columns[name]) for name, column in first.columns.items()})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,8 +177,8 @@ class GroundMove:
     - `direction`: the unit direction of travel at the end, at right angles to `up`; multiply it by a speed to transport a
       velocity. Projected into the face, it is the direction of the path
     - `travelled`: the distance walked
-    - `blocked`: an open border ended the path, or the path could not be walked to its end
-    - `lost`: there was no footing to walk from, or no surface near enough to stand on"""
+    - `is_blocked`: an open border ended the path, or the path could not be walked to its end
+    - `is_lost`: there was no footing to walk from, or no surface near enough to stand on"""
 
     footing: Footing
     position: Floats
@@ -186,12 +186,12 @@ class GroundMove:
     heading: Floats
     direction: Floats
     travelled: Floats
-    blocked: Flags
-    lost: Flags
+    is_blocked: Flags
+    is_lost: Flags
 
     def list_columns(self) -> tuple[ColumnArray, ...]:
         """Return all fields except the footing, in order."""
-        return self.position, self.up, self.heading, self.direction, self.travelled, self.blocked, self.lost
+        return self.position, self.up, self.heading, self.direction, self.travelled, self.is_blocked, self.is_lost
 
     def take_rows(self, rows: Rows) -> GroundMove:
         """Return the results of some rows."""

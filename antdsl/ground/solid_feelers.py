@@ -121,14 +121,14 @@ class SolidFeelers:
             ]
         return np.fmax.reduce(np.fmin(*ends), axis=1), np.fmin.reduce(np.fmax(*ends), axis=1)
 
-    def _find_entry(self, origin: Floats, direction: Floats, free: Floats, inside: Floats) -> Floats:
-        """Return the length at which each ray enters the solid, between `free` (in air) and `inside`. It is exact to 1/256 of the
-        interval."""
+    def _find_entry(self, origin: Floats, direction: Floats, free_lengths: Floats, inside_lengths: Floats) -> Floats:
+        """Return the length at which each ray enters the solid, between `free_lengths` (in air) and `inside_lengths`. It is
+        exact to 1/256 of the interval."""
         for _ in range(_ENTRY_BISECTIONS):
-            middle = (free + inside) / 2
+            middle = (free_lengths + inside_lengths) / 2
             solid = self.volume.sample(origin + middle[:, None] * direction) < -_ALLOWED_DEPTH_VOXELS * self.volume.voxel
-            free, inside = np.where(solid, free, middle), np.where(solid, middle, inside)
-        return free
+            free_lengths, inside_lengths = np.where(solid, free_lengths, middle), np.where(solid, middle, inside_lengths)
+        return free_lengths
 
     def _compute_normals(self, place: Floats) -> NDArray[np.float32]:
         """Return unit normals (3, n) out of the solid."""

@@ -121,10 +121,10 @@ def find_occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOc
     return index.occurrences
 
 
-def _make_element_key(names: ProgramNames, declared: Span) -> NameKey:
+def _make_element_key(names: ProgramNames, declaration: Span) -> NameKey:
     """Return the key of a symbol that is visible in one expression or handler only. Its name is unique only together with its
     position."""
-    return ("element", str(names.file.file_span(declared).start), declared.text)
+    return ("element", str(names.file.file_span(declaration).start), declaration.text)
 
 
 @dataclass(slots=True)

@@ -49,7 +49,7 @@ def build_scene_index(path: Path, text: str) -> SceneIndex:
             look(index, document.entries[key])
     fps = document.entries.get("fps")
     index.fps = fps.text if isinstance(fps, ScalarNode) else None
-    index.occurrences.sort(key=lambda each: each.span.start)
+    index.occurrences.sort(key=lambda occurrence: occurrence.span.start)
     return index
 
 

@@ -193,7 +193,7 @@ TYPE_HELP = {
     "item": "one item, or none",
     "agent": "one agent, or none",
     "field": "a field by its name",
-    **{row.word: row.typed for row in KIND_BY_WORD.values() if row.typed},
+    **{row.word: row.type_meaning for row in KIND_BY_WORD.values() if row.type_meaning},
 }
 # Queries over all items, agents or cells in a spec.
 AGGREGATE_HELP = {

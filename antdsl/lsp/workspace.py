@@ -98,7 +98,7 @@ class OpenDocument:
         bindings = self.resolve(self.path) if self.is_program else NO_BINDINGS
         if self._cached_index is None or self._cached_index[0] is not bindings:
             name_occurrences = find_occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
-            name_occurrences = sorted(name_occurrences, key=lambda each: self.start(each.span))
+            name_occurrences = sorted(name_occurrences, key=lambda occurrence: self.start(occurrence.span))
             self._cached_index = bindings, NameIndex(name_occurrences, [self.start(each.span) for each in name_occurrences])
         return self._cached_index[1]
 
@@ -144,7 +144,7 @@ class OpenDocument:
             if self.end(each.span) < offset or len(name_occurrences) > _MAX_OCCURRENCES_AT_OFFSET:
                 break
             name_occurrences.insert(0, each)
-        return sorted(name_occurrences, key=lambda each: self.end(each.span) == offset)
+        return sorted(name_occurrences, key=lambda occurrence: self.end(occurrence.span) == offset)
 
     def find_word_at(self, offset: int) -> tuple[int, int]:
         """Return the start and end offsets of the word at an offset."""

@@ -25,8 +25,8 @@ _INTEGER_COMPARISONS = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq"
 _ROUNDING_MAGIC = 6755399441055744.0  # after adding 1.5 * 2**52, the lowest bits are the rounded integer
 
 
-def _make_operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lanes]:
-    if swapped:
+def _make_operator(word: str, *, is_swapped: bool = False) -> Callable[[Lanes, Any], Lanes]:
+    if is_swapped:
         return lambda self, other: self.builder.apply_binary(word, other, self)
     return lambda self, other: self.builder.apply_binary(word, self, other)
 
@@ -38,8 +38,8 @@ class Lanes(Number):
     builder: LaneBuilder
     ndim = 1
 
-    def __init__(self, e: LaneBuilder, kind: str, name: str, lanes: int, known: Any) -> None:
-        self.builder, self.kind, self.name, self.known, self.lanes, self.first = e, kind, name, known, lanes, None
+    def __init__(self, e: LaneBuilder, kind: str, name: str, lanes: int, literal_value: Any) -> None:
+        self.builder, self.kind, self.name, self.literal_value, self.lanes, self.first = e, kind, name, literal_value, lanes, None
         self.type = llvm_type(kind, lanes)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
@@ -59,10 +59,10 @@ class Lanes(Number):
     def __invert__(self) -> Lanes:
         return self.builder.apply_binary("xor", self, True if self.kind == BOOL else -1)
 
-    __add__, __radd__ = _make_operator("add"), _make_operator("add", swapped=True)
-    __sub__, __rsub__ = _make_operator("sub"), _make_operator("sub", swapped=True)
-    __mul__, __rmul__ = _make_operator("mul"), _make_operator("mul", swapped=True)
-    __truediv__, __rtruediv__ = _make_operator("div"), _make_operator("div", swapped=True)
+    __add__, __radd__ = _make_operator("add"), _make_operator("add", is_swapped=True)
+    __sub__, __rsub__ = _make_operator("sub"), _make_operator("sub", is_swapped=True)
+    __mul__, __rmul__ = _make_operator("mul"), _make_operator("mul", is_swapped=True)
+    __truediv__, __rtruediv__ = _make_operator("div"), _make_operator("div", is_swapped=True)
     __and__ = __rand__ = _make_operator("and")
     __or__ = __ror__ = _make_operator("or")
     __xor__ = __rxor__ = _make_operator("xor")
@@ -81,8 +81,8 @@ class LaneBuilder(Vectors[Lanes]):
         self.known: list[dict[Any, Any]] = [{}]
         self._entry_instructions: list[Instruction] = []  # instructions at the start of the function
 
-    def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Lanes:
-        return Lanes(self, kind, name, lanes, known)
+    def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> Lanes:
+        return Lanes(self, kind, name, lanes, literal_value)
 
     def add_at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
         """Add an instruction at the start of the function, with a single number as its result."""
@@ -90,14 +90,14 @@ class LaneBuilder(Vectors[Lanes]):
         self._entry_instructions.append(Instruction(op, output, operands, x, 0))
         return output
 
-    def end(self, name: str, arguments: Sequence[Number], *results: Number, attribute: str = "", outer: str = "") -> None:
-        """Add the function to the module, under a name. `outer` is the text of the function that calls it from outside."""
+    def end(self, name: str, arguments: Sequence[Number], *results: Number, attribute: str = "", caller_text: str = "") -> None:
+        """Add the function to the module, under a name. `caller_text` is the text of the function that calls it from outside."""
         self.do("return", *results)
         self.blocks[0].body[:0] = self._entry_instructions
-        result, full_name = results[0].type if results else "void", f"@{name}.inside" if outer else f"@{name}"
+        result, full_name = results[0].type if results else "void", f"@{name}.inside" if caller_text else f"@{name}"
         definition = IrFunction(full_name, self.file, list(arguments), attribute, result, self.slots, self.blocks)
         verify_functions([definition], self.module.written_functions)
-        self.module.functions[name] = outer + render_function(definition, self.module.declarations)
+        self.module.functions[name] = caller_text + render_function(definition, self.module.declarations)
         self.module.written_functions[full_name] = replace(definition, slots=[], blocks=[])
         self.blocks, self._entry_instructions, self.known = [], [], []  # these objects refer to this builder
 
@@ -157,16 +157,16 @@ class LaneBuilder(Vectors[Lanes]):
         """Return the lane numbers, 0 in the first lane."""
         return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(LANE_COUNT))}>", LANE_COUNT)
 
-    def _as_operand(self, value: Any, like: Lanes) -> Lanes:
-        """Return a value as an operand for an operation with `like`. A Python number takes the kind of `like`, as in NumPy."""
+    def _as_operand(self, value: Any, model: Lanes) -> Lanes:
+        """Return a value as an operand for an operation with `model`. A Python number takes the kind of `model`, as in NumPy."""
         if isinstance(value, Lanes):
             return value
-        kind = like.kind
+        kind = model.kind
         if isinstance(value, np.generic):
             kind = number_kinds.KIND_BY_DTYPE[value.dtype]
         elif isinstance(value, float) and kind not in number_kinds.FLOAT_KINDS:
             kind = F64
-        return self.make_constant(value, kind, like.lanes)
+        return self.make_constant(value, kind, model.lanes)
 
     def match_kinds(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
         """Convert two values to NumPy's common kind. If one has eight lanes, both get eight."""
@@ -199,12 +199,12 @@ class LaneBuilder(Vectors[Lanes]):
         """Return whether a value is NaN."""
         return self.op("fno", BOOL, a, a)
 
-    def select_lanes(self, condition: Lanes, then: Any, other: Any) -> Lanes:
-        if not isinstance(then, Lanes) and not isinstance(other, Lanes):
+    def select_lanes(self, condition: Lanes, true_value: Any, false_value: Any) -> Lanes:
+        if not isinstance(true_value, Lanes) and not isinstance(false_value, Lanes):
             # as NumPy does for two Python numbers
-            kind = F64 if isinstance(then, float) or isinstance(other, float) else I64
-            then = self.make_constant(then, kind, condition.lanes)
-        a, b = self.match_kinds(then, other)
+            kind = F64 if isinstance(true_value, float) or isinstance(false_value, float) else I64
+            true_value = self.make_constant(true_value, kind, condition.lanes)
+        a, b = self.match_kinds(true_value, false_value)
         if condition.wide or a.wide:
             condition, a, b = self.broadcast(condition), self.broadcast(a), self.broadcast(b)
         return self.op("select", a.kind, condition, a, b)
@@ -328,13 +328,13 @@ def _minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the lesser number; NaN if one of them is NaN."""
     left, right = e.match_kinds(a, b)
     output = e.select_lanes(left > right, right, left)
-    return output if right.known is not None else e.select_lanes(e.is_nan(right), right, output)
+    return output if right.literal_value is not None else e.select_lanes(e.is_nan(right), right, output)
 
 
 def _maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.match_kinds(a, b)
     output = e.select_lanes(left < right, right, left)
-    return output if right.known is not None else e.select_lanes(e.is_nan(right), right, output)
+    return output if right.literal_value is not None else e.select_lanes(e.is_nan(right), right, output)
 
 
 def _fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:

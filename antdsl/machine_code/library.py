@@ -55,7 +55,7 @@ def load_entries() -> list[LibraryEntry]:
     own = [each for each in list(_library_entries) if each.__module__.startswith(f"{antdsl.__name__}.")]
     entries = {(each.__module__, each.__name__): each for each in own}
     if len(entries) < len(own):
-        raise ValueError("two kernels of a module have one name")
+        raise ValueError("two kernels of a module have the same name")
     return [entries[place] for place in sorted(entries)]
 
 

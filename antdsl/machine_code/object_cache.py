@@ -198,7 +198,7 @@ class ObjectCache:
         """Return the code in a file. Return None if there is no file, or if it cannot be trusted, which is reported."""
         path = folder / (signer.name(key) + self._kind.suffix)
         try:
-            handle = open_regular_file(path, follow=False)
+            handle = open_regular_file(path, follows_links=False)
             with suppress(OSError):  # a read-only disk
                 os.utime(handle if os.utime in os.supports_fd else path)
             data = read_handle(handle, signing.SIGNATURE_BYTES + self._max_result_bytes)
@@ -246,15 +246,15 @@ class ObjectCache:
         full = isinstance(problem, OSError) and problem.errno == errno.ENOSPC
         return f"{'make room there, or ' if full else ''}name another folder in {self._kind.variable}"
 
-    def _reject_file(self, path: Path, why: str) -> None:
+    def _reject_file(self, path: Path, reason: str) -> None:
         """Report a file that is not used, and remove it. For a link, the link is removed, not its target."""
         with suppress(OSError, ValueError):
             os.unlink(path)
         kind = self._kind
-        self._report(f"{kind.name} in {_quote(path.parent)} {kind.verb} not used: {why}; {kind.fallback}")
+        self._report(f"{kind.name} in {_quote(path.parent)} {kind.verb} not used: {reason}; {kind.fallback}")
 
-    def _report_not_stored(self, folder: Path, why: str, advice: str) -> None:
-        self._report(f"{self._kind.name} {self._kind.verb} not stored in {_quote(folder)}: {why}; {advice}")
+    def _report_not_stored(self, folder: Path, reason: str, advice: str) -> None:
+        self._report(f"{self._kind.name} {self._kind.verb} not stored in {_quote(folder)}: {reason}; {advice}")
 
     def _report(self, sentence: str) -> None:
         with self._lock:

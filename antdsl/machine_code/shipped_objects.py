@@ -43,9 +43,9 @@ _X86_V4_FEATURES: Final = (
 )
 
 
-def _format_feature_text(present: tuple[str, ...], absent: tuple[str, ...]) -> str:
+def _format_feature_text(present_features: tuple[str, ...], absent_features: tuple[str, ...]) -> str:
     """Return features in LLVM's form: the present ones with `+`, the absent ones with `-`."""
-    return ",".join([*(f"+{name}" for name in present), *(f"-{name}" for name in absent)])
+    return ",".join([*(f"+{name}" for name in present_features), *(f"-{name}" for name in absent_features)])
 
 
 # By name, the widest registers first. Fused operations are disabled, as in `llvm_compiler.format_features`.

@@ -140,16 +140,16 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
         return add_value(f"xor {kind} {add_value(f'xor {kind} {low}, {high}')}, {addend}")
 
     def write_loop(
-        label: str, previous: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]
+        label: str, previous_block: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]
     ) -> tuple[str, str]:
-        """Write a loop that runs while there are `step` more bytes, after the block `previous`.
+        """Write a loop that runs while there are `step` more bytes, after the block `previous_block`.
 
         `first`: the first position, and the type and value of the state. `turn` computes the next state from a state and the
         address of bytes. Return the position and the state after the loop."""
         kind = first[1]
         lines.append(f"  br label %{label}\n{label}:")
-        lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{previous} ], [ %{label}.next, %{label}.turn ]")
-        lines.append(f"  %{label}.state = phi {kind} [ {first[2]}, %{previous} ], [ %{label}.then, %{label}.turn ]")
+        lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{previous_block} ], [ %{label}.next, %{label}.turn ]")
+        lines.append(f"  %{label}.state = phi {kind} [ {first[2]}, %{previous_block} ], [ %{label}.then, %{label}.turn ]")
         lines.append(f"  %{label}.next = add i64 %{label}.at, {step}")
         lines.append(f"  %{label}.more = icmp sle i64 %{label}.next, {length}")
         lines.append(f"  br i1 %{label}.more, label %{label}.turn, label %{label}.end\n{label}.turn:")

@@ -92,25 +92,25 @@ def cos_float64(x: FloatValue) -> FloatValue:
     return np.where((quarter == 1.0) | (quarter == 2.0), -value, value)
 
 
-def _exp_float64(wide: FloatValue) -> FloatValue:
+def _exp_float64(value: FloatValue) -> FloatValue:
     """Return e to the power of a float64."""
-    wide = np.minimum(np.maximum(wide, -200.0), 200.0)  # both propagate NaN; beyond these limits float32 is 0 or infinite
-    power = np.rint(wide * LOG2_E)
-    rest = (wide - power * LN2_HIGH) - power * LN2_LOW
+    value = np.minimum(np.maximum(value, -200.0), 200.0)  # both propagate NaN; beyond these limits float32 is 0 or infinite
+    power = np.rint(value * LOG2_E)
+    rest = (value - power * LN2_HIGH) - power * LN2_LOW
     exponent = np.where(power == power, power, 0.0).astype(np.int32)
     return np.ldexp(_evaluate_series(rest, EXP_COEFFICIENTS), exponent)
 
 
-def _log_float64(wide: FloatValue) -> FloatValue:
+def _log_float64(number: FloatValue) -> FloatValue:
     """Return the natural logarithm of a float64; -inf at 0, NaN below."""
-    usual = (wide > 0.0) & (wide < np.inf)
-    mantissa, power = np.frexp(np.where(usual, wide, 1.0))
+    usual = (number > 0.0) & (number < np.inf)
+    mantissa, power = np.frexp(np.where(usual, number, 1.0))
     low = mantissa < SQRT_HALF
     mantissa = np.where(low, mantissa + mantissa, mantissa)
     power = power - low * 1.0
     s = (mantissa - 1.0) / (mantissa + 1.0)
     value = (s * _evaluate_series(s * s, LOG_COEFFICIENTS) + power * LN2_LOW) + power * LN2_HIGH
-    special = np.where(wide == 0.0, -np.inf, np.where(wide == np.inf, np.inf, np.nan))
+    special = np.where(number == 0.0, -np.inf, np.where(number == np.inf, np.inf, np.nan))
     return np.where(usual, value, special)
 
 

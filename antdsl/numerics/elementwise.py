@@ -25,11 +25,11 @@ def take_maximum(a: NumPyValue, b: NumPyValue) -> NumPyValue:
     return np.fmax(a, b) + FLOAT32_ZERO
 
 
-def select_by_condition(condition: NumPyValue, then: NumPyValue, other: NumPyValue) -> NumPyValue:
-    """Return `then` where the condition is true, else `other`."""
-    if np.ndim(condition) == 0 and np.ndim(then) == 0 and np.ndim(other) == 0:
-        return then if condition else other
-    return np.where(condition, then, other)
+def select_by_condition(condition: NumPyValue, true_value: NumPyValue, false_value: NumPyValue) -> NumPyValue:
+    """Return `true_value` where the condition is true, else `false_value`."""
+    if np.ndim(condition) == 0 and np.ndim(true_value) == 0 and np.ndim(false_value) == 0:
+        return true_value if condition else false_value
+    return np.where(condition, true_value, false_value)
 
 
 def to_float32(a: NumPyValue) -> NumPyValue:

@@ -100,32 +100,32 @@ def draw_word(seed: int, frame: int, species: str, site: str, index: int, ids: N
 
 
 def _draw(
-    fill_kernel: RandomKernel, dtype: type[np.generic], shared: CounterWords, index: int, ids: NDArray[np.int64]
+    fill_kernel: RandomKernel, dtype: type[np.generic], shared_counters: CounterWords, index: int, ids: NDArray[np.int64]
 ) -> NDArray[Any]:
     """Return draw `index` for each id, as numbers of a `dtype`, computed by the kernel `fill_kernel`."""
     draws: NDArray[Any] = np.empty(ids.size, dtype)
-    fill_kernel(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, draws)
+    fill_kernel(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared_counters[0], *shared_counters[1]), index & 3, draws)
     return draws.reshape(ids.shape)
 
 
 @kernel
-def fill_uniforms(ids: Array1[I64], shared: SharedCounters, draw_index: I64, output: Array1[F32]) -> None:
+def fill_uniforms(ids: Array1[I64], shared_counters: SharedCounters, draw_index: I64, output: Array1[F32]) -> None:
     """Write a draw for each id. `draw_index` is its index among the four draws of its counter."""
     for n in simd_range(0, ids.size):
-        output[n] = np.float32(_compute_word(ids[n], shared, draw_index) >> 8) * UNIT_FLOAT_STEP
+        output[n] = np.float32(_compute_word(ids[n], shared_counters, draw_index) >> 8) * UNIT_FLOAT_STEP
 
 
 @kernel
-def fill_words(ids: Array1[I64], shared: SharedCounters, draw_index: I64, output: Array1[U64]) -> None:
+def fill_words(ids: Array1[I64], shared_counters: SharedCounters, draw_index: I64, output: Array1[U64]) -> None:
     """Write the complete random word of a draw for each id, with the arguments of `fill_uniforms`."""
     for n in simd_range(0, ids.size):
-        output[n] = _compute_word(ids[n], shared, draw_index)
+        output[n] = _compute_word(ids[n], shared_counters, draw_index)
 
 
 @inlined
-def _compute_word(number: I64, shared: SharedCounters, draw_index: I64) -> U64:
+def _compute_word(number: I64, shared_counters: SharedCounters, draw_index: I64) -> U64:
     wide = np.uint64(number)
-    c0, low, c3, first, second = shared
+    c0, low, c3, first, second = shared_counters
     a, b, c, d = c0, wide & LOW_32_BITS, (((wide >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, c3
     for _ in range(PHILOX_ROUNDS):
         p0, p1 = a * PHILOX_MULTIPLIER0, c * PHILOX_MULTIPLIER1

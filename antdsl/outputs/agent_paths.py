@@ -18,7 +18,7 @@ from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_agent_ids, ge
 from antdsl.outputs.pictures.model import AgentPathLines, Crowd
 from antdsl.scene.quantities import QuantityError, parse_number_range
 
-_INTERPOLATED_FIELDS = ("position", "orient", "plays", "feet", "driven")
+_INTERPOLATED_FIELDS = ("position", "orient", "machine_clips", "feet", "driven_pose")
 MAX_WINDOW_SECONDS = 60.0  # maximum on each side of a window
 _PATH_LIFT_PER_BODY = 0.06  # body lengths; height of a drawn path above the ground, along the agent's up
 _READ_ARRAYS = frozenset(("P", "orient", "pscale", *IDENTITY_ARRAYS))

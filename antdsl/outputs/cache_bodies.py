@@ -38,26 +38,26 @@ class CacheBodies:
         """Return the index of the body of each agent of a species, uint8[n]."""
         return find_body_numbers(self._manifest, number, ids)
 
-    def body(self, number: int, mask: int = 0, which: int = 0) -> PosedBody:
+    def body(self, number: int, mask: int = 0, body_index: int = 0) -> PosedBody:
         """Return a body of a species with the layers of a mask. Raises BodyError if the cache's definition is damaged."""
-        key = number, which, mask
+        key = number, body_index, mask
         if key not in self._worn:
             species = self._manifest.species[number]
             clips = tuple(PlayedClip(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
-            self._worn[key] = PosedBody(self.definition(number, which), clips, list_mask_layers(species, mask))
+            self._worn[key] = PosedBody(self.definition(number, body_index), clips, list_mask_layers(species, mask))
         return self._worn[key]
 
-    def definition(self, number: int, which: int = 0) -> Definition:
+    def definition(self, number: int, body_index: int = 0) -> Definition:
         """Return the agent definition of a body of a species. Raises BodyError if the cache's definition is damaged."""
-        if (number, which) not in self._definitions:
+        if (number, body_index) not in self._definitions:
             species = self._manifest.species[number]
-            entry = _entries(species)[which]
-            self._definitions[number, which] = (
+            entry = _entries(species)[body_index]
+            self._definitions[number, body_index] = (
                 load_library_body(entry.body if entry.body in BODY_WORDS else find_body_for_species(species.name))
                 if entry.definition is None
                 else load_definition(self._manifest, self._static, entry.definition)
             )
-        return self._definitions[number, which]
+        return self._definitions[number, body_index]
 
     def reach(self, number: int) -> float:
         """Return the reach of the bodies of a species in body lengths: at least 1, more only for bodies from files."""

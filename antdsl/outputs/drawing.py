@@ -79,7 +79,7 @@ class DrawRequest:
         window = PathWindow.parse(self.window) if "paths" in self.show else None
         cut = CutPlane.parse(self.cut) if self.cut is not None else None
         states = "states" in self.show or self.marks > 0
-        return Gallery(cache, cut, window, shows_states=states, blurred=self.blur > 0, full=dict(self.full))
+        return Gallery(cache, cut, window, shows_states=states, has_motion_blur=self.blur > 0, full_strengths=dict(self.full))
 
 
 class FrameDrawer:
@@ -92,7 +92,9 @@ class FrameDrawer:
         self._legend_width = compute_legend_width(first, request.width, request.show) if request.legend else 0
         least, enlarged = (MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT) if request.least is None else (request.least, float("inf"))
         size = request.width - self._legend_width, request.height
-        self._renderer = Renderer(*size, threads=threads, marks=request.marks, blur=request.blur, least=least, enlarged=enlarged)
+        self._renderer = Renderer(
+            *size, threads=threads, marks=request.marks, blur=request.blur, min_body_pixels=least, max_enlargement=enlarged
+        )
         self._aspect = self._renderer.width / self._renderer.height
         self._cameras, self._up = SceneCameras(gallery), np.asarray(first.up, np.float64)
         self._name = DEFAULT_CAMERA if request.camera == "scene" else request.camera

@@ -34,24 +34,24 @@ class EulerAngles:
         return np.degrees(angles)
 
 
-def find_nearest_angles(rotations: Floats, previous: Floats) -> Floats:
+def find_nearest_angles(rotations: Floats, previous_angles: Floats) -> Floats:
     """Return the angles (n, 3) about x, then y, then z, in radians, of rotation matrices (n, 3, 3) for column vectors.
 
-    Of all equivalent angles, those nearest to `previous` are returned.
+    Of all equivalent angles, those nearest to `previous_angles` are returned.
 
     The outer angle is computed first, and the others from the remaining rotation. So the angles reproduce the matrix even if the
     middle angle is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
     flat = np.hypot(rotations[:, 0, 0], rotations[:, 1, 0])
-    outer = np.where(flat > _GIMBAL_LOCK_COSINE, np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]), previous[:, 2])
+    outer = np.where(flat > _GIMBAL_LOCK_COSINE, np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]), previous_angles[:, 2])
     c, s = np.cos(outer), np.sin(outer)
     middle = np.arctan2(-rotations[:, 2, 0], c * rotations[:, 0, 0] + s * rotations[:, 1, 0])
     inner = np.arctan2(s * rotations[:, 0, 2] - c * rotations[:, 1, 2], c * rotations[:, 1, 1] - s * rotations[:, 0, 1])
-    one = _unwrap_angles(np.stack([inner, middle, outer], axis=1), previous)
-    other = _unwrap_angles(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), previous)
-    nearer = ((other - previous) ** 2).sum(axis=1) < ((one - previous) ** 2).sum(axis=1)
+    one = _unwrap_angles(np.stack([inner, middle, outer], axis=1), previous_angles)
+    other = _unwrap_angles(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), previous_angles)
+    nearer = ((other - previous_angles) ** 2).sum(axis=1) < ((one - previous_angles) ** 2).sum(axis=1)
     return np.where(nearer[:, None], other, one)
 
 
-def _unwrap_angles(angles: Floats, previous: Floats) -> Floats:
+def _unwrap_angles(angles: Floats, previous_angles: Floats) -> Floats:
     """Return each angle shifted by the full turns that bring it nearest to the previous one."""
-    return angles - 2 * np.pi * np.round((angles - previous) / (2 * np.pi))
+    return angles - 2 * np.pi * np.round((angles - previous_angles) / (2 * np.pi))

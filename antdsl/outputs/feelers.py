@@ -49,7 +49,7 @@ def _evaluate_number(expression: Expr | None, size: float, params: Mapping[str, 
         return float(expression.number * unit_mm**expression.unit_power * dt**expression.step)
     if isinstance(expression, ParamRef):
         return float(params[expression.name])
-    if isinstance(expression, AttributeRef) and expression.of is None and expression.name == "size":
+    if isinstance(expression, AttributeRef) and expression.owner is None and expression.name == "size":
         return size
     if isinstance(expression, BindingRef) and expression.binding.role in ("argument", "let"):
         return _evaluate_number(expression.binding.value, size, params, unit_mm, dt)

@@ -71,8 +71,8 @@ class Gallery:
         window: PathWindow | None = None,
         *,
         shows_states: bool = False,
-        blurred: bool = False,
-        full: Mapping[str, float] | None = None,
+        has_motion_blur: bool = False,
+        full_strengths: Mapping[str, float] | None = None,
     ) -> None:
         self.cache, self.manifest, self._cut_plane = cache, cache.manifest, cut
         self.origin = np.array(cache.manifest.origin)
@@ -81,10 +81,10 @@ class Gallery:
         missing = [name for name in REQUIRED_ATTRIBUTES if name not in self.manifest.attributes]
         if missing:
             raise PictureUnavailable(f"the cache has no attribute `{missing[0]}`, which pictures need")
-        strange = [name for name in full or () if name not in {field.name for field in self.manifest.fields}]
+        strange = [name for name in full_strengths or () if name not in {field.name for field in self.manifest.fields}]
         if strange:
             raise PictureUnavailable(f"the cache has no field `{strange[0]}`")
-        self._has_motion_blur, self._requested_strengths = blurred, dict(full or {})
+        self._has_motion_blur, self._requested_strengths = has_motion_blur, dict(full_strengths or {})
         self.shows_states = shows_states
         self.light = self.manifest.light
         above, below = self.manifest.fps.split("/")
@@ -233,25 +233,25 @@ class Gallery:
                     ids=ids[own],
                     velocity=np.asarray(arrays["v"], np.float64)[subset] if "v" in arrays else None,
                     body=body,
-                    plays=(
+                    machine_clips=(
                         *body.build_idle_clips(ids[own], frame * self.dt),
                         *(take_rows(plays, own) if len(keys) > 1 else plays),
                     ),
                     feet=read_feet(key, arrays, len(own), 0 if body.leg_solver is None else body.leg_solver.count),
-                    driven=own_driven,
+                    driven_pose=own_driven,
                     body_key=key,
                 )
             )
         return tuple(crowds)
 
     def _choose_colours(
-        self, species: SpeciesEntry, arrays: Arrays, rows: NDArray[np.intp], body: PosedBody, driven: DrivenPose
+        self, species: SpeciesEntry, arrays: Arrays, rows: NDArray[np.intp], body: PosedBody, driven_pose: DrivenPose
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the display colours (n, 3) of some rows of a frame, and whether each is that of a state or of an edit (n,).
 
         Without `shows_states`, a colour is the natural one of the body. A colour that differs from that of the agent's state
         was set by an edit and stays."""
-        natural = encode_srgb_values(body.compute_natural_colours(driven, len(rows)))
+        natural = encode_srgb_values(body.compute_natural_colours(driven_pose, len(rows)))
         if "Cd" not in arrays:
             return natural, np.zeros(len(rows), np.bool_)
         stored = np.asarray(arrays["Cd"], np.float32)[rows]
@@ -263,24 +263,24 @@ class Gallery:
         is_edited = (stored != palette[number]).any(axis=1)
         return np.where(is_edited[:, None], stored, natural), is_edited
 
-    def _split_by_layers(self, crowd: Crowd, number: int, which: int, arrays: Arrays) -> list[Crowd]:
-        """Return one crowd for each set of layers that some agents wear. `which`: the body of the crowd."""
+    def _split_by_layers(self, crowd: Crowd, number: int, body_index: int, arrays: Arrays) -> list[Crowd]:
+        """Return one crowd for each set of layers that some agents wear. `body_index`: the body of the crowd."""
         rows = find_species_rows(arrays, number)
         masks = read_layer_masks(self.manifest.species[number], arrays, len(rows))
         if len(crowd.position) != len(rows):
-            masks = masks[self.bodies.numbers(number, get_agent_ids(arrays)[rows]) == which]
+            masks = masks[self.bodies.numbers(number, get_agent_ids(arrays)[rows]) == body_index]
         sets = [int(mask) for mask in np.unique(masks)] or [0]
         if len(sets) == 1:
-            return [replace(crowd, body=self.load_body(number, sets[0], which))]
+            return [replace(crowd, body=self.load_body(number, sets[0], body_index))]
         parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
-        return [replace(crowd.select_rows(rows), body=self.load_body(number, mask, which)) for mask, rows in parts]
+        return [replace(crowd.select_rows(rows), body=self.load_body(number, mask, body_index)) for mask, rows in parts]
 
-    def load_body(self, number: int, mask: int = 0, which: int = 0) -> PosedBody:
+    def load_body(self, number: int, mask: int = 0, body_index: int = 0) -> PosedBody:
         """Return a body of a species with the layers of a mask. It is stored in the cache, or comes from the library.
 
-        `which`: its index among the bodies of the species."""
+        `body_index`: its index among the bodies of the species."""
         with _body_problems(self.manifest.species[number]):
-            return self.bodies.body(number, mask, which)
+            return self.bodies.body(number, mask, body_index)
 
     def _add_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """Return the crowd with the paths and feelers of its agents, if these are displayed."""

@@ -86,9 +86,9 @@ class Recording:
         """Return whether the last frame of the shot was passed to the writer."""
         return self.frame == self.shot.frames.last
 
-    def add_time(self, what: str, since: float) -> None:
-        """Add the time since `since` to the seconds under the name `what`."""
-        self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - since
+    def add_time(self, label: str, start_time: float) -> None:
+        """Add the time since `start_time` to the seconds under the name `label`."""
+        self.seconds[label] = self.seconds.get(label, 0.0) + time.perf_counter() - start_time
 
     def add_measures(self, measures: Mapping[str, Any]) -> None:
         """Record the measurements of a written frame."""
@@ -207,7 +207,7 @@ def _restore_checkpoint(recording: Recording, cache: Cache, frame: int, line: Ha
     return None if line.feet in ("", feet_hash(world.feet)) else f"`{path}` does not hold the feet of frame {frame}"
 
 
-def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:
+def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = lambda label, frame: None) -> Iterator[Recording]:
     """Simulate and write the frames. Yield the recording after each frame.
 
     `watch(what, frame)` is called for each frame, including the preroll.
@@ -265,19 +265,19 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
             writer.submit_checkpoint(world)
 
 
-def _run_timed_step(recording: Recording, what: str) -> None:
-    """Run one step and add its time under the name `what`. The first step counts as `first_step`: it also loads kernels and
+def _run_timed_step(recording: Recording, label: str) -> None:
+    """Run one step and add its time under the name `label`. The first step counts as `first_step`: it also loads kernels and
     tables."""
     began = time.perf_counter()
-    meter = recording.step_meter if what == "step" and "first_step" in recording.seconds else None
+    meter = recording.step_meter if label == "step" and "first_step" in recording.seconds else None
     if meter is not None:
         meter.begin(recording.world)
     step(recording.world)
     if meter is not None:
         meter.end(recording.world)
     if "first_step" in recording.seconds:
-        recording.add_time(what, began)
-        recording.steps += what == "step"
+        recording.add_time(label, began)
+        recording.steps += label == "step"
     else:
         recording.add_time("first_step", began)
         recording.world.timings.clear()

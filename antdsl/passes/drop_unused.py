@@ -43,7 +43,7 @@ def _remove_stores(block: Block, unread_registers: set[str]) -> Block:
         if isinstance(statement, Store) and statement.register in unread_registers:
             continue
         if isinstance(statement, If):
-            inner = _remove_stores(statement.then, unread_registers)
+            inner = _remove_stores(statement.body, unread_registers)
             if inner.statements:
                 result.append(If(statement.condition, inner, statement.span))
             continue

@@ -22,7 +22,7 @@ def _fold_block(species: SpeciesPlan, block: Block) -> Block:
             result.append(statement)
             continue
         known = get_constant_value(statement.condition)
-        inner = _fold_block(species, statement.then)
+        inner = _fold_block(species, statement.body)
         if known is True:
             result += inner.statements
         elif known is None and inner.statements:

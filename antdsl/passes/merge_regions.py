@@ -21,11 +21,11 @@ def _merge_in_block(species: SpeciesPlan, block: Block) -> Block:
             result.append(statement)
             continue
         last = result[-1] if result else None
-        if isinstance(last, If) and last.condition is statement.condition and not _has_condition_store(last.then, last.condition):
-            joined = Block((*last.then.statements, *statement.then.statements))
+        if isinstance(last, If) and last.condition is statement.condition and not _has_condition_store(last.body, last.condition):
+            joined = Block((*last.body.statements, *statement.body.statements))
             result[-1] = If(last.condition, _merge_in_block(species, joined), last.span)
         else:
-            result.append(If(statement.condition, _merge_in_block(species, statement.then), statement.span))
+            result.append(If(statement.condition, _merge_in_block(species, statement.body), statement.span))
     return Block(tuple(result))
 
 

@@ -69,7 +69,13 @@ def _map_plan(plan: Plan, node_map: dict[PlanNode, PlanNode]) -> Plan:
         return None if node is None else node_map[node]
 
     def field(f: FieldPlan) -> FieldPlan:
-        return replace(f, cell=node_map[f.cell], keep=optional(f.keep), diffuse=optional(f.diffuse), limit=optional(f.limit))
+        return replace(
+            f,
+            cell=node_map[f.cell],
+            retained_share=optional(f.retained_share),
+            diffuse=optional(f.diffuse),
+            limit=optional(f.limit),
+        )
 
     species = {}
     for name, s in plan.species.items():
@@ -89,7 +95,7 @@ def _map_block(block: Block, node_map: dict[PlanNode, PlanNode]) -> Block:
 def _map_statement(statement: PlanStatement, node_map: dict[PlanNode, PlanNode]) -> PlanStatement:
     match statement:
         case If():
-            return If(node_map[statement.condition], _map_block(statement.then, node_map), statement.span)
+            return If(node_map[statement.condition], _map_block(statement.body, node_map), statement.span)
         case Store():
             return replace(statement, value=node_map[statement.value])
         case Claim():

@@ -20,7 +20,7 @@ def _split_in_block(species: SpeciesPlan, block: Block) -> Block:
 def _split_statement(species: SpeciesPlan, statement: PlanStatement) -> PlanStatement:
     if not isinstance(statement, If):
         return statement
-    inner = _split_in_block(species, statement.then)
+    inner = _split_in_block(species, statement.body)
     cheap: list[PlanNode] = []
     dear: list[PlanNode] = []
     for part in _split_conjunction(statement.condition):

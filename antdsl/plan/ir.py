@@ -79,7 +79,7 @@ KIND_BY_LETTER = {"f": F, "b": BOOL, "i": INDEX, "l": ID, "t": T, "s": SET}
 
 
 def _build_sense_operation(row: SenseRow) -> Operation:
-    attrs = (row.of, *row.attrs) if row.of else row.attrs
+    attrs = (row.thing_kind, *row.attrs) if row.thing_kind else row.attrs
     return Operation(row.operands, attrs, KIND_BY_LETTER[row.kinds] if len(row.kinds) == 1 else T, _AGENT, row.results_text)
 
 
@@ -92,7 +92,7 @@ OPERATION_BY_NAME: dict[str, Operation] = {
     "param": Operation("", ("name",), F, _RUN, "a param's value in base units"),
     "run": Operation("", ("name",), F, _RUN, "dt (s), u (mm per scene unit), up_x, up_y, up_z (the scene's up)"),
     "step": Operation("", ("name",), F, _STEP, "time (s), frame"),
-    "told": Operation("", ("name",), F, _STEP, "a number about the whole run that a spec computed for this frame"),
+    "told": Operation("", ("name",), F, _STEP, "a measure of the complete run, which a spec computed for this frame"),
     # elementwise; float32, IEEE, in exactly this order of operations
     "add": Operation("ff", (), F, _CONST, "a + b"),
     "sub": Operation("ff", (), F, _CONST, "a - b"),
@@ -100,55 +100,55 @@ OPERATION_BY_NAME: dict[str, Operation] = {
     "div": Operation("ff", (), F, _CONST, "a / b"),
     "neg": Operation("f", (), F, _CONST, "-a"),
     "abs": Operation("f", (), F, _CONST, "|a|"),
-    "min": Operation("ff", (), F, _CONST, "the lesser; the other one where one is NaN"),
-    "max": Operation("ff", (), F, _CONST, "the greater; the other one where one is NaN"),
-    "floor": Operation("f", (), F, _CONST, "greatest whole number not above a"),
+    "min": Operation("ff", (), F, _CONST, "the smaller number; if one is NaN, the other"),
+    "max": Operation("ff", (), F, _CONST, "the larger number; if one is NaN, the other"),
+    "floor": Operation("f", (), F, _CONST, "the largest whole number up to a"),
     "sqrt": Operation("f", (), F, _CONST, "square root; NaN below 0"),
     "sin": Operation("f", (), F, _CONST, "own kernel"),
     "cos": Operation("f", (), F, _CONST, "own kernel"),
     "exp": Operation("f", (), F, _CONST, "own kernel"),
     "log": Operation("f", (), F, _CONST, "own kernel, natural"),
-    "pow": Operation("ff", (), F, _CONST, "own kernel: exp(b log a), whole-number powers of negative a exact in sign"),
+    "pow": Operation("ff", (), F, _CONST, "exp(b log a); whole-number powers of negative a have the right sign"),
     "atan2": Operation("ff", (), F, _CONST, "own kernel"),
-    "lt": Operation("xx", (), BOOL, _CONST, "a < b, both of one kind"),
-    "le": Operation("xx", (), BOOL, _CONST, "a <= b, both of one kind"),
+    "lt": Operation("xx", (), BOOL, _CONST, "a < b, of the same kind"),
+    "le": Operation("xx", (), BOOL, _CONST, "a <= b, of the same kind"),
     "gt": Operation("ff", (), BOOL, _CONST, "a > b"),
     "ge": Operation("ff", (), BOOL, _CONST, "a >= b"),
-    "eq": Operation("xx", (), BOOL, _CONST, "a == b, both of one kind"),
-    "ne": Operation("xx", (), BOOL, _CONST, "a != b, both of one kind"),
+    "eq": Operation("xx", (), BOOL, _CONST, "a == b, of the same kind"),
+    "ne": Operation("xx", (), BOOL, _CONST, "a != b, of the same kind"),
     "and": Operation("bb", (), BOOL, _CONST, "both"),
     "or": Operation("bb", (), BOOL, _CONST, "either"),
     "not": Operation("b", (), BOOL, _CONST, "not"),
-    "where": Operation("bxx", (), F, _CONST, "b where a holds, else c; kind of b and c"),
+    "where": Operation("bxx", (), F, _CONST, "b if a is true, else c; of the kind of b and c"),
     "number": Operation("x", (), F, _CONST, "bool, state or row as float32"),
     "finite": Operation("f", (), F, _CONST, "a, or 0 where it is not finite"),
-    "get": Operation("t", ("index",), F, _CONST, "one result of a tuple; its kind is that result's"),
+    "get": Operation("t", ("index",), F, _CONST, "one element of a tuple, of that element's kind"),
     # the agent
-    "snap": Operation("", ("register",), F, _AGENT, "a register as it was at the start of the step; kind of the register"),
-    "load": Operation("", ("register", "version"), F, _AGENT, "a register now; `version` counts the stores seen before"),
+    "snap": Operation("", ("register",), F, _AGENT, "a register's value at the start of the step"),
+    "load": Operation("", ("register", "version"), F, _AGENT, "a register's value now; `version`: the number of earlier stores"),
     "id": Operation("", (), ID, _AGENT, "the agent's own id"),
     "age": Operation("", (), F, _AGENT, "seconds since birth"),
     "draw": Operation("", ("site", "index"), F, _AGENT, "uniform in [0, 1): a function of seed, frame, species, id, site, index"),
-    "draw.agent": Operation("", ("site", "species"), ID, _AGENT, "id of one living agent of the species, evenly; -1 for none"),
-    "event": Operation("", ("name",), BOOL, _AGENT, "the event reached this agent in the step before"),
-    "surface.touching": Operation("", ("name",), BOOL, _AGENT, "the agent stands on that surface"),
+    "draw.agent": Operation("", ("site", "species"), ID, _AGENT, "id of a random living agent of the species; -1 for none"),
+    "event": Operation("", ("name",), BOOL, _AGENT, "whether the event reached the agent in the previous step"),
+    "surface.touching": Operation("", ("name",), BOOL, _AGENT, "whether the agent is on the surface"),
     # references to other agents and to items
     "agent.get": Operation(
-        "l", ("species", "register"), F, _AGENT, "another agent's register as it was, of its kind; 0 for none"
+        "l", ("species", "register"), F, _AGENT, "another agent's register at the start of the step; 0 for none"
     ),
     "agent.age": Operation("l", ("species",), F, _AGENT, "another agent's seconds since birth; 0 for none"),
-    "agent.alive": Operation("l", ("species",), BOOL, _AGENT, "there is such an agent"),
+    "agent.alive": Operation("l", ("species",), BOOL, _AGENT, "whether the agent exists"),
     "item.get": Operation("i", ("items", "attribute"), F, _AGENT, "x y z radius or a declared attribute of an item; 0 for none"),
-    "item.alive": Operation("i", ("items",), BOOL, _AGENT, "there is such an item"),
+    "item.alive": Operation("i", ("items",), BOOL, _AGENT, "whether the item exists"),
     # senses of the place; the agent's own position at the start of the step
     **{row.op: _build_sense_operation(row) for row in senses.SENSE_BY_OPERATION.values()},
     # sets
     "set.agents": Operation(
-        "ff", ("species", "all_round"), SET, _AGENT, "others within a radius, and within a cosine of the heading"
+        "ff", ("species", "all_round"), SET, _AGENT, "other agents within a radius and an angle (its cosine) of the heading"
     ),
-    "set.every": Operation("", ("species",), SET, _AGENT, "all others of a species"),
+    "set.every": Operation("", ("species",), SET, _AGENT, "all other agents of a species"),
     "set.items": Operation("f", ("items",), SET, _AGENT, "items with their centre within a distance (inf: all)"),
-    "other": Operation("", ("register",), F, _PAIR, "the other agent's register as it was, or the item's attribute, of its kind"),
+    "other": Operation("", ("register",), F, _PAIR, "the other agent's register at the step's start, or an item's attribute"),
     "other.id": Operation("", (), ID, _PAIR, "the other agent's id"),
     "other.row": Operation("", (), INDEX, _PAIR, "the item's row"),
     "pair.x": Operation("", (), F, _PAIR, "other's x - own x"),
@@ -161,12 +161,12 @@ OPERATION_BY_NAME: dict[str, Operation] = {
     "reduce.max": Operation("sbf", (), F, _AGENT, "-inf for none"),
     "reduce.count": Operation("sb", (), F, _AGENT, "how many"),
     "reduce.any": Operation("sb", (), BOOL, _AGENT, "at least one"),
-    "reduce.agent": Operation("sbf", (), ID, _AGENT, "id of the agent with the least body, the lesser id at a tie; -1 for none"),
+    "reduce.agent": Operation("sbf", (), ID, _AGENT, "id of the agent with the smallest body, then the least id; -1 for none"),
     "reduce.nth_agent": Operation(
-        "sbff", (), ID, _AGENT, "id of the agent with the n-th least body, n rounded down; -1 for none"
+        "sbff", (), ID, _AGENT, "id of the agent with the n-th smallest body, n rounded down; -1 for none"
     ),
-    "reduce.nth_item": Operation("sbff", (), INDEX, _AGENT, "row of the item with the n-th least body, likewise"),
-    "reduce.item": Operation("sbf", (), INDEX, _AGENT, "row of the item with the least body, the lesser at a tie; -1 for none"),
+    "reduce.nth_item": Operation("sbff", (), INDEX, _AGENT, "row of the item with the n-th smallest body, likewise"),
+    "reduce.item": Operation("sbf", (), INDEX, _AGENT, "row of the item with the smallest body, then the least row; -1 for none"),
 }
 
 TUPLE_KINDS_BY_OPERATION: dict[str, tuple[ValueKind, ...]] = {
@@ -193,7 +193,7 @@ class If:
     """A region: its statements apply to the agents for which the condition holds. A NaN condition does not hold."""
 
     condition: PlanNode
-    then: Block
+    body: Block
     span: Span | None
 
 
@@ -211,32 +211,32 @@ class Store:
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
     """Claim of `amount` (None: the complete remainder) from an item's attribute. If `item` is None, the agent's cell of the field
-    `of` is claimed.
+    `target` is claimed.
 
     Claims are resolved after decide, in the order of (draw, id), while the remaining amount suffices. The BOOL register
-    `won_register` is set for agents with a successful claim. The amount is added to the agent's register `own`, if one is
+    `won_register` is set for agents with a successful claim. The amount is added to the agent's register `register`, if one is
     named."""
 
-    of: str
+    target: str
     attribute: str
     item: PlanNode | None
     amount: PlanNode | None
     won_register: str
-    own: str | None
+    register: str | None
     site: str
     span: Span | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Give:
-    """Transfer from the agent's register `own` to the item's attribute at t+1. `amount`: at most the value of `own`; None gives
-    all."""
+    """Transfer from the agent's register `register` to the item's attribute at t+1. `amount`: at most the value of `register`;
+    None gives all."""
 
     items: str
     attribute: str
     item: PlanNode
     amount: PlanNode | None
-    own: str
+    register: str
     span: Span | None
 
 
@@ -244,15 +244,15 @@ class Give:
 class Request:
     """A request to the world.
 
-    `op`: a row of `program.tables.effects`. `of`: the name of its target. `args`: the row's operands (None: absent). `own`: the
-    agent's register to which the result is added after the step's blocks. `target_species`: the species of the agent that
-    receives it; its id is an I64 operand."""
+    `op`: a row of `program.tables.effects`. `target`: the name of its target. `args`: the row's operands (None: absent).
+    `register`: the agent's register to which the result is added after the step's blocks. `target_species`: the species
+    of the agent that receives it; its id is an I64 operand."""
 
     op: str
-    of: str
+    target: str
     args: tuple[PlanNode | None, ...]
     span: Span | None
-    own: str | None = None
+    register: str | None = None
     site: str = ""
     target_species: str | None = None
 
@@ -274,7 +274,7 @@ class Register:
     kind: ValueKind
     role: str
     initial_value: float | int | bool = 0
-    of: str | None = None  # species of the ids in an I64 register: references to the dead become -1 in it
+    referenced_species: str | None = None  # species of the ids in an I64 register: references to the dead become -1 in it
     language_type: tuple[Any, ...] = ()  # kind, exponents of its dimension, and its species or thing
 
 
@@ -351,14 +351,14 @@ class SpeciesPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """The plan of a field, with nodes at rate RUN. `keep`: a factor per step, computed from half_life, evaporate or keeps.
-    `stencil`: the number of neighbour cells to which it diffuses, 4 or 8. `deposits`: "first" if deposits are added before
-    diffusion and evaporation, "last" if after."""
+    """The plan of a field, with nodes at rate RUN. `retained_share`: a factor per step, computed from half_life, evaporate or
+    keeps. `stencil`: the number of neighbour cells to which it diffuses, 4 or 8. `deposits`: "first" if deposits are added
+    before diffusion and evaporation, "last" if after."""
 
     name: str
     surfaces: tuple[str, ...]
     cell: PlanNode
-    keep: PlanNode | None
+    retained_share: PlanNode | None
     diffuse: PlanNode | None  # mm^2/s
     combine: str
     limit: PlanNode | None

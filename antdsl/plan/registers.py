@@ -20,7 +20,7 @@ def find_written_register(statement: ir.PlanStatement) -> str | None:
     """Return the register that a statement itself changes, or None."""
     if isinstance(statement, ir.Store):
         return statement.register
-    return statement.own if isinstance(statement, ir.Give) else None
+    return statement.register if isinstance(statement, ir.Give) else None
 
 
 def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:

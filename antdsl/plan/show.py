@@ -49,7 +49,12 @@ def _format_head(plan: Plan) -> str:
         names = _ExpressionFormatter()
         properties = (field.combine, f"stencil {field.stencil}", f"deposits {field.deposits}")
         lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({', '.join(properties)})")
-        for word, node in (("cell", field.cell), ("keep", field.keep), ("diffuse", field.diffuse), ("limit", field.limit)):
+        for word, node in (
+            ("cell", field.cell),
+            ("keep", field.retained_share),
+            ("diffuse", field.diffuse),
+            ("limit", field.limit),
+        ):
             if node is not None:
                 lines.append(f"  {word} {names.text(node)}")
     for items in plan.items.values():
@@ -198,7 +203,7 @@ class _PhaseFormatter(_ExpressionFormatter):
             place = f"    # {_find_source_line(statement)}" if _find_source_line(statement) else ""
             result.append(indent + self._format_statement(statement) + place)
             if isinstance(statement, If):
-                result += self.lines(statement.then, indent + "  ")
+                result += self.lines(statement.body, indent + "  ")
         return result
 
     def _format_definitions(self, statement: PlanStatement) -> list[str]:
@@ -220,22 +225,21 @@ class _PhaseFormatter(_ExpressionFormatter):
             case Claim():
                 amount = "all" if statement.amount is None else self.text(statement.amount)
                 if statement.item is None:
-                    receiver = f" for {statement.own}" if statement.own else ""
-                    return f"claim {amount} of {statement.of} here{receiver} -> {statement.won_register}"
+                    receiver = f" for {statement.register}" if statement.register else ""
+                    return f"claim {amount} of {statement.target} here{receiver} -> {statement.won_register}"
                 item = self.text(statement.item)
-                return f"claim {amount} of {statement.of}.{statement.attribute} from {item} -> {statement.won_register}"
+                return f"claim {amount} of {statement.target}.{statement.attribute} from {item} -> {statement.won_register}"
             case Give():
                 amount = "all" if statement.amount is None else self.text(statement.amount)
-                return (
-                    f"give {amount} of {statement.own} to {statement.items}.{statement.attribute} of {self.text(statement.item)}"
-                )
+                target = f"{statement.items}.{statement.attribute} of {self.text(statement.item)}"
+                return f"give {amount} of {statement.register} to {target}"
             case Request():
                 row = EFFECT_BY_OPERATION[statement.op]
                 values = {
                     name: None if arg is None else self.text(arg)
                     for name, arg in zip(row.operand_names, statement.args, strict=True)
                 }
-                return fill_template(row.plan_template, {**values, "of": statement.of, "own": statement.own})
+                return fill_template(row.plan_template, {**values, "of": statement.target, "own": statement.register})
 
 
 def _find_source_line(statement: PlanStatement) -> str:

@@ -42,7 +42,7 @@ def iterate_statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
     for statement in block.statements:
         yield block, statement
         if isinstance(statement, If):
-            yield from iterate_statements(statement.then)
+            yield from iterate_statements(statement.body)
 
 
 def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
@@ -50,7 +50,7 @@ def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator
     for k, statement in enumerate(block.statements):
         yield (*path, k), statement
         if isinstance(statement, If):
-            yield from iterate_with_positions(statement.then, (*path, k))
+            yield from iterate_with_positions(statement.body, (*path, k))
 
 
 def list_blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
@@ -72,7 +72,7 @@ def collect_required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
 
 def list_field_nodes(field: FieldPlan) -> tuple[PlanNode, ...]:
     """Return the nodes of a field's settings."""
-    return tuple(n for n in (field.cell, field.keep, field.diffuse, field.limit) if n is not None)
+    return tuple(n for n in (field.cell, field.retained_share, field.diffuse, field.limit) if n is not None)
 
 
 def list_root_nodes(plan: Plan) -> list[PlanNode]:

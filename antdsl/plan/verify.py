@@ -67,13 +67,13 @@ def _check_nodes(plan: Plan) -> Iterator[str]:
             yield f"{node!r}: {text}"
             continue
         if node.number != place:
-            yield f"{node!r} has the number {node.number} at place {place}"
+            yield f"{node!r} has the number {node.number} at index {place}"
         if any(a.number >= node.number or a not in known for a in node.args):
-            yield f"{node!r} stands before one of its operands"
+            yield f"{node!r} comes before one of its operands"
         if node.kind is not infer_result_kind(node.op, node.args, node.attrs, node.kind):
-            yield f"{node!r} is said to be a {node.kind.value}"
+            yield f"{node!r} is declared as {node.kind.value}"
         if node.rate != infer_result_rate(node.op, node.args):
-            yield f"{node!r} is said to change per {node.rate.name}"
+            yield f"{node!r} is declared to change per {node.rate.name}"
         if node.op.startswith("set.") and any(a.rate > UpdateRate.AGENT for a in node.args):
             yield f"{node!r}: a set's size depends on an element"
 
@@ -82,13 +82,15 @@ def _check_names(plan: Plan) -> Iterator[str]:
     """Check that the names in nodes exist. Names of species may be missing, because a species may be in another file."""
     things = collect_names_by_kind(plan)
     known: dict[str, Container[str]] = {
-        **{row.op: things[row.of] for row in SENSE_BY_OPERATION.values() if row.of and row.of != "species"},
+        **{
+            row.op: things[row.thing_kind] for row in SENSE_BY_OPERATION.values() if row.thing_kind not in ("", "species")
+        },
         "item.get": plan.items, "item.alive": plan.items, "set.items": plan.items,
         "surface.touching": plan.list_things_of_kind("surface"), "param": plan.params,
     }  # fmt: skip
     for node in plan.nodes:
         if node.op in known and node.attrs[0] not in known[node.op]:
-            yield f"{node!r} names {node.attrs[0]!r}, which is not there"
+            yield f"{node!r} names {node.attrs[0]!r}, which does not exist"
         if node.op == "item.get" and node.attrs[0] in plan.items:
             yield from _check_item_value(plan.items[node.attrs[0]], node, node.attrs[1])
         if node.op == "agent.get" and node.attrs[0] in plan.species:
@@ -156,7 +158,7 @@ def _check_register(species: SpeciesPlan, node: PlanNode, name: str) -> Iterator
 def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
     for name, register in species.registers.items():
         if name != register.name:
-            yield f"register {register.name} is filed under {name}"
+            yield f"register {register.name} is stored under the name {name}"
     for vector in _BUILTIN_ITEM_VALUES | {"push"}:
         for axis in "xyz":
             if f"{vector}.{axis}" not in species.registers:
@@ -168,7 +170,7 @@ def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
             if node.op in _READ_OPERATIONS:
                 yield from (f"{phase}: {text}" for text in _check_register(species, node, node.attrs[0]))
             if phase == "born" and node.op == "snap":
-                yield f"born: {node!r} asks for a time before birth"
+                yield f"born: {node!r} reads a value from before the birth"
     yield from _check_load_order(Block((*species.decide.statements, *species.act.statements, *species.blend.statements)))
     yield from _check_load_order(species.born)
 
@@ -176,27 +178,27 @@ def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
 def _check_statement(plan: Plan, species: SpeciesPlan, statement: PlanStatement) -> Iterator[str]:
     for node in list_operands(statement):
         if node.rate is UpdateRate.PAIR:
-            yield f"{type(statement).__name__} of {node!r}, which is of an element"
+            yield f"{type(statement).__name__} of {node!r}, which depends on an element of a set"
     match statement:
         case If():
             if statement.condition.kind is not ValueKind.BOOL:
-                yield f"If asks {statement.condition!r}"
+                yield f"the condition of If is {statement.condition!r}"
         case Store():
             register = species.registers.get(statement.register)
             if register is None:
-                yield f"Store to {statement.register}, which is not there"
+                yield f"Store to {statement.register}, which does not exist"
             elif register.kind is not statement.value.kind:
                 yield f"Store of {statement.value!r} to {register.name}, a {register.kind.value}"
         case Claim() | Give():
-            of = statement.of if isinstance(statement, Claim) else statement.items
+            of = statement.target if isinstance(statement, Claim) else statement.items
             items = plan.items.get(of)
             if statement.item is None:
                 if of not in plan.fields:
-                    yield f"Claim of {of}, which is not there"
+                    yield f"Claim of {of}, which does not exist"
             elif items is None or statement.attribute not in items.attributes:
-                yield f"{type(statement).__name__} of {of}.{statement.attribute}, which is not there"
-            if statement.own is not None and statement.own not in species.registers:
-                yield f"{type(statement).__name__} for {statement.own}, which is not there"
+                yield f"{type(statement).__name__} of {of}.{statement.attribute}, which does not exist"
+            if statement.register is not None and statement.register not in species.registers:
+                yield f"{type(statement).__name__} for {statement.register}, which does not exist"
             if statement.item is not None and statement.item.kind is not ValueKind.I32:
                 yield f"{type(statement).__name__} with {statement.item!r} for an item"
         case Request():
@@ -210,10 +212,10 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
         yield f"no effect {statement.op}"
         return
     word, known_names = row.op.capitalize(), collect_names_by_kind(plan).get(row.target)
-    if known_names is not None and statement.of not in known_names:
-        yield f"{word} of {statement.of}, which is not there"
-    if statement.own is not None and statement.own not in species.registers:
-        yield f"{word} for {statement.own}, which is not there"
+    if known_names is not None and statement.target not in known_names:
+        yield f"{word} of {statement.target}, which does not exist"
+    if statement.register is not None and statement.register not in species.registers:
+        yield f"{word} for {statement.register}, which does not exist"
     if len(statement.args) != len(row.operand_names):
         yield f"{word} takes {row.operand_names}, not {statement.args!r}"
     for name, node in zip(row.operand_names, statement.args, strict=False):
@@ -222,7 +224,7 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
         elif node is not None and node.kind is not (ValueKind.I64 if name in row.agents else ValueKind.F32):
             yield f"{word} with {node!r} for {name}"
         elif node is not None and name in row.agents and statement.target_species is None:
-            yield f"{word} of an agent of no species for {name}"
+            yield f"{word} does not name the species of the agent for {name}"
 
 
 class _LoadState:
@@ -257,7 +259,7 @@ def _check_block_order(block: Block, state: _LoadState) -> Iterator[str]:
         for name in find_written_registers(statement):
             state.stale_registers.add(name)
         if isinstance(statement, If):
-            yield from _check_block_order(statement.then, state)
+            yield from _check_block_order(statement.body, state)
 
 
 def find_written_registers(statement: PlanStatement) -> tuple[str, ...]:
@@ -266,8 +268,8 @@ def find_written_registers(statement: PlanStatement) -> tuple[str, ...]:
         case Store():
             return (statement.register,)
         case Claim():
-            return (statement.won_register,) if statement.own is None else (statement.won_register, statement.own)
+            return (statement.won_register,) if statement.register is None else (statement.won_register, statement.register)
         case Give():
-            return (statement.own,)
+            return (statement.register,)
         case _:
             return ()

@@ -20,19 +20,19 @@ _LIGHT_FRAME_COLUMNS = [column for column in _PACKET_COLUMNS if column.in_previe
 CURRENT_COLUMNS = [column for column in _PACKET_COLUMNS if not column.in_preview]
 
 
-def make_light_frame(population: Population, previous: Arrays | None = None) -> Arrays:
+def make_light_frame(population: Population, previous_arrays: Arrays | None = None) -> Arrays:
     """Return the arrays that are stored for each frame, with the states of each machine.
 
-    `previous`: the arrays of the previous frame. An array that equals its predecessor is the same object."""
+    `previous_arrays`: the arrays of the previous frame. An array that equals its predecessor is the same object."""
     rows = population.rows_by_id()
     states = {f"state/{m.name}": population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
-    return reuse_arrays(make_packet_arrays(population, _LIGHT_FRAME_COLUMNS) | states, previous or {})
+    return reuse_arrays(make_packet_arrays(population, _LIGHT_FRAME_COLUMNS) | states, previous_arrays or {})
 
 
-def reuse_arrays(arrays: Arrays, previous: Arrays) -> Arrays:
+def reuse_arrays(arrays: Arrays, previous_arrays: Arrays) -> Arrays:
     """Return the arrays. An array that equals that of the previous frame is replaced by the same object."""
     return {
-        name: previous[name] if name in previous and np.array_equal(previous[name], array) else array
+        name: previous_arrays[name] if name in previous_arrays and np.array_equal(previous_arrays[name], array) else array
         for name, array in arrays.items()
     }
 

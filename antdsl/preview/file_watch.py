@@ -88,29 +88,29 @@ class FileWatch:
             if changed:
                 yield changed
 
-    def _is_changed(self, path: Path, watched: _WatchedFile, now: float) -> bool:
+    def _is_changed(self, path: Path, watched_file: _WatchedFile, time: float) -> bool:
         stamp = _read_stamp(path)
-        if stamp != watched.stamp:
-            watched.stamp, watched.changed_time, watched.is_unreported = stamp, now, True
+        if stamp != watched_file.stamp:
+            watched_file.stamp, watched_file.changed_time, watched_file.is_unreported = stamp, time, True
         elif (
-            watched.changed_time is None
+            watched_file.changed_time is None
             and stamp is not None
             and stamp[1] <= _SMALL_FILE_BYTES
-            and now - watched.read_time >= _REREAD_SECONDS
+            and time - watched_file.read_time >= _REREAD_SECONDS
             and self._remaining_bytes > 0
         ):
-            watched.changed_time = now
+            watched_file.changed_time = time
             self._remaining_bytes -= stamp[1]
-        if watched.changed_time is None or now - watched.changed_time < (
+        if watched_file.changed_time is None or time - watched_file.changed_time < (
             _MISSING_FILE_SECONDS if stamp is None or stamp[1] == 0 else _UNCHANGED_SECONDS
         ):
             return False
         contents = self._hash_contents(path)
         if _read_stamp(path) != stamp:  # written while it was read
-            watched.changed_time = now
+            watched_file.changed_time = time
             return False
-        watched.changed_time, watched.read_time, watched.is_unreported = None, now, False
-        other, watched.contents, watched.read_stamp = contents != watched.contents, contents, stamp
+        watched_file.changed_time, watched_file.read_time, watched_file.is_unreported = None, time, False
+        other, watched_file.contents, watched_file.read_stamp = contents != watched_file.contents, contents, stamp
         return other
 
     def _hash_contents(self, path: Path) -> bytes | None:

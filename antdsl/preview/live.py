@@ -180,7 +180,7 @@ class Live:
         """Display the stored agents of a frame, or of the nearest stored frame, without simulation."""
         remembered = self.session.timeline.light_frames
         self._target_frame = None
-        nearest = min(remembered, key=lambda each: abs(each - frame), default=None)
+        nearest = min(remembered, key=lambda stored_frame: abs(stored_frame - frame), default=None)
         self.displayed_frame = nearest if frame != self.session.frame else None
 
     def go_to(self, frame: int) -> None:

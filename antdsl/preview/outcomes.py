@@ -20,13 +20,13 @@ class Outcome:
     """The result of an edit.
 
     `report`: if it has errors, nothing has changed. `line`: a summary of what persists, moves and is reset. `text`: the text to
-    write into a file for a permanent change. `did`: a description of the edit.
+    write into a file for a permanent change. `description`: a description of the edit.
     """
 
     report: Report = field(default_factory=Report)
     line: str = ""
     text: str = ""
-    did: str = ""
+    description: str = ""
 
     @property
     def ok(self) -> bool:

@@ -64,17 +64,17 @@ class Session:
         choices: RunChoices | None = None,
         options: Options | None = None,
         *,
-        every: int = 24,
+        checkpoint_interval: int = 24,
         budget: int = limits.GIB // 4,
         compiler: Compiler | None = None,
     ) -> tuple[Session | None, Report]:
         """Return a session at the scene's first simulated frame, or None, and a report.
 
-        `every`: frames between checkpoints.
+        `checkpoint_interval`: frames between checkpoints.
         `budget`: bytes of memory for all stored data.
         `compiler`: one that has tried this scene before.
         """
-        session = cls(compiler or Compiler(scene), options or Options(), Timeline(every, budget))
+        session = cls(compiler or Compiler(scene), options or Options(), Timeline(checkpoint_interval, budget))
         report = session._start_over(choices or RunChoices(), {}).report
         return (session if report.ok else None), report
 
@@ -176,11 +176,11 @@ class Session:
         if self.meter is not None:
             self.meter.end(self.world)
 
-    def measure(self, on: bool) -> None:
+    def measure(self, is_on: bool) -> None:
         """Start or stop measuring the time of each part of a step, in `meter`. Results do not change."""
         if self.meter is not None:
             self.meter.stop()
-        self.meter = StepMeter() if on else None
+        self.meter = StepMeter() if is_on else None
 
     def _restore_checkpoint(self, stretch: SimulationStretch, frame: int) -> None:
         """Restore a stretch at a checkpoint, in a new world without digging yet."""
@@ -231,50 +231,50 @@ class Session:
         )
         return Outcome(report, "from the next frame on", text, did)
 
-    def switch_field(self, name: str, on: bool) -> Outcome:
+    def switch_field(self, name: str, is_on: bool) -> Outcome:
         """Switch a field on or off. Off means that deposits stay below a millionth and vanish after one step."""
         off = make_silencing_settings(name)
         if name not in self.shot.plan.fields:
             return make_error_outcome(f"no program has a field `{name}`")
         chosen = self.choices.params
-        if not on and not chosen.items() >= off.items():
+        if not is_on and not chosen.items() >= off.items():
             self._settings_of_disabled_fields[name] = {key: chosen[key] for key in off if key in chosen}
         params = {key: value for key, value in chosen.items() if off.get(key) != value}
-        params |= self._settings_of_disabled_fields.pop(name, {}) if on else {}
-        text = "" if on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
-        did = f"field `{name}` is switched on again" if on else f"field `{name}` is switched off"
+        params |= self._settings_of_disabled_fields.pop(name, {}) if is_on else {}
+        text = "" if is_on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
+        did = f"field `{name}` is switched on again" if is_on else f"field `{name}` is switched off"
         return self._recompile(
-            replace(self.choices, params=params if on else {**params, **off}), self._current_stretch.disabled_layers, text, did
+            replace(self.choices, params=params if is_on else {**params, **off}), self._current_stretch.disabled_layers, text, did
         )
 
-    def layer(self, species: str, layer: str, on: bool) -> Outcome:
+    def layer(self, species: str, layer: str, is_on: bool) -> Outcome:
         """Switch a layer of a species off or on again. The layer is identified by its text.
 
         `text` of the result is the layer's lines, commented out."""
         key, off = (species, layer), dict(self._current_stretch.disabled_layers)
-        if on:
+        if is_on:
             if off.pop(key, None) is None:
-                return make_error_outcome(f"no layer of `{species}` that is off is `{layer}`")
-            return self._recompile(self.choices, off, did=f"layer `{shorten_text(layer)}` is on again")
+                return make_error_outcome(f"`{species}` has no layer `{layer}` that is off")
+            return self._recompile(self.choices, off, description=f"layer `{shorten_text(layer)}` is on again")
         plan = self.shot.plan.species.get(species)
         layer_plan = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
         if layer_plan is None:
-            return make_error_outcome(f"no layer of `{species}` is `{layer}`")
+            return make_error_outcome(f"`{species}` has no layer `{layer}`")
         off[key] = Path(os.path.realpath(layer_plan.span.source.path))
         text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
         return self._recompile(self.choices, off, text, f"layer `{shorten_text(layer)}` is off")
 
-    def direct(self, notes: HandNotes, did: str, text: str = "") -> Outcome:
+    def direct(self, notes: HandNotes, description: str, text: str = "") -> Outcome:
         """Replace the notes by hand. The session goes back to the last frame that the change does not affect, and continues from
-        there with the current files and values. `did` and `text`: of the outcome."""
+        there with the current files and values. `description` and `text`: of the outcome."""
         frame = find_last_unaffected_frame(self.notes, notes)
         choices, layers = replace(self.choices, notes=list_active_lines(notes)), self._current_stretch.disabled_layers
         if frame == inf:
-            outcome = Outcome(line="the run does not change", did=did)
+            outcome = Outcome(line="the run does not change", description=description)
         elif frame < self.first:
-            outcome = replace(self._start_over(choices, layers), text=text, did=did)
+            outcome = replace(self._start_over(choices, layers), text=text, description=description)
         else:
-            outcome = self._recompile(choices, layers, text, did, first=int(min(frame, self.frame)))
+            outcome = self._recompile(choices, layers, text, description, first=int(min(frame, self.frame)))
         self.notes = notes if outcome.ok else self.notes
         return outcome
 
@@ -293,7 +293,7 @@ class Session:
         if shot is None or not report.ok:
             return Outcome(report)
         try:
-            world = bind(shot.plan, shot.setting, self.options, built=self.compiler.binding_cache)
+            world = bind(shot.plan, shot.setting, self.options, binding_cache=self.compiler.binding_cache)
         except BindError as why:
             return Outcome(why.report)
         report.extend(find_start_warnings(shot.scene, world))
@@ -302,7 +302,7 @@ class Session:
         self.timeline.start(stretch, world)
         self.fault_text = None
         self._enter_world(world, stretch)
-        return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", did=_RESTARTED_TEXT)
+        return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", description=_RESTARTED_TEXT)
 
     def _compile(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
         """Return the shot of the files with these choices, its report, and the layers that no longer exist."""
@@ -318,23 +318,27 @@ class Session:
         choices: RunChoices,
         disabled_layers: DisabledLayers,
         text: str = "",
-        did: str | None = None,
+        description: str | None = None,
         first: int | None = None,
     ) -> Outcome:
-        """Continue with the current files and other choices. `did`: describes the edit; None for changed files. `first`: a stored
-        frame from which to continue instead of the current one."""
-        saved, own_notes = did is None, self._current_stretch.choices.notes
+        """Continue with the current files and other choices. `description`: describes the edit; None for changed files. `first`:
+        a stored frame from which to continue instead of the current one."""
+        saved, own_notes = description is None, self._current_stretch.choices.notes
         compiled = replace(choices, notes=own_notes) if saved and set(own_notes) <= set(choices.notes) else choices
         shot, report, missing_layers = self._compile(compiled, disabled_layers)
         if shot is None or not report.ok:
             return Outcome(report)
-        did, old_notes = describe_changed_files(self.shot, shot) if did is None else did, self.notes
+        description, old_notes = describe_changed_files(self.shot, shot) if description is None else description, self.notes
         if saved and shot.inputs == self.shot.inputs:
-            if did:  # after a comment or another change without effect on results, such as the camera or the last frame
+            if description:  # after a comment or another change without effect on results, such as the camera or the last frame
                 self._current_stretch.shot = shot
             undone = self._drop_undone_edit()
             if not (undone and self._lacks_notes()):
-                return Outcome(report, undone or ("the run does not change" if did else "nothing has changed"), did=did)
+                return Outcome(
+                    report,
+                    undone or ("the run does not change" if description else "nothing has changed"),
+                    description=description,
+                )
         if saved:
             self.notes = drop_written_notes(self.notes, shot.scene)
             choices = replace(choices, notes=list_active_lines(self.notes))
@@ -354,11 +358,11 @@ class Session:
         lines = [f"layer `{layer}` no longer exists" for _, layer in missing_layers]
         line = " · ".join([describe_migration(migration), *lines, *name_switched_notes(old_notes, self.notes)])
         disabled_layers = {key: path for key, path in disabled_layers.items() if key not in missing_layers}
-        stretch = SimulationStretch(shot, world.frame, did, world.origin, choices, disabled_layers)
+        stretch = SimulationStretch(shot, world.frame, description, world.origin, choices, disabled_layers)
         stretch.replace(self._current_stretch, self.world, world)
         self.timeline.start(stretch, world)
         self._enter_world(world, stretch)
-        return Outcome(report, line, text, did)
+        return Outcome(report, line, text, description)
 
     def _drop_undone_edit(self) -> str:
         """Drop the later frames of an undone edit if the files are again as they were at this frame. Return the edit's
@@ -387,9 +391,9 @@ class Session:
         return replace(choices, notes=list_active_lines(self.notes)), dropped
 
 
-def _has_same_files(one: Shot, other: Shot) -> bool:
+def _has_same_files(a: Shot, b: Shot) -> bool:
     """Return whether two shots were compiled from the same files, without regard to values and notes by hand. Only shots with
     notes have all cameras among their inputs."""
-    names = (one.inputs.keys() | other.inputs.keys()) - {n for shot in (one, other) for n in shot.inputs if n.startswith("--")}
-    common = one.inputs.keys() & other.inputs.keys()
-    return all(one.inputs.get(n) == other.inputs.get(n) for n in names if n in common or not n.startswith("camera "))
+    names = (a.inputs.keys() | b.inputs.keys()) - {n for shot in (a, b) for n in shot.inputs if n.startswith("--")}
+    common = a.inputs.keys() & b.inputs.keys()
+    return all(a.inputs.get(n) == b.inputs.get(n) for n in names if n in common or not n.startswith("camera "))

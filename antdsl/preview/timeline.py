@@ -112,13 +112,13 @@ class SimulationStretch:
     # the inputs of an unedited run up to its first frame, and the hash there
     _state_before_edit: tuple[object, str] | None = None
 
-    def replace(self, previous: SimulationStretch, old_world: World, world: World) -> None:
-        """Replace the stretch `previous` at the frame of the world `old_world` by this stretch. `world` was made from
+    def replace(self, previous_stretch: SimulationStretch, old_world: World, world: World) -> None:
+        """Replace the stretch `previous_stretch` at the frame of the world `old_world` by this stretch. `world` was made from
         `old_world`. This stretch still counts as a fresh run if an edit was undone at its own frame and no state was lost."""
-        if previous.first == old_world.frame and previous._state_before_edit is not None:
-            self._state_before_edit = previous._state_before_edit
-        elif previous.is_fresh and not previous.param_changes:
-            self._state_before_edit = previous._list_source_texts(), state_hash(old_world)
+        if previous_stretch.first == old_world.frame and previous_stretch._state_before_edit is not None:
+            self._state_before_edit = previous_stretch._state_before_edit
+        elif previous_stretch.is_fresh and not previous_stretch.param_changes:
+            self._state_before_edit = previous_stretch._list_source_texts(), state_hash(old_world)
         same = self._state_before_edit is not None and self._state_before_edit[0] == self._list_source_texts()
         self.is_fresh = same and self._state_before_edit == (self._list_source_texts(), state_hash(world))
 
@@ -134,9 +134,9 @@ class SimulationStretch:
             self.param_changes.append(ParamChange(world.frame, name, text, value, was))
         set_param(world, name, value)
 
-    def restore_world(self, arrays: Arrays, options: Options, built: BindingCache) -> World:
+    def restore_world(self, arrays: Arrays, options: Options, binding_cache: BindingCache) -> World:
         """Return a separate world with the state of a checkpoint."""
-        world = bind_empty(self.shot.plan, self.shot.setting, options, built=built, origin=self.origin)
+        world = bind_empty(self.shot.plan, self.shot.setting, options, binding_cache=binding_cache, origin=self.origin)
         restore_checkpoint(world, arrays)
         return world
 
@@ -168,8 +168,8 @@ class Timeline:
     `stop_reasons`: the last 256 frames at which play was stopped, with the reason.
     """
 
-    def __init__(self, every: int, budget: int) -> None:
-        self.every, self.max_bytes = every, budget
+    def __init__(self, checkpoint_interval: int, budget: int) -> None:
+        self.every, self.max_bytes = checkpoint_interval, budget
         self.stretches: list[SimulationStretch] = []
         self.branches: list[TimelineBranch] = []
         self.curves: dict[int, dict[str, float]] = {}
@@ -284,7 +284,7 @@ class Timeline:
         if self.light_frames.nbytes <= _LIGHT_BUDGET_SHARE * self.max_bytes:
             between = [entry for each in self.stretches for entry in _list_droppable_checkpoints(each)]
             if between:
-                _, _, frame, stretch = min(between, key=lambda each: each[:3])
+                _, _, frame, stretch = min(between, key=lambda entry: entry[:3])
                 self._checkpoint_bytes -= _count_bytes(stretch.checkpoints.pop(frame))
                 return True
             if self.stretches[0] is not current:

@@ -36,11 +36,11 @@ class _UnreadLines:
     suppressed_codes: set[str] = field(default_factory=set)  # codes of findings that follow from a declaration without a name
 
 
-def drop_cascading_errors(report: Report, recovered: Iterable[Span]) -> Report:
-    """Return the report without findings that follow from unparsed text or from misspelt names. `recovered`: the spans that the
-    parser skipped and reported."""
+def drop_cascading_errors(report: Report, skipped_spans: Iterable[Span]) -> Report:
+    """Return the report without findings that follow from unparsed text or from misspelt names. `skipped_spans`: the spans that
+    the parser skipped and reported."""
     doubts: dict[Source, _UnreadLines] = {}
-    for span in recovered:
+    for span in skipped_spans:
         _note_unread_lines(doubts.setdefault(span.source, _UnreadLines()), span)
     meant = {(d.span.source, d.help) for d in report.diagnostics if d.severity == "error" and d.span is not None}
     twice = {(d.span.source, d.message.split(" `")[0]) for d in report.diagnostics if d.code == "duplicate-name" and d.span}

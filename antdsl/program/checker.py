@@ -58,8 +58,8 @@ def check(
     checked = CheckContext(program, declared, names)
     for look in CHECKS:
         _run_check(checked, look, report)
-    recovered = [span for each in loader.known.values() for span in each.node.recovered]
-    sound = report.ok and not any(each.node.broken for each in loader.known.values())
+    recovered = [span for each in loader.known.values() for span in each.node.skipped_spans]
+    sound = report.ok and not any(each.node.has_errors for each in loader.known.values())
     for look in ERROR_FREE_CHECKS if sound else ():
         _run_check(checked, look, report)
     if memo is not None:
@@ -77,7 +77,7 @@ def _run_check(context: CheckContext, check_function: Check, report: Report) -> 
 
     With a memo, checks in OF_EACH and OF_STATES run again only for changed species or states."""
     program = context.program
-    if context.declared.memo is None or check_function not in PER_SPECIES_CHECKS:
+    if context.declarations.memo is None or check_function not in PER_SPECIES_CHECKS:
         check_function(context, report)
         return
     params = tuple(program.params.values())
@@ -90,14 +90,14 @@ def _run_check(context: CheckContext, check_function: Check, report: Report) -> 
 
     for species in program.species.values():
         if check_function not in PER_STATE_CHECKS:
-            get_or_compute_part(context.declared, (check_function, species, params), partial(check_species, species))
+            get_or_compute_part(context.declarations, (check_function, species, params), partial(check_species, species))
             continue
         without = replace(species, machines=())
-        get_or_compute_part(context.declared, (check_function, species.layers, params), partial(check_species, without))
+        get_or_compute_part(context.declarations, (check_function, species.layers, params), partial(check_species, without))
         for machine in species.machines:
             for state in machine.states:
                 get_or_compute_part(
-                    context.declared, (check_function, state, params), partial(check_state, species, machine, state)
+                    context.declarations, (check_function, state, params), partial(check_state, species, machine, state)
                 )
 
 
@@ -105,31 +105,31 @@ def _restrict_to_state(species: model.Species, machine: model.Machine, state: mo
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
-def _map_to_files(loader: FileLoader, report: Report, recovered: Sequence[Span]) -> tuple[Report, list[Span]]:
+def _map_to_files(loader: FileLoader, report: Report, skipped_spans: Sequence[Span]) -> tuple[Report, list[Span]]:
     """Return the report and the recovered spans, with locations in a part of a file converted to locations in that file."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
-        return report, list(recovered)
+        return report, list(skipped_spans)
 
     def map_span(span: Span) -> Span:
         return files[span.source].file_span(span) if span.source in files else span
 
-    return Report([move_diagnostic(each, map_span) for each in report.diagnostics]), [map_span(span) for span in recovered]
+    return Report([move_diagnostic(each, map_span) for each in report.diagnostics]), [map_span(span) for span in skipped_spans]
 
 
-def _make_outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
+def _make_outside_key(declarations: Declarations, loader: FileLoader) -> Hashable:
     """Return a key of all declarations of other parts that a part of the program can see, except the types of attributes."""
-    things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declared.things.values()]
+    things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declarations.things.values()]
     machines = [
         (s.name, s.edition, s.node is None, tuple((m.name, *m.states) for m in s.machines.values()))
-        for s in declared.species.values()
+        for s in declarations.species.values()
     ]
     called = [
         item for each in loader.known.values() for item in each.node.items if isinstance(item, (nodes.Behaviour, nodes.Use))
     ]
-    fields = list(declared.fields.values())
-    parts: tuple[Iterable[Hashable], ...] = (things, machines, called, fields, declared.events, declared.unclear_things)
-    return declared.strict, *(tuple(part) for part in parts)
+    fields = list(declarations.fields.values())
+    parts: tuple[Iterable[Hashable], ...] = (things, machines, called, fields, declarations.events, declarations.unclear_things)
+    return declarations.strict, *(tuple(part) for part in parts)
 
 
 def _make_type_key(species: SpeciesNames) -> Hashable:
@@ -138,38 +138,41 @@ def _make_type_key(species: SpeciesNames) -> Hashable:
 
 
 def _assemble_program(
-    declared: Declarations, names: Sequence[FileNames], fields: Iterable[tuple[FileNames, nodes.FieldDecl]]
+    declarations: Declarations, names: Sequence[FileNames], fields: Iterable[tuple[FileNames, nodes.FieldDecl]]
 ) -> model.Program:
-    made_fields = {node.name.text: field for file, node in fields if (field := check_field(declared, file, node)) is not None}
+    made_fields = {node.name.text: field for file, node in fields if (field := check_field(declarations, file, node)) is not None}
     drafts = []
     for file in names:
         for item in file.node.items:
-            if isinstance(item, nodes.Species) and declared.species[item.name.text].node is item:
-                drafts.append(draft_species(declared, file, item))
-                update_outside_number(declared, (declared.outside_number, _make_type_key(drafts[-1].names)))
-    check_world_species(declared)
-    update_outside_number(declared, (declared.outside_number, *map(_make_type_key, declared.species.values())))
+            if isinstance(item, nodes.Species) and declarations.species[item.name.text].node is item:
+                drafts.append(draft_species(declarations, file, item))
+                update_outside_number(declarations, (declarations.outside_number, _make_type_key(drafts[-1].names)))
+    check_world_species(declarations)
+    update_outside_number(declarations, (declarations.outside_number, *map(_make_type_key, declarations.species.values())))
     species = {work.names.name: complete_species(work) for work in drafts}
     params = {param.name: param for each in species.values() for param in each.params}
     written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
     known = (*params.values(), *(b for each in species.values() for b in (*each.lets, *each.latches)))
     for file in names:
-        _check_spec_names(declared, file)
+        _check_spec_names(declarations, file)
     specs = tuple(
-        get_or_compute_part(declared, ("spec", item, known), partial(check_spec, declared, file, item, params, made_fields))
+        get_or_compute_part(
+            declarations, ("spec", item, known), partial(check_spec, declarations, file, item, params, made_fields)
+        )
         for file, item in written
     )
     return model.Program(
-        species, dict(declared.things), made_fields, params, tuple(declared.events), specs, tuple(file.node for file in names)
+        species, dict(declarations.things), made_fields, params, tuple(declarations.events), specs,
+        tuple(file.node for file in names),
     )  # fmt: skip
 
 
-def _check_spec_names(declared: Declarations, file: FileNames) -> None:
+def _check_spec_names(declarations: Declarations, file: FileNames) -> None:
     """Report specs of one file that have the same name. Reports and stored results identify specs by name."""
     first: dict[str, Span] = {}
     for spec in (item for item in file.node.items if isinstance(item, nodes.Spec)):
         if spec.name.text in first:
-            declared.report.error(
+            declarations.report.error(
                 "duplicate-name", f"two specs are called {quote_source(spec.name.span)}", spec.name.span, "rename one of them",
                 labels=(Label(first[spec.name.text], "first here"),),
             )  # fmt: skip
@@ -188,9 +191,9 @@ def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
     return list(modules.values())
 
 
-def _check_behaviours(declared: Declarations, names: Sequence[FileNames]) -> None:
+def _check_behaviours(declarations: Declarations, names: Sequence[FileNames]) -> None:
     """Check the behaviours of the program's own files, also those that no code calls. Library behaviours are checked when they
     are called."""
     for file in names:
-        for info in file.own.values():
-            check_behaviour(declared, info)
+        for info in file.own_behaviours.values():
+            check_behaviour(declarations, info)

@@ -75,7 +75,7 @@ def _collect_step_parts(species: model.Species, machine: model.Machine, state: m
         if species.rest is not None and state.index in species.rest.resting_states.get(machine.name, ())
         else None
     )
-    changes = [(change.condition, change.delay, change.hold_time, change.take) for change in state.transitions]
+    changes = [(change.condition, change.delay, change.hold_time, change.take_action) for change in state.transitions]
     return state.body, still, changes
 
 
@@ -103,7 +103,7 @@ def _find_ids_inside_sets(root: object) -> set[int]:
 
 
 def _iterate_member_parts(part: model.ReduceExpr | model.SetExpr) -> Iterator[object]:
-    body = part.body if isinstance(part, model.ReduceExpr) else part.where
+    body = part.body if isinstance(part, model.ReduceExpr) else part.condition
     return iterate_parts(body) if body is not None else iter(())
 
 
@@ -111,7 +111,7 @@ _PAIR_VALUE_OPERATIONS = 100  # operations to find the slot of a pair value
 
 
 def _count_operations(part: object) -> int:
-    if isinstance(part, model.Assign) and (part.of is not None or part.other_agents is not None):
+    if isinstance(part, model.Assign) and (part.pair_agent is not None or part.other_agents is not None):
         return _PAIR_VALUE_OPERATIONS
     if isinstance(part, (model.Steer, model.FaceLine, model.Assign)):
         return 3
@@ -125,7 +125,7 @@ def _make_cost_entries(part: object) -> Iterable[CostEntry]:
     match part:
         case model.SetExpr():
             cost = SET_SENSE_BY_OPERATION[part.source].cost
-            return [] if cost is None else [_make_entry(cost, part.of, part.args)]
+            return [] if cost is None else [_make_entry(cost, part.source_name, part.args)]
         case model.OperationExpr():
             cost = COST_BY_OPERATION.get(part.name)
             thing = next((arg.name for arg in part.args if isinstance(arg, model.ThingRef) and arg.name != "self"), "")
@@ -134,7 +134,7 @@ def _make_cost_entries(part: object) -> Iterable[CostEntry]:
             return [_make_entry(_TAKE_COST, part.attribute or part.source.span.text)]
         case model.EffectRequest():
             cost = EFFECT_BY_OPERATION[part.op].cost
-            return [] if cost is None else [_make_entry(cost, part.of, part.args)]
+            return [] if cost is None else [_make_entry(cost, part.target, part.args)]
     return []
 
 

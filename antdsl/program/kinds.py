@@ -43,11 +43,11 @@ class TypeKind(Enum):
 
 
 class ValueType(NamedTuple):
-    """The type of a value. `of`: the species, items or machine that it refers to, if any."""
+    """The type of a value. `referent`: the species, items or machine that it refers to, if any."""
 
     kind: TypeKind
     dimension: Dimension = Dimension()
-    of: str | None = None
+    referent: str | None = None
 
 
 BAD_TYPE = ValueType(TypeKind.BAD)

@@ -17,24 +17,24 @@ T = TypeVar("T")
 _PartKey = tuple[tuple[Any, ...], int]  # the inputs of a part, and the number of the declarations that it can see
 
 
-def get_or_compute_part(declared: Declarations, key: tuple[Any, ...], compute: Callable[[], T]) -> T:
+def get_or_compute_part(declarations: Declarations, key: tuple[Any, ...], compute: Callable[[], T]) -> T:
     """Return the cached result of an earlier check if there is one; otherwise compute it by `compute`.
 
-    `key`: all inputs of `compute`, except `declared.outside`."""
+    `key`: all inputs of `compute`, except `declarations.outside`."""
     return (
         compute()
-        if declared.memo is None
-        else declared.memo.get_or_compute_part(declared, (key, declared.outside_number), compute)
+        if declarations.memo is None
+        else declarations.memo.get_or_compute_part(declarations, (key, declarations.outside_number), compute)
     )
 
 
-def update_outside_number(declared: Declarations, outside: Hashable) -> int:
-    """Set `declared.outside` to a number that identifies the value `outside`, and return it. Equal values have equal numbers.
+def update_outside_number(declarations: Declarations, outside: Hashable) -> int:
+    """Set `declarations.outside` to a number that identifies the value `outside`, and return it. Equal values have equal numbers.
 
     `outside`: all declarations of other parts that a part can see. It may be large, so the keys of parts contain only its
     number."""
-    declared.outside_number = 0 if declared.memo is None else declared.memo.assign_number(outside)
-    return declared.outside_number
+    declarations.outside_number = 0 if declarations.memo is None else declarations.memo.assign_number(outside)
+    return declarations.outside_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,38 +86,46 @@ class CheckMemo:
         self.numbers_in_use.add(self.number_by_value[value])
         return self.number_by_value[value]
 
-    def get_or_compute_part(self, declared: Declarations, key: _PartKey, compute: Callable[[], T]) -> T:
+    def get_or_compute_part(self, declarations: Declarations, key: _PartKey, compute: Callable[[], T]) -> T:
         """Return the result of `compute`, or the cached result for the same key. A cached result also restores its findings,
         resolved names, uses and writes."""
         self.used_keys.add(key)
         known = self.known.get(key)
         if known is None:
-            return self._compute_part(declared, key, compute)
-        declared.used_names |= known.used_names
-        declared.written_attributes |= known.written_attributes
-        declared.expanded_count += known.expanded_count
-        declared.name_uses += known.name_uses
-        declared.report.extend(known.findings)
+            return self._compute_part(declarations, key, compute)
+        declarations.used_names |= known.used_names
+        declarations.written_attributes |= known.written_attributes
+        declarations.expanded_count += known.expanded_count
+        declarations.name_uses += known.name_uses
+        declarations.report.extend(known.findings)
         return known.result  # type: ignore[no-any-return]
 
-    def _compute_part(self, declared: Declarations, key: _PartKey, compute: Callable[[], T]) -> T:
-        said, expanded, unknown_count = len(declared.report.diagnostics), declared.expanded_count, len(declared.unknown_names)
-        bound = len(declared.name_uses)
-        used, written, names = declared.used_names, declared.written_attributes, declared.unknown_names
-        declared.used_names, declared.written_attributes, declared.unknown_names = set(), set(), _UnknownNames(names)
+    def _compute_part(self, declarations: Declarations, key: _PartKey, compute: Callable[[], T]) -> T:
+        said, expanded, unknown_count = (
+            len(declarations.report.diagnostics),
+            declarations.expanded_count,
+            len(declarations.unknown_names),
+        )
+        bound = len(declarations.name_uses)
+        used, written, names = declarations.used_names, declarations.written_attributes, declarations.unknown_names
+        declarations.used_names, declarations.written_attributes, declarations.unknown_names = set(), set(), _UnknownNames(names)
         try:
             result = compute()
         finally:
-            own_used, own_written, own_unknown = declared.used_names, declared.written_attributes, declared.unknown_names
-            declared.used_names, declared.written_attributes, declared.unknown_names = (
+            own_used, own_written, own_unknown = (
+                declarations.used_names,
+                declarations.written_attributes,
+                declarations.unknown_names,
+            )
+            declarations.used_names, declarations.written_attributes, declarations.unknown_names = (
                 used | own_used,
                 written | own_written,
                 names | own_unknown,
             )
         if len(own_unknown) == unknown_count and not (isinstance(own_unknown, _UnknownNames) and own_unknown.has_omitted_finding):
-            complaints = tuple(declared.report.diagnostics[said:])
-            spent = declared.expanded_count - expanded
-            names_there = tuple(declared.name_uses[bound:])
+            complaints = tuple(declarations.report.diagnostics[said:])
+            spent = declarations.expanded_count - expanded
+            names_there = tuple(declarations.name_uses[bound:])
             self.known[key] = _CachedPart(result, complaints, frozenset(own_used), frozenset(own_written), spent, names_there)
         return result
 

@@ -58,42 +58,43 @@ class FaceLine:
 class Assign:
     """An assignment. `op` is `=`, `+=` or `-=`.
     - `per_second`: the added value is a rate, to be multiplied by dt. This is so in a state's body.
-    - `of`, `other_agents`, `element`: for a pair value, the other agent, or the set of others and the name bound to each."""
+    - `pair_agent`, `other_agents`, `element`: for a pair value, the other agent, or the set of others and the name bound to
+      each."""
 
     attribute: str
     op: str
     value: Expr
     per_second: bool
     span: Span
-    of: Expr | None = None  # `likes[other]`: the other agent
+    pair_agent: Expr | None = None  # `likes[other]`: the other agent
     other_agents: SetExpr | None = None  # `likes[n in SET]`: the set
     element: Binding | None = None
 
 
 @expression_class
 class EffectRequest:
-    """A request to `of`, as the row `op` of `antdsl.program.tables.effects` defines.
+    """A request to `target`, as the row `op` of `antdsl.program.tables.effects` defines.
     - `args`: the row's `numbers` in order; None if absent.
-    - `own`: the agent's attribute to which the result is added.
+    - `result_attribute`: the agent's attribute to which the result is added.
     - `per_second`: the first of `args` is a rate, to be multiplied by dt.
     - `draw_key`: the site of its random numbers."""
 
     op: str
-    of: str
+    target: str
     args: tuple[Expr | None, ...]
     span: Span
-    own: str | None = None
+    result_attribute: str | None = None
     per_second: bool = False
     draw_key: str = ""
 
 
 @expression_class
 class Give:
-    """Gives an amount to an item. `amount` None gives all. `to` has type ITEM, or ITEMS for the nearest item."""
+    """Gives an amount to an item. `amount` None gives all. `receiver` has type ITEM, or ITEMS for the nearest item."""
 
     attribute: str
     amount: Expr | None
-    to: Expr
+    receiver: Expr
     per_second: bool
     span: Span
 
@@ -101,14 +102,14 @@ class Give:
 @expression_class
 class Play:
     """Plays a clip as long as the state lasts.
-    - `on`: the transform group that it moves; "" for all joints.
+    - `group`: the transform group that it moves; "" for all joints.
     - `speed`, `weight`: factor on the clip's own speed, and its share of the pose; None: 1.
     - `restart_condition`: if this holds as an agent enters the state, the clip restarts.
     - `add`: it is added to other clips that play.
     - `blend_clips`: the clips for turning left and right, and for going up and down; "" if absent."""
 
     clip: str
-    on: str
+    group: str
     speed: Expr | None
     weight: Expr | None
     span: Span
@@ -180,7 +181,7 @@ class Transition:
     condition: Expr | None
     delay: Expr | None
     hold_time: Expr | None
-    take: Take | None
+    take_action: Take | None
     target: int | None  # state index; None with `choices` or for previous
     targets_previous: bool
     choices: tuple[tuple[int, Expr], ...]
@@ -197,7 +198,7 @@ class State:
     index: int
     label: str
     colour: tuple[float, float, float]
-    at_least: Expr | None
+    min_duration: Expr | None
     transitions: tuple[Transition, ...]  # in order of evaluation: interrupts, `from any`, the others
     enter: tuple[Statement, ...]
     exit: tuple[Statement, ...]
@@ -219,7 +220,7 @@ class Machine:
 class AttributeDecl:
     """A declared attribute. `default` is evaluated once, at birth; it may use params and draws.
     - `is_builtin`: a built-in attribute, such as size or max_speed.
-    - `each`: for a pair value, the species of the other agents. `slot_count`: its number of slots."""
+    - `pair_species`: for a pair value, the species of the other agents. `slot_count`: its number of slots."""
 
     name: str
     type: ValueType
@@ -229,7 +230,7 @@ class AttributeDecl:
     span: Span
     relax_to: Expr | None = None
     relax_time: Expr | None = None
-    each: str | None = None  # species of the other agents of a pair value
+    pair_species: str | None = None  # species of the other agents of a pair value
     slot_count: int = 0
 
 
@@ -250,13 +251,13 @@ class Param:
 @expression_class
 class Handler:
     """The actions for an event. `event`: spawn, collision, or the name of an emitted event.
-    In a collision, `other` is bound to the other agent, which is of the species `of`."""
+    In a collision, `other` is bound to the other agent, which is of the species `other_species`."""
 
     event: str
     other: Binding | None
     actions: tuple[Statement, ...]
     span: Span
-    of: str = ""
+    other_species: str = ""
 
 
 @expression_class

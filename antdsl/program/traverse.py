@@ -99,13 +99,13 @@ def _list_direct_parts(part: object) -> list[object]:
     if isinstance(part, model.BindingRef):
         return [part.binding]
     if isinstance(part, model.Binding):
-        return [part.value, part.then]
+        return [part.value, part.next_value]
     if isinstance(part, model.AttributeRef):
-        return [part.of]
+        return [part.owner]
     if isinstance(part, model.OperationExpr):
         return [part.args]
     if isinstance(part, model.SetExpr):
-        return [part.args, part.where]
+        return [part.args, part.condition]
     if isinstance(part, model.ReduceExpr):
         return [part.elements, part.body]
     if isinstance(part, model.InlinedBehaviour):

@@ -63,16 +63,16 @@ class ParamRef(Expr):
 
 @expression_class
 class AttributeRef(Expr):
-    """An attribute of the agent itself (`of` None), or of the agent, item, hit or set element in `of`.
+    """An attribute of the agent itself (`owner` None), or of the agent, item, hit or set element in `owner`.
 
     - Built-in names of agents: position velocity heading up speed id age group size mass radius clearance max_speed max_force
       max_turn response.
     - Of items: position and radius. Of hits: distance, normal and position.
     - Of machines, always with the machine's name: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next` and
       `MACHINE.time_in_state`.
-    - Pair values: `likes[n]` is the agent's own value about another agent, which is in `of`. Its declaration uses `each`."""
+    - Pair values: `likes[n]` is the agent's own value about another agent, which is in `owner`. Its declaration uses `each`."""
 
-    of: Expr | None
+    owner: Expr | None
     name: str
 
 
@@ -81,8 +81,8 @@ class Binding:
     """A named value. `role` is one of the following.
 
     - `let`, `argument`: `value` is the value.
-    - `keep`: `value` is the first value, `then` the next one.
-    - `latch`: `value` switches it on, `then` off.
+    - `keep`: `value` is the first value, `next_value` the next one.
+    - `latch`: `value` switches it on, `next_value` off.
     - `element`: the current element of a set.
 
     `key`: the stable identity of a memory, such as `forager.main.search.wander#1.bearing`. `snapshot`: a `let` of a species,
@@ -94,7 +94,7 @@ class Binding:
     rate: ChangeRate
     span: Span
     value: Expr | None = None
-    then: Expr | None = None
+    next_value: Expr | None = None
     key: str = ""
     snapshot: bool = False
 
@@ -130,14 +130,14 @@ class SetExpr(Expr):
     """A set.
 
     - `source`: `neighbours` (args radius, fov), `all` (args within or None), or `feelers` (args count, spread, reach).
-    - `of`: the name of the species, items or obstacle.
-    - `where`: the condition on `element`, or None."""
+    - `source_name`: the name of the species, items or obstacle.
+    - `condition`: the condition on `element`, or None."""
 
     source: str
-    of: str
+    source_name: str
     args: tuple[Expr | None, ...]
     element: Binding
-    where: Expr | None
+    condition: Expr | None
 
 
 @expression_class

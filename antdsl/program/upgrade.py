@@ -43,14 +43,14 @@ def upgrade(source: Source, edition: int) -> tuple[Source | None, Report]:
     return Source(source.path, f"{text[: span.start]}{edition}{text[span.end :]}"), report
 
 
-def _explicit_lines(source: Source, species: nodes.Species, previous: int, edition: int) -> Iterator[Insertion]:
+def _explicit_lines(source: Source, species: nodes.Species, previous_edition: int, edition: int) -> Iterator[Insertion]:
     """Yield the lines that set the defaults of the previous edition, where they differ and the species does not set them."""
     properties = [member for member in species.members if isinstance(member, nodes.AnimalProperty)]
     written = {member.name.text for member in properties}
     lines = [
-        row.explicit_line(previous)
+        row.explicit_line(previous_edition)
         for row in EDITION_DEFAULTS
-        if row.setting not in written and row.in_edition(previous) != row.in_edition(edition)
+        if row.setting not in written and row.in_edition(previous_edition) != row.in_edition(edition)
     ]
     if not lines or not species.members:
         return
@@ -65,9 +65,9 @@ def _explicit_lines(source: Source, species: nodes.Species, previous: int, editi
         yield rest.end(), "".join(f"\n{line}" for line in lines)
 
 
-def _report_reserved(species: nodes.Species, previous: int, edition: int, report: Report) -> None:
+def _report_reserved(species: nodes.Species, previous_edition: int, edition: int, report: Report) -> None:
     """Report names of a species that are built in since a newer edition."""
-    reserved = (builtin_attributes(edition).keys() - builtin_attributes(previous).keys()) | SWITCH_HELP.keys()
+    reserved = (builtin_attributes(edition).keys() - builtin_attributes(previous_edition).keys()) | SWITCH_HELP.keys()
     for member in species.members:
         own = member.declaration if isinstance(member, nodes.ParamDecl) else member
         if isinstance(own, nodes.Declaration | nodes.Let | nodes.Latch | nodes.Fuzzy) and own.name.text in reserved:

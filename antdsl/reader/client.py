@@ -328,10 +328,10 @@ def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, m
     return ReaderFailure(f"cannot be read: {words}", _DAMAGED_FILE_HELP)
 
 
-def _make_memory_failure(needed: int) -> ReaderFailure:
+def _make_memory_failure(needed_bytes: int) -> ReaderFailure:
     """Return the failure of a request that ran out of memory. Raises MemoryError if the limit of this process is the cause, not
     the limit of the request."""
-    if get_address_space_limit() < needed:
+    if get_address_space_limit() < needed_bytes:
         raise MemoryError("the process that reads foreign files has no memory")
     return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER_FILE_HELP, is_heavy=True)
 

@@ -30,10 +30,10 @@ def limit_resources() -> bool:
         import resource
     except ImportError:
         return False
-    _reduce_process_limit("RLIMIT_AS", MAX_MEMORY_BYTES, hard=True)
-    _reduce_process_limit("RLIMIT_NOFILE", _MAX_OPEN_FILES, hard=True)
-    _reduce_process_limit("RLIMIT_FSIZE", 0, hard=True)
-    _reduce_process_limit("RLIMIT_CORE", 0, hard=True)
+    _reduce_process_limit("RLIMIT_AS", MAX_MEMORY_BYTES, is_permanent=True)
+    _reduce_process_limit("RLIMIT_NOFILE", _MAX_OPEN_FILES, is_permanent=True)
+    _reduce_process_limit("RLIMIT_FSIZE", 0, is_permanent=True)
+    _reduce_process_limit("RLIMIT_CORE", 0, is_permanent=True)
     _reduce_process_limit("RLIMIT_STACK", _STACK_BYTES)
     del resource
     return True
@@ -63,17 +63,17 @@ def allow_memory(extra_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
-def _reduce_process_limit(name: str, limit: int, *, hard: bool = False) -> None:
+def _reduce_process_limit(name: str, limit: int, *, is_permanent: bool = False) -> None:
     import resource
 
     resource_number = getattr(resource, name, None)
     if resource_number is None:
         return
     soft_limit, upper = resource.getrlimit(resource_number)
-    present = soft_limit if hard else upper  # after a permanent reduction, no request exceeds the user's limit
+    present = soft_limit if is_permanent else upper  # after a permanent reduction, no request exceeds the user's limit
     value = limit if present == resource.RLIM_INFINITY else min(limit, present)
     try:
-        resource.setrlimit(resource_number, (value, value if hard else upper))
+        resource.setrlimit(resource_number, (value, value if is_permanent else upper))
     except (ValueError, OSError):  # macOS rejects a limit of the address space
         return
 
@@ -247,7 +247,11 @@ def _load_libc() -> ctypes.CDLL | None:
 # ---- all of it
 
 
-def confine_process(readable: Sequence[str]) -> dict[str, int]:
+def confine_process(readable_folders: Sequence[str]) -> dict[str, int]:
     """Confine the process to reading below these folders. Return the active layers: `rlimits`, `landlock` (its ABI),
     `seccomp`."""
-    return {"rlimits": int(limit_resources()), "landlock": restrict_files(readable), "seccomp": int(install_call_filter())}
+    return {
+        "rlimits": int(limit_resources()),
+        "landlock": restrict_files(readable_folders),
+        "seccomp": int(install_call_filter()),
+    }

@@ -85,7 +85,7 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
     if not len(population) or all(register in values for register in lasting):
         return
     for crowd, line in zip(world.setting.crowds, world.lines, strict=True):
-        if crowd.species == name and (crowd.place.values or crowd.each):
+        if crowd.species == name and (crowd.place.values or crowd.initial_values):
             write_initial_values(world, population, np.flatnonzero(line.find_numbers(population.ids) >= 0), crowd)
     initialise_newborn(world, {name: np.arange(len(population))})
     population.effects = EffectRequests()
@@ -139,13 +139,13 @@ def _find_matching_registers(
 
 def _find_register_meaning(register: ir.Register) -> tuple[object, ...]:
     """Return the properties of a register that must be equal for its values to be retained."""
-    return register.kind, register.role, register.of, register.language_type
+    return register.kind, register.role, register.referenced_species, register.language_type
 
 
-def _is_memory_complete(memory: str, new_plan: ir.SpeciesPlan, matching: list[str]) -> bool:
+def _is_memory_complete(memory: str, new_plan: ir.SpeciesPlan, matching_names: list[str]) -> bool:
     """Return whether the values of a `keep` are retained together with its mark. If not, the `keep` has to start again."""
     values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in new_plan.registers]
-    return all(name in matching for name in values)
+    return all(name in matching_names for name in values)
 
 
 def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
@@ -165,7 +165,7 @@ def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesP
 def _compute_place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
     """Return a digest of the attribute's values at birth that each crowd line of the scene gives."""
     crowds = (crowd for crowd in setting.crowds if crowd.species == species)
-    return [compute_digest((crowd.place.values.get(attribute), crowd.each.get(attribute))) for crowd in crowds]
+    return [compute_digest((crowd.place.values.get(attribute), crowd.initial_values.get(attribute))) for crowd in crowds]
 
 
 def _add_register_name(names: list[str], register: str) -> None:
@@ -274,7 +274,7 @@ def _hash_block(block: ir.Block, condition_hashes: tuple[int, ...], hashes: dict
     """Add a hash of each register that a block sets. `condition_hashes`: hashes of the conditions around the block."""
     for statement in block.statements:
         if isinstance(statement, ir.If):
-            _hash_block(statement.then, (*condition_hashes, _hash_value(statement.condition, hashes, params)), hashes, params)
+            _hash_block(statement.body, (*condition_hashes, _hash_value(statement.condition, hashes, params)), hashes, params)
         elif isinstance(statement, ir.Store):
             value = _hash_value(statement.value, hashes, params)
             previous_hash = hashes.get(statement.register, 0) if condition_hashes else 0

@@ -36,9 +36,9 @@ def find_footings(
     return footing, np.where(moved[:, None], place, old_population.position), moved
 
 
-def align_with_ground(world: World, population: Population, moved: NDArray[np.bool_]) -> None:
-    """Rotate up, heading and velocity of the agents flagged in `moved` to lie along their new ground."""
-    rows = np.flatnonzero(moved)
+def align_with_ground(world: World, population: Population, moved_mask: NDArray[np.bool_]) -> None:
+    """Rotate up, heading and velocity of the agents flagged in `moved_mask` to lie along their new ground."""
+    rows = np.flatnonzero(moved_mask)
     if not len(rows):
         return
     up = world.ground.compute_upright_normals(population.footing, population.normal.astype(np.float64))

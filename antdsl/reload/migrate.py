@@ -59,7 +59,7 @@ def migrate_world(
     `bind` does.
 
     `binding_cache`: a cache that the caller passes to each call, so that unchanged meshes are not processed again."""
-    world = bind_empty(plan, setting, old_world.options, built=binding_cache, origin=old_world.origin)
+    world = bind_empty(plan, setting, old_world.options, binding_cache=binding_cache, origin=old_world.origin)
     world.frame = old_world.frame
     migration = Migration()
     with np.errstate(all="ignore"):
@@ -70,7 +70,7 @@ def migrate_world(
         _migrate_flows(old_world, world)
         initialise_agents(world, place_new_agents(world, _migrate_agents(old_world, world, migration)))
         for population in world.populations.values():
-            clear_dead_references(world, population, between_steps=True)
+            clear_dead_references(world, population, clears_start=True)
     feet_step.place_initial_feet(world)
     _migrate_feet(old_world, world)
     _migrate_counts(old_world, world)

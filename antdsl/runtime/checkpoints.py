@@ -121,7 +121,7 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     world.grids.clear()
     world.trees.clear()
     world.clearances.clear()
-    world.touching = None
+    world.touching_agents = None
     pose_world(world, world.frame)
     _restore_feet(world, arrays)
 

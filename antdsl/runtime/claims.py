@@ -30,9 +30,9 @@ def settle_claims(world: World) -> None:
             if not len(entry.rows):
                 continue
             if entry.statement.item is None:
-                of_fields.setdefault(entry.statement.of, []).append((population, entry))
+                of_fields.setdefault(entry.statement.target, []).append((population, entry))
             else:
-                item_claims.setdefault((entry.statement.of, entry.statement.attribute), []).append((population, entry))
+                item_claims.setdefault((entry.statement.target, entry.statement.attribute), []).append((population, entry))
         population.effects.claims = []
     for (items, attribute), entries in sorted(item_claims.items(), key=lambda pair: pair[0]):
         entries = _merge_by_statement(entries)
@@ -115,12 +115,12 @@ def _settle_by_kernel(
 
     Return whether this was possible. If not, nothing has changed."""
     statement = entry.statement
-    if statement.own is None or statement.amount is None:
+    if statement.register is None or statement.amount is None:
         return False
     item, claimed, (change, got) = keys[-1].astype(np.int64, copy=False), np.empty(len(row), np.int64), np.empty((2, len(row)))
     now, order = population.now, np.lexsort(keys)
     is_settled: bool = _settle_in_order(
-        rest, order, item, row, amount, now[statement.own], now[statement.won_register], claimed, change, got
+        rest, order, item, row, amount, now[statement.register], now[statement.won_register], claimed, change, got
     )
     return is_settled
 
@@ -155,22 +155,26 @@ def _serve_claims(
     for (population, entry), mine in zip(entries, owners, strict=True):
         mine = mine[got[mine] >= 0]
         population.now[entry.statement.won_register][row[mine]] = True
-        if entry.statement.own is not None:
+        if entry.statement.register is not None:
             _add_winnings(population, entry, row[mine], amount[mine], got[mine])
 
 
 def _add_winnings(
-    population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32], granted: NDArray[np.float64]
+    population: Population,
+    entry: ClaimEntry,
+    rows: NDArray[np.intp],
+    amount: NDArray[np.float32],
+    granted_amounts: NDArray[np.float64],
 ) -> None:
-    """Add the amounts that agents obtained to their own registers. `granted`: the exact amount that each agent adds."""
-    assert entry.statement.own is not None
-    own = population.now[entry.statement.own]
+    """Add the amounts that agents obtained to their own registers. `granted_amounts`: the exact amount that each agent adds."""
+    assert entry.statement.register is not None
+    own = population.now[entry.statement.register]
     if entry.statement.amount is not None:
         own[rows] += amount
         return
-    own[rows] = own[rows].astype(np.float64) + granted
+    own[rows] = own[rows].astype(np.float64) + granted_amounts
     taken = population.claimed_totals.setdefault(entry.statement.site, np.zeros(len(population)))
-    taken[rows] = granted
+    taken[rows] = granted_amounts
 
 
 class _ServedClaims:
@@ -183,15 +187,15 @@ class _ServedClaims:
     def __init__(
         self,
         change: NDArray[np.float64],
-        everything: NDArray[np.bool_],
-        had: NDArray[np.float32],
+        claims_everything: NDArray[np.bool_],
+        previous_amounts: NDArray[np.float32],
         has_register: NDArray[np.bool_],
         unit: float,
     ) -> None:
         self.changes, self.claims_all, self.register_values, self.has_register, self.unit = (
             change,
-            everything,
-            had,
+            claims_everything,
+            previous_amounts,
             has_register,
             unit,
         )
@@ -205,24 +209,24 @@ class _ServedClaims:
         amount: NDArray[np.float32],
     ) -> None:
         """Store the claims of one statement at their positions in the order."""
-        if entry.statement.own is None:
+        if entry.statement.register is None:
             self.changes[positions] = amount
             return
-        had = population.now[entry.statement.own][rows]
+        had = population.now[entry.statement.register][rows]
         with np.errstate(invalid="ignore"):
             self.changes[positions] = (had + amount).astype(np.float64) - had.astype(np.float64)
         self.register_values[positions], self.has_register[positions] = had, True
 
-    def amounts_for_all(self, positions: NDArray[np.intp], remaining: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the amounts of claims for everything, from the amounts `remaining`: whole units, and at most what the register
-        can represent."""
+    def amounts_for_all(self, positions: NDArray[np.intp], remaining_amounts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the amounts of claims for everything, from the amounts `remaining_amounts`: whole units, and at most what the
+        register can represent."""
         had = self.register_values[positions].astype(np.float64)
         with np.errstate(all="ignore"):
-            rounded_amount = np.floor(remaining / self.unit) * self.unit if self.unit else remaining
+            rounded_amount = np.floor(remaining_amounts / self.unit) * self.unit if self.unit else remaining_amounts
             then = (had + rounded_amount).astype(np.float32)
             then = np.where(then.astype(np.float64) - had > rounded_amount, np.nextafter(then, np.float32(-np.inf)), then)
             part = np.where(self.has_register[positions], then.astype(np.float64) - had, rounded_amount)
-            return np.where(np.isfinite(part) & (part <= remaining), part, 0.0)
+            return np.where(np.isfinite(part) & (part <= remaining_amounts), part, 0.0)
 
 
 def _draw_claim_order(world: World, population: Population, entry: ClaimEntry) -> NDArray[np.uint64]:
@@ -270,20 +274,20 @@ def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer],
 
 
 def _serve_mixed(
-    rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, claims: _ServedClaims, got: NDArray[np.float64]
+    rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, claims: _ServedClaims, obtained_amounts: NDArray[np.float64]
 ) -> None:
     """Serve the claims on one item, from index `begin` on, in order, until the remainder does not suffice.
 
     Some of these claims are for the complete remainder."""
     first, change = 0, claims.changes[begin : begin + len(item)]
     for stop in (*np.flatnonzero(claims.claims_all[begin : begin + len(item)]).tolist(), len(item)):
-        _serve_in_order(rest, item[first:stop], change[first:stop], got[first:stop])
-        if stop == len(item) or (got[first:stop] < 0).any():
+        _serve_in_order(rest, item[first:stop], change[first:stop], obtained_amounts[first:stop])
+        if stop == len(item) or (obtained_amounts[first:stop] < 0).any():
             return
         part = float(claims.amounts_for_all(np.array([begin + stop]), rest[item[:1]])[0])
         if not part > 0:
             return
-        got[stop] = part
+        obtained_amounts[stop] = part
         rest[item[0]] -= part
         first = stop + 1
 
@@ -293,9 +297,9 @@ def settle_gifts(world: World) -> None:
     agents."""
     gifts: dict[tuple[str, str], list[GiftEntry]] = {}
     for population in world.populations.values():
-        for entry in population.effects.gives:
+        for entry in population.effects.gifts:
             gifts.setdefault((entry.statement.items, entry.statement.attribute), []).append(entry)
-        population.effects.gives = []
+        population.effects.gifts = []
     for (items, attribute), entries in gifts.items():
         item, amount = (np.concatenate([getattr(entry, name) for entry in entries]) for name in ("item", "amount"))
         order = np.lexsort((amount, item))
@@ -303,11 +307,12 @@ def settle_gifts(world: World) -> None:
 
 
 @kernel
-def _serve_in_order(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64]) -> None:
-    """Write to `got` the amount that each claim gets: its `change`, if the remainder suffices for it and all claims before it.
+def _serve_in_order(rest: Array1[F64], item: Array1[I64], change: Array1[F64], obtained_amounts: Array1[F64]) -> None:
+    """Write to `obtained_amounts` the amount that each claim gets: its `change`, if the remainder suffices for it and all claims
+    before it.
 
     `item`, ascending: the index of each claim in `rest`. Subtracts the total from `rest`."""
-    _serve_one_by_one(rest, item, change, got, item.size)
+    _serve_one_by_one(rest, item, change, obtained_amounts, item.size)
 
 
 @kernel
@@ -317,17 +322,17 @@ def _settle_in_order(
     item: Array1[I64],
     row: Array1[I64],
     amount: Array1[F32],
-    own: Array1[F32],
-    won: Array1[BOOL],
-    claimed: Array1[I64],
+    own_amounts: Array1[F32],
+    is_winner: Array1[BOOL],
+    claimed_items: Array1[I64],
     change: Array1[F64],
-    got: Array1[F64],
+    obtained_amounts: Array1[F64],
 ) -> BOOL:
     """Resolve the claims of one statement, of different agents, in an order by `item`.
 
-    The `own` register of a served agent rises by its `amount`, and its `won` is set. If any claim is for the complete remainder,
-    nothing is resolved and the result is False. `item`, `row`, `amount` [n]: values of each claim. `claimed`, `change`, `got`
-    [n]: buffers."""
+    The `own_amounts` register of a served agent rises by its `amount`, and its `is_winner` is set. If any claim is for the
+    complete remainder, nothing is resolved and the result is False. `item`, `row`, `amount` [n]: values of each claim.
+    `claimed_items`, `change`, `obtained_amounts` [n]: buffers."""
     for k in range(order.size):
         if amount[k] == np.inf:
             return False
@@ -335,21 +340,23 @@ def _settle_in_order(
     for k in range(order.size):
         n = order[k]
         if item[n] >= 0 and item[n] < rest.size and amount[n] >= np.float32(0.0):
-            had = own[row[n]]
-            order[count], claimed[count], got[count] = n, item[n], -1.0
+            had = own_amounts[row[n]]
+            order[count], claimed_items[count], obtained_amounts[count] = n, item[n], -1.0
             change[count] = np.float64(had + amount[n]) - np.float64(had)
             count += 1
-    _serve_one_by_one(rest, claimed, change, got, count)
+    _serve_one_by_one(rest, claimed_items, change, obtained_amounts, count)
     for k in range(count):
         n = order[k]
-        if got[k] >= 0.0:
-            own[row[n]] += amount[n]
-            won[row[n]] = True
+        if obtained_amounts[k] >= 0.0:
+            own_amounts[row[n]] += amount[n]
+            is_winner[row[n]] = True
     return True
 
 
 @inlined
-def _serve_one_by_one(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64], count: I64) -> None:
+def _serve_one_by_one(
+    rest: Array1[F64], item: Array1[I64], change: Array1[F64], obtained_amounts: Array1[F64], count: I64
+) -> None:
     """Serve sorted claims item by item. The claims on an item are served in order until its remainder does not suffice."""
     k = 0
     while k < count:
@@ -358,7 +365,7 @@ def _serve_one_by_one(rest: Array1[F64], item: Array1[I64], change: Array1[F64],
             together = change[k] if k == begin else taken + change[k]
             enough = enough and together <= rest[which]
             if enough:
-                taken, got[k] = together, change[k]
+                taken, obtained_amounts[k] = together, change[k]
             k += 1
-        if got[begin] >= 0.0:
+        if obtained_amounts[begin] >= 0.0:
             rest[which] -= taken

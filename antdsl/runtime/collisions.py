@@ -23,38 +23,38 @@ _CONTACT_BEGIN_GAP = 0.02  # share of the sum of two radii: a contact begins bel
 _CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above this gap
 
 
-def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
+def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched_ids: Ids) -> tuple[Ids, Ids]:
     """Return the new contact of each of the given agents, and the ids of all agents that it touches from now on.
 
     The new contact is the id of an agent of species `other_species` that it starts to touch: the one with the deepest overlap, -1
     for none.
-    `touched` (n, k): the ids touched so far, -1 for none. If all k are in use, new contacts are ignored."""
+    `touched_ids` (n, k): the ids touched so far, -1 for none. If all k are in use, new contacts are ignored."""
     contact_ids = np.full(len(rows), -1, np.int64)
     known = _cached_touching(world).get((population.name, other_species))
     if known is None:
-        return contact_ids, np.full_like(touched, -1)
+        return contact_ids, np.full_like(touched_ids, -1)
     first, count = known.starts.take(rows), known.starts.take(rows + 1) - known.starts.take(rows)
     who = np.repeat(np.arange(len(rows)), count)
     pairs = np.arange(len(who)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
     ids = known.ids.take(pairs)
-    same = touched.take(who, axis=0) == ids[:, None]
-    lasting = np.zeros(touched.shape, np.bool_)
+    same = touched_ids.take(who, axis=0) == ids[:, None]
+    lasting = np.zeros(touched_ids.shape, np.bool_)
     pair, slot = np.nonzero(same)
     lasting[who.take(pair), slot] = True
-    touched = np.where(lasting, touched, -1)
-    free = touched == -1
+    touched_ids = np.where(lasting, touched_ids, -1)
+    free = touched_ids == -1
     new = np.flatnonzero(known.can_start_contact.take(pairs) & ~same.any(axis=1) & free.any(axis=1).take(who))
     noticing, deepest = np.unique(who.take(new), return_index=True)
     contact_ids[noticing] = ids.take(new.take(deepest))
-    touched[noticing, free[noticing].argmax(axis=1)] = contact_ids[noticing]
-    return contact_ids, touched
+    touched_ids[noticing, free[noticing].argmax(axis=1)] = contact_ids[noticing]
+    return contact_ids, touched_ids
 
 
 def _cached_touching(world: World) -> Mapping[tuple[str, str], TouchingAgents]:
     """Return which agents touched at the start of the step, by both species. The result is cached for the step."""
-    if world.touching is None:
-        world.touching = _find_touching(CapsuleCrowd(world, start=True))
-    return world.touching
+    if world.touching_agents is None:
+        world.touching_agents = _find_touching(CapsuleCrowd(world, start=True))
+    return world.touching_agents
 
 
 def _find_touching(crowd: CapsuleCrowd) -> dict[tuple[str, str], TouchingAgents]:

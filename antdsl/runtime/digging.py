@@ -30,7 +30,7 @@ def dig_solids(world: World) -> None:
     for population in world.populations.values():
         for entry in population.effects.take_requests("carve"):
             if len(entry.rows):
-                requests.setdefault(entry.request.of, []).append((population, entry))
+                requests.setdefault(entry.request.target, []).append((population, entry))
     for name, entries in sorted(requests.items()):
         _carve_solid(world, name, entries)
 
@@ -63,8 +63,8 @@ def _carve_solid(world: World, solid: str, entries: list[tuple[Population, Reque
 
 def _add_dug_amount(population: Population, entry: RequestEntry, removed: NDArray[np.float64]) -> None:
     """Add the dug volume to each agent's own register."""
-    if entry.request.own is not None:
-        register = population.now[entry.request.own]
+    if entry.request.register is not None:
+        register = population.now[entry.request.register]
         register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
 
 

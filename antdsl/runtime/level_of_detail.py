@@ -138,14 +138,14 @@ class MeshPieces:
         return low.astype(np.float32), high.astype(np.float32)
 
 
-def _number_pieces(mesh: MeshData, used: NDArray[np.int32]) -> NDArray[np.int64]:
+def _number_pieces(mesh: MeshData, used_vertices: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return the number of the piece that each used vertex belongs to."""
     if not len(mesh.faces):
         return np.zeros(0, np.int64)
     points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = same.reshape(-1)[mesh.faces]
     of_place = number_components(np.concatenate([faces[:, :2], faces[:, 1:]]), len(points))
-    numbers: NDArray[np.int64] = np.unique(of_place[same.reshape(-1)[used]], return_inverse=True)[1].reshape(-1)
+    numbers: NDArray[np.int64] = np.unique(of_place[same.reshape(-1)[used_vertices]], return_inverse=True)[1].reshape(-1)
     return numbers
 
 
@@ -163,8 +163,8 @@ def is_in_boxes(place: NDArray[np.float32], low: NDArray[np.float32], high: NDAr
     least, most = low.min(axis=0), high.max(axis=0)
     width = np.maximum(most - least, np.float32(1e-6)) / np.float32(_GRID_CELLS_PER_AXIS)
 
-    def cell(where: NDArray[np.float32]) -> NDArray[np.intp]:  # monotonic, so that no box is missed
-        at: NDArray[np.intp] = np.clip(np.floor((where - least) / width), 0, _GRID_CELLS_PER_AXIS - 1).astype(np.intp)
+    def cell(points: NDArray[np.float32]) -> NDArray[np.intp]:  # monotonic, so that no box is missed
+        at: NDArray[np.intp] = np.clip(np.floor((points - least) / width), 0, _GRID_CELLS_PER_AXIS - 1).astype(np.intp)
         return at
 
     reached = np.zeros((_GRID_CELLS_PER_AXIS, _GRID_CELLS_PER_AXIS, _GRID_CELLS_PER_AXIS), np.bool_)

@@ -47,7 +47,7 @@ def apply_deposits(world: World) -> None:
     """Add the deposits of agents to their own cells; they take effect when the fields step."""
     for population in world.populations.values():
         for entry in population.effects.take_requests("deposit"):
-            name = entry.request.of
+            name = entry.request.target
             world.fields[name].deposit(population.cells[name][entry.rows], entry.required_operand(0))
 
 
@@ -61,7 +61,7 @@ def settle_newborn(world: World) -> None:
     laying = [p for p in world.populations.values() if "deposit" in p.effects.requests]
     for population in laying:
         find_own_cells(world, population)
-    fields = {entry.request.of for p in laying for entry in p.effects.requests["deposit"]}
+    fields = {entry.request.target for p in laying for entry in p.effects.requests["deposit"]}
     apply_deposits(world)
     for name in fields:
         world.fields[name].step(1.0, 0.0, world.dt)
@@ -73,7 +73,7 @@ def raise_events(world: World) -> None:
     """Flag the agents that an event reaches. They sense the event in the next step."""
     for population in world.populations.values():
         for entry in population.effects.take_requests("emit"):
-            event = entry.request.of
+            event = entry.request.target
             record_emission(world, population, entry.rows, event)
             if entry.args[1] is not None:
                 _notify_receiver(world, population, entry)
@@ -90,7 +90,7 @@ def raise_events(world: World) -> None:
 def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
     """Flag the receiver that each emitter names, if that agent exists and is in reach."""
     other = world.populations.get(entry.request.target_species or "")
-    if other is None or not len(other) or entry.request.of not in other.raised_events:
+    if other is None or not len(other) or entry.request.target not in other.raised_events:
         return
     rows, receivers = entry.rows, other.find_rows(entry.required_operand(1))
     is_reached = receivers >= 0
@@ -98,7 +98,7 @@ def _notify_receiver(world: World, population: Population, entry: RequestEntry) 
         at = np.where(is_reached, receivers, 0)
         dx, dy, dz = (other.start[f"position.{a}"][at] - population.start[f"position.{a}"][rows] for a in AXES)
         is_reached &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.required_operand(0)
-    other.raised_events[entry.request.of][receivers[is_reached]] = True
+    other.raised_events[entry.request.target][receivers[is_reached]] = True
 
 
 def _flag_in_reach(population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]) -> None:
@@ -145,9 +145,9 @@ def _collect_births(world: World) -> dict[str, BirthRows]:
     births: dict[str, BirthRows] = {}
     for population in world.populations.values():
         entries = population.effects.take_requests("spawn")
-        for species in sorted({e.request.of for e in entries}):
-            rows = np.concatenate([e.rows for e in entries if e.request.of == species])
-            order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.of == species])
+        for species in sorted({e.request.target for e in entries}):
+            rows = np.concatenate([e.rows for e in entries if e.request.target == species])
+            order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.target == species])
             rows = rows[np.lexsort((order, population.ids[rows]))]
             registers = {name: population.now[name][rows] for name in MIGRATED_REGISTERS}
             columns = {name: population.columns[of][rows] for name, of in _INHERITED_COLUMNS.items()}
@@ -185,7 +185,7 @@ def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) ->
     computation."""
     world.grids.clear()  # rows have changed
     world.trees.clear()
-    world.touching = None
+    world.touching_agents = None
     for name, rows in newborn.items():
         population = world.populations[name]
         for k, axis in enumerate(AXES):
@@ -217,15 +217,15 @@ def _has_birth_fields(population: Population) -> bool:
     return any(node.op.startswith("field.") for node in nodes)
 
 
-def clear_dead_references(world: World, population: Population, *, between_steps: bool = False) -> None:
+def clear_dead_references(world: World, population: Population, *, clears_start: bool = False) -> None:
     """Set references to dead agents to none, in registers that the plan marks as ids.
 
-    With `between_steps`, also change the values at the start of the next step."""
+    With `clears_start`, also change the values at the start of the next step."""
     for register in population.plan.registers.values():
-        if register.kind is ir.ValueKind.I64 and register.of in world.populations and register.role != "temp":
-            for holder in (population.now, population.start) if between_steps else (population.now,):
+        if register.kind is ir.ValueKind.I64 and register.referenced_species in world.populations and register.role != "temp":
+            for holder in (population.now, population.start) if clears_start else (population.now,):
                 held = holder[register.name]
-                is_dead = (held >= 0) & (world.populations[register.of].find_rows(held) < 0)
+                is_dead = (held >= 0) & (world.populations[register.referenced_species].find_rows(held) < 0)
                 if is_dead.any():
                     held[is_dead] = -1
 
@@ -238,7 +238,7 @@ def event_names(world: World) -> tuple[str, ...]:
     for plan in plans:
         for block in (plan.decide, plan.act, plan.blend, plan.born):
             names.update(
-                each.of for _, each in iterate_with_positions(block) if isinstance(each, ir.Request) and each.op == "emit"
+                each.target for _, each in iterate_with_positions(block) if isinstance(each, ir.Request) and each.op == "emit"
             )
     return tuple(sorted(names))
 

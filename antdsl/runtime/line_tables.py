@@ -40,9 +40,9 @@ def count_released(crowd: CrowdData, line: LineIds, frame: int) -> int:
     return len(line) - crowd.count + crowd.count_created(frame)
 
 
-def take_created_ids(crowd: CrowdData, line: LineIds, previous: int | None, frame: int) -> NDArray[np.int64]:
-    """Return the ids of the agents of a line that are created after the frame `previous` (None: ever) up to a frame."""
-    first = 0 if previous is None else count_released(crowd, line, previous)
+def take_created_ids(crowd: CrowdData, line: LineIds, previous_frame: int | None, frame: int) -> NDArray[np.int64]:
+    """Return the ids of the agents of a line that are created after the frame `previous_frame` (None: ever) up to a frame."""
+    first = 0 if previous_frame is None else count_released(crowd, line, previous_frame)
     return line.take(first, count_released(crowd, line, frame) - 1)
 
 

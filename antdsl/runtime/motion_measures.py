@@ -198,10 +198,10 @@ class MotionMeasures:
         self.windows[population.name] = fresh
         return fresh
 
-    def _measure_bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
-        """Measure penetration depths of trunks (if `with_depths`), and overlaps, heads and bodies of `crowds`, in parallel.
+    def _measure_bodies(self, world: World, needs_depths: bool, crowds: list[Population]) -> None:
+        """Measure penetration depths of trunks (if `needs_depths`), and overlaps, heads and bodies of `crowds`, in parallel.
         Overlaps are with the deepest neighbour: 0 without, 1 at equal positions. Heads and bodies inside the ground count."""
-        looks: list[Callable[[], NDArray[Any]]] = [partial(measure_overlap_depths, world)] if with_depths else []
+        looks: list[Callable[[], NDArray[Any]]] = [partial(measure_overlap_depths, world)] if needs_depths else []
         for population in crowds:
             places = *vec.get_vector_registers(population.now, "position"), population.now["radius"]
             looks.append(partial(measure_worst_overlaps, *places))
@@ -212,7 +212,7 @@ class MotionMeasures:
                 return [look() for look in looks[begin:end]]
 
         results = chain.from_iterable(parallel.run_in_parts(run_looks, len(looks), world.options.threads, 1))
-        if with_depths:
+        if needs_depths:
             self.deep_max = max(self.deep_max, float((next(results) > _VISIBLE_OVERLAP_SHARE).mean()))
         for _ in crowds:
             self.overlaps += np.bincount((next(results) * _HISTOGRAM_BINS).astype(np.int64), minlength=_HISTOGRAM_BINS + 1)
@@ -301,7 +301,7 @@ class AgentColumns(NamedTuple):
     up: VectorColumns
     position_before: VectorColumns
     heading_before: VectorColumns
-    up_before: VectorColumns
+    previous_up: VectorColumns
     velocity: VectorColumns
     push: VectorColumns
     max_speed: Array1[F32]

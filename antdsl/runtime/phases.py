@@ -37,7 +37,7 @@ def prepare_senses(world: World) -> None:
     world.grids.clear()
     world.trees.clear()
     world.clearances.clear()
-    world.touching = None
+    world.touching_agents = None
     world.faults.fault_of_step = None
     for items in world.items.values():
         items.publish_amounts()

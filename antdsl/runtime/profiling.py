@@ -152,7 +152,7 @@ class StepMeter:
         to_ms = 1000 / total.steps
         phases = {name: seconds * to_ms for name, seconds in total.phases.items()}
         worked = {name: seconds * to_ms for name, seconds in total.cpu_seconds.items()}
-        lines = sorted(_line_times(self._block_times(total), to_ms), key=lambda each: (-each.ms, each.file, each.line))
+        lines = sorted(_line_times(self._block_times(total), to_ms), key=lambda entry: (-entry.ms, entry.file, entry.line))
         layers = self._layer_times(self._plan, total, to_ms)
         return StepProfile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._frames_by_backend))
 
@@ -184,13 +184,13 @@ def _make_layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
     return LayerTime(species, layer.span, ms)
 
 
-def _line_times(spent: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
+def _line_times(seconds_by_instruction: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
     """Return the times by program line; a call counts for the line in which its text begins.
 
     Files are identified by name, because parts of a file are read more than once."""
     seconds_by_line: dict[tuple[str, int], float] = {}
     texts: dict[tuple[str, int], str] = {}
-    for instruction, seconds in spent:
+    for instruction, seconds in seconds_by_instruction:
         span = instruction.span
         if span is None or not seconds:
             continue

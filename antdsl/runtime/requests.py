@@ -67,14 +67,14 @@ class EffectRequests:
     """All requests of the agents of one species in one step."""
 
     claims: list[ClaimEntry] = field(default_factory=list)
-    gives: list[GiftEntry] = field(default_factory=list)
+    gifts: list[GiftEntry] = field(default_factory=list)
     faults: list[FaultEntry] = field(default_factory=list)
     requests: dict[str, list[RequestEntry]] = field(default_factory=dict)  # by the op of the effect
 
     @property
     def has_pending(self) -> bool:
         """Return whether any request, claim or gift is still pending."""
-        return bool(self.requests or self.claims or self.gives)
+        return bool(self.requests or self.claims or self.gifts)
 
     def add_request(self, entry: RequestEntry) -> None:
         """Add a request."""
@@ -87,7 +87,7 @@ class EffectRequests:
     def append_all(self, other: EffectRequests) -> None:
         """Append all claims, gifts, faults and requests of another object."""
         self.claims += other.claims
-        self.gives += other.gives
+        self.gifts += other.gifts
         self.faults += other.faults
         for op, entries in other.requests.items():
             self.requests.setdefault(op, []).extend(entries)

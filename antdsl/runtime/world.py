@@ -198,9 +198,9 @@ class Population:
             return np.full(np.shape(share), -1, np.int64)
         return known[((share * np.uint64(len(known))) >> np.uint64(32)).astype(np.intp)]
 
-    def read_vector(self, name: str, *, now: bool = True) -> NDArray[np.float64]:
+    def read_vector(self, name: str, *, is_current: bool = True) -> NDArray[np.float64]:
         """Return the three registers of a vector as float64 (n, 3)."""
-        source = self.now if now else self.start
+        source = self.now if is_current else self.start
         return np.stack([source[f"{name}.{axis}"] for axis in AXES], axis=1).astype(np.float64)
 
 
@@ -251,7 +251,7 @@ class World:
     trees: dict[str, Any] = field(default_factory=dict)  # of this step, by species: k-d trees of all
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
     obstacle_faces: Any = None  # the obstacles, and their faces for kernels, see `obstacle_clearance`; None: not computed yet
-    touching: dict[tuple[str, str], TouchingAgents] | None = None  # of this step, by both species; None: not computed yet
+    touching_agents: dict[tuple[str, str], TouchingAgents] | None = None  # of this step, by both species; None: not computed yet
     transitions: dict[str, int] = field(default_factory=dict)
     dug_balls: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
     emissions: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
@@ -285,20 +285,20 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     while pending:
         for statement in pending.pop().statements:
             if isinstance(statement, ir.If):
-                pending.append(statement.then)
+                pending.append(statement.body)
             elif isinstance(statement, ir.Store):
                 names.add(statement.register)
             elif isinstance(statement, ir.Claim):
-                names.update(name for name in (statement.won_register, statement.own) if name)
-            elif isinstance(statement, ir.Give | ir.Request) and statement.own is not None:
-                names.add(statement.own)
+                names.update(name for name in (statement.won_register, statement.register) if name)
+            elif isinstance(statement, ir.Give | ir.Request) and statement.register is not None:
+                names.add(statement.register)
     return frozenset(names)
 
 
-def shares_start_array(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) -> bool:
+def shares_start_array(plan: ir.SpeciesPlan, register: str, stored_registers: frozenset[str]) -> bool:
     """Return whether a register needs only one array, for both the start of a step and the current values.
     This holds if the register never changes, or exists only within a step."""
-    return register not in stored or plan.registers[register].role == "temp"
+    return register not in stored_registers or plan.registers[register].role == "temp"
 
 
 def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:

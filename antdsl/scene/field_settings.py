@@ -98,7 +98,7 @@ def check_field_dynamics(scene: Scene, program: Program, report: Report) -> None
             )  # fmt: skip
     laying = list_feeding_effects("field")
     laid = {
-        part.of
+        part.target
         for part in iterate_parts(tuple(program.species.values()))
         if isinstance(part, EffectRequest) and part.op in laying
     }

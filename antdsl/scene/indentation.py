@@ -78,7 +78,7 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
     where = "at the left edge" if not level.indent else f"with {_format_blank_count(level.indent)}"
     beside = level.text if len(level.text) <= _DISPLAY_WIDTH else level.text[: _DISPLAY_WIDTH - 1] + "…"
     own, others = _format_blank_count(line.indent), _format_blank_count(level.indent)
-    message = f"this line begins with {own}, and those it stands among with {others}"
+    message = f"this line begins with {own}, but the lines around it with {others}"
     help = f"begin it {where}" + (f", below `{beside}`" if beside else "")
     span = Span(source, line.start, line.start + len(line.text))
     return Diagnostic(_DIAGNOSTIC_CODE, message, span, help=help, fix=Fix(Span(source, start, end), text))

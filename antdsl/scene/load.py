@@ -148,7 +148,7 @@ def _find_outdented_lines(document: MappingNode) -> dict[PathKey, Diagnostic]:
     names = list(document.entries)
     for number, name in enumerate(names):
         node = document.entries[name]
-        inner = list(takewhile(lambda each: each not in known and not find_nearest_name(each, known), names[number + 1 :]))
+        inner = list(takewhile(lambda key: key not in known and not find_nearest_name(key, known), names[number + 1 :]))
         if name not in _KEYS_WITH_LINES or not inner or not isinstance(node, ScalarNode) or node.text or node.is_quoted:
             continue
         first, last = document.keys[inner[0]], document.entries[inner[-1]].span

@@ -62,7 +62,7 @@ class Roots:
     """The folders from which files may be read: the scene's folder, and folders granted by name (`--root assets=PATH`)."""
 
     folder: Path
-    granted: Mapping[str, Path] = field(default_factory=dict)
+    folder_by_name: Mapping[str, Path] = field(default_factory=dict)
 
     def locate(self, text: str) -> tuple[Path, tuple[str, ...]]:
         """Return the root of a path, and its components below the root. The disk is not accessed.
@@ -73,12 +73,12 @@ class Roots:
             name, rest = named[1], named[2]
             if name in ("http", "https", "file", "ftp", "data"):
                 raise _make_refusal(text, "is an address, not a file", "copy the file next to the scene")
-            if name not in self.granted:
-                known = ", ".join(f"`{n}:`" for n in sorted(self.granted)) or "none"
+            if name not in self.folder_by_name:
+                known = ", ".join(f"`{n}:`" for n in sorted(self.folder_by_name)) or "none"
                 raise PathRefused(
                     "root-not-granted", f"no root `{name}:` is granted (granted: {known})", f"run with `--root {name}=FOLDER`"
                 )
-            return self.granted[name], _split_path(text, rest)
+            return self.folder_by_name[name], _split_path(text, rest)
         return self.folder, _split_path(text, text)
 
     def path(self, text: str) -> Path:
@@ -226,7 +226,7 @@ def _check_characters(text: str, relative_text: str) -> None:
         raise _make_refusal(text, f"has `{match[0]}`, which is not expanded here", "write `####` for the number of a frame")
     if match := _VARIABLE_PATTERN.search(relative_text):
         help = "write the path below the scene's folder, or rename a file that is called so"
-        raise _make_refusal(text, f"has `{match[0]}`, and variables are not expanded here", help)
+        raise _make_refusal(text, f"has `{match[0]}`, but variables are not expanded here", help)
     for sign in relative_text:
         display_sign = "a backtick" if sign == "`" else f"`{sign}`"
         if sign in _WINDOWS_FORBIDDEN_CHARACTERS:
@@ -235,7 +235,7 @@ def _check_characters(text: str, relative_text: str) -> None:
             )
         if sign in _WILDCARD_CHARACTERS:
             help = f"name one file; rename a file that has {display_sign} in its name"
-            raise _make_refusal(text, f"has {display_sign}, and patterns are not expanded here", help)
+            raise _make_refusal(text, f"has {display_sign}, but patterns are not expanded here", help)
         if unicodedata.category(sign) in _INVISIBLE_CATEGORIES:
             raise _make_refusal(text, f"has an invisible character, U+{ord(sign):04X}", "rename the file without it")
 
@@ -266,7 +266,7 @@ def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
     folder = _open_folder_below(root, parts[:-1], display_path)
     try:
         _check_exact_name(folder, parts[-1], display_path)
-        return open_regular_file(parts[-1], follow=False, folder=folder)
+        return open_regular_file(parts[-1], follows_links=False, folder=folder)
     except OSError as problem:
         raise _make_open_refusal(problem, folder, display_path) from None
     finally:

@@ -119,7 +119,7 @@ class ItemsKind(SceneKind):
                 entry.report_unknown(f"`{entry.name}` has no attribute", declared, *path)
             elif declared[attribute].dimension != expected:
                 has = describe_dimension(declared[attribute].dimension)
-                message = f"what `turn` gives `{attribute}` {words}, but `{attribute}` of `{entry.name}` is {has}"
+                message = f"the value of `turn` for `{attribute}` {words}, but `{attribute}` of `{entry.name}` is {has}"
                 help = f"declare `{attribute} = 0`" if axes else f"declare `{attribute} = 0 deg`"
                 entry.report.error("wrong-unit", message, entry.span(*path), help)
 

@@ -62,13 +62,13 @@ class FlowTarget:
 
     `positions` (n, 3): in mm; `radii` (n,): in mm.
     `line`: whether the target is the polyline through the positions.
-    `of`: the name of the curve or items.
+    `name`: the name of the curve or items.
     `item_index`: the index of a single item; None for all."""
 
     positions: NDArray[np.float64]
     radii: NDArray[np.float64]
     line: bool = False
-    of: str = ""
+    name: str = ""
     item_index: int | None = None
 
 
@@ -81,7 +81,7 @@ class SpreadFlowData:
     `gather`: above 0, a flow along a line also leads onto it. At the radius, this is the ratio of the part onto the line to the
     part along it.
     `cell`: the distance (mm) between its sample points; None for a share of the radius.
-    `on`: the surfaces; empty for all."""
+    `surfaces`: the surfaces; empty for all."""
 
     direction: Literal["tangent", "toward", "away"]
     target: FlowTarget
@@ -89,15 +89,15 @@ class SpreadFlowData:
     falloff: str = "smooth"
     strength: float = 1.0
     cell: float | None = None
-    on: tuple[str, ...] = ()
+    surfaces: tuple[str, ...] = ()
     gather: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BorderFlowData:
-    """A flow inward from the open borders of the surfaces `on`, up to a distance of `max_distance` mm."""
+    """A flow inward from the open borders of the surfaces `surfaces`, up to a distance of `max_distance` mm."""
 
-    on: tuple[str, ...]
+    surfaces: tuple[str, ...]
     max_distance: float
     falloff: str = "linear"
     strength: float = 1.0
@@ -114,17 +114,17 @@ class SolvedFlowData:
     - the values of the maps, each times its factor in `maps`
     - crowding · share of the ground covered by agents
 
-    Crowds and moving things are measured again every `every` s."""
+    Crowds and moving things are measured again every `interval` s."""
 
     target: FlowTarget
     slope: float = 0.0
     clearance: float = 0.0
     maps: Mapping[str, float] = field(default_factory=dict)
     crowding: float = 0.0
-    every: float = 1.0
+    interval: float = 1.0
     strength: float = 1.0
     cell: float | None = None
-    on: tuple[str, ...] = ()
+    surfaces: tuple[str, ...] = ()
 
 
 FlowData = PaintedValues | SpreadFlowData | BorderFlowData | SolvedFlowData
@@ -315,7 +315,7 @@ class WorldSetting:
         """Return, by species, the attributes that its crowd lines set at birth, and `MACHINE.state` for machines."""
         attributes: dict[str, frozenset[str]] = {}
         for crowd in self.crowds:
-            names = crowd.place.values.keys() | crowd.each.keys()
+            names = crowd.place.values.keys() | crowd.initial_values.keys()
             attributes[crowd.species] = attributes.get(crowd.species, frozenset()) | names
         return attributes
 

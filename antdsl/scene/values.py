@@ -48,12 +48,12 @@ def describe_value(value: Any) -> str:
     return "a list" if isinstance(value, list) else "a mapping"
 
 
-def require_text(value: Any, expected: str) -> str:
+def require_text(value: Any, expected_text: str) -> str:
     """Return a text without blanks at its ends. Raises an error for other values and empty texts."""
     if not isinstance(value, str):
-        raise make_error(f"expected {expected} here, not {describe_value(value)}")
+        raise make_error(f"expected {expected_text} here, not {describe_value(value)}")
     if not value.strip():
-        raise make_error(f"expected {expected} here, but the value is missing")
+        raise make_error(f"expected {expected_text} here, but the value is missing")
     return value.strip()
 
 

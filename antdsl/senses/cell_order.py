@@ -356,35 +356,35 @@ def take_next_position(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64
 
 @kernel
 def _store_agents(
-    positions: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F32], rows: Array1[I32],
-    position_by_row: Array1[I32], begin: I64, end: I64,
+    positions: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered_agents: Array1[F32],
+    rows: Array1[I32], position_by_row: Array1[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write x, y, z and row of each agent at its position. `ordered` and `rows` are views of one array, with four entries per
-    agent."""
+    """Write x, y, z and row of each agent at its position. `ordered_agents` and `rows` are views of one array, with four entries
+    per agent."""
     for chunk in range(begin // SHARES_PER_CHUNK, end // SHARES_PER_CHUNK):
         first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
         for k in range(first, last):
             row = order[k] if order.size > 0 else k
             position = take_next_position(counts, chunk, k, keys[k])
-            ordered[4 * position], ordered[4 * position + 1] = positions[0][row], positions[1][row]
-            ordered[4 * position + 2], rows[4 * position + 3] = positions[2][row], row
+            ordered_agents[4 * position], ordered_agents[4 * position + 1] = positions[0][row], positions[1][row]
+            ordered_agents[4 * position + 2], rows[4 * position + 3] = positions[2][row], row
             position_by_row[row] = position
 
 
 @kernel
-def _store_columns(ordered: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
+def _store_columns(ordered_agents: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
     """Write the positions of agents, in the order of the cells, to one array per axis."""
     for n in simd_range(begin, end):
-        x[n], y[n], z[n], _ = load_consecutive(ordered, 4 * n, 4)
+        x[n], y[n], z[n], _ = load_consecutive(ordered_agents, 4 * n, 4)
 
 
 @kernel
-def store_registers(position_by_row: Array1[I32], registers: FourColumns, ordered: Array1[F32], begin: I64, end: I64) -> None:
+def store_registers(position_by_row: Array1[I32], registers: FourColumns, table: Array1[F32], begin: I64, end: I64) -> None:
     """Write four registers of each agent at its position, four contiguous entries per agent."""
     for row in range(begin, end):
         first = 4 * position_by_row[row]
-        ordered[first], ordered[first + 1] = registers[0][row], registers[1][row]
-        ordered[first + 2], ordered[first + 3] = registers[2][row], registers[3][row]
+        table[first], table[first + 1] = registers[0][row], registers[1][row]
+        table[first + 2], table[first + 3] = registers[2][row], registers[3][row]
 
 
 @inlined

@@ -100,7 +100,7 @@ def fill_clear_velocities(
         own_x, own_y = dot(velocity, plane.ahead), dot(velocity, plane.left)
         horizon = min(wishes.horizon[k], _MAX_HORIZON_SECONDS) if wishes.horizon[k] > 0.0 else _MAX_HORIZON_SECONDS
         for n in simd_range(0, max(count, (count + 5) & -8)):  # a remainder of one or two is faster without SIMD
-            q, key = memory.nearest[n] if n < count else agent, memory.nearest_keys[n] if n < count else 0
+            q, key = memory.nearest_rows[n] if n < count else agent, memory.nearest_keys[n] if n < count else 0
             other, side = others.compute_relative_agent(crowd, plane, agent, q), others.compare_names(crowd, agent, key)
             set_velocity_border(other, side, n, own_x, own_y, horizon, dt, borders)
         fastest = min(speed if speed > 0.0 else 0.0, _MAX_SPEED)

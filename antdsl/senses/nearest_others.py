@@ -96,12 +96,12 @@ class SearchMemory(NamedTuple):
 
     `candidates`: agents, as positions in the order of cells.
     `keys`, `ranks`: their sort keys, and their ranks by distance.
-    `nearest`, `nearest_keys`: the nearest agents in order, and their keys."""
+    `nearest_rows`, `nearest_keys`: the nearest agents in order, and their keys."""
 
     candidates: Array1[I64]
     keys: Array1[I64]
     ranks: Array1[I64]
-    nearest: Array1[I64]
+    nearest_rows: Array1[I64]
     nearest_keys: Array1[I64]
 
 
@@ -139,7 +139,7 @@ def load_vector(packed_vectors: Array1[F32], position: I64) -> Vec3:
 def reset_candidates(memory: SearchMemory) -> None:
     """Fill the list of candidates with a valid position of an agent."""
     for p in range(SEARCH_CAPACITY):
-        memory.candidates[p], memory.nearest[p], memory.nearest_keys[p] = 0, 0, 0
+        memory.candidates[p], memory.nearest_rows[p], memory.nearest_keys[p] = 0, 0, 0
 
 
 @kernel_helper
@@ -184,7 +184,7 @@ def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, m
                 if count + 8 > capacity:
                     count = _select_nearest(crowd, agent, reach, up, count, max_count, memory)
                     for p in range(count):
-                        memory.candidates[p] = memory.nearest[p]
+                        memory.candidates[p] = memory.nearest_rows[p]
                     if count == max_count:
                         farthest = np.float32(bits_to_float(memory.nearest_keys[max_count - 1] & ~_ZERO_BITS_MASK))
                         square_limit = farthest * farthest * SQUARED_RADIUS_SLACK + np.float32(1e-30)
@@ -214,7 +214,7 @@ def _select_nearest(
             rank += memory.keys[q] < key
         memory.ranks[p] = rank
     for p in range(count):
-        memory.nearest[memory.ranks[p]], memory.nearest_keys[memory.ranks[p]] = memory.candidates[p], memory.keys[p]
+        memory.nearest_rows[memory.ranks[p]], memory.nearest_keys[memory.ranks[p]] = memory.candidates[p], memory.keys[p]
         good_count += memory.keys[p] < MAX_INT64
     return min(good_count, max_others)
 
@@ -248,7 +248,7 @@ def compare_names(crowd: CrowdTables, position: I64, key: I64) -> F64:
 @kernel
 def store_up_and_motion(
     position_by_row: Array1[I32], up: VectorColumns, velocity: VectorColumns, radius: Array1[F32], numbers: Array1[I32],
-    ordered: Array1[F32], motion: Array1[F32], begin: I64, end: I64,
+    table: Array1[F32], motion: Array1[F32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Write `up` and `motion` of a `CrowdTables`, for rows from `begin` to before `end`."""
     for row in range(begin, end):
@@ -256,8 +256,8 @@ def store_up_and_motion(
         u = replace_non_finite_vector(up[0][row], up[1][row], up[2][row])
         v = replace_non_finite_vector(velocity[0][row], velocity[1][row], velocity[2][row])
         for axis in range(3):
-            ordered[first + axis], motion[first + axis] = np.float32(u[axis]), np.float32(v[axis])
-        ordered[first + 3], motion[first + 3] = np.float32(numbers[row]), radius[row] if wide else np.float32(0.0)
+            table[first + axis], motion[first + axis] = np.float32(u[axis]), np.float32(v[axis])
+        table[first + 3], motion[first + 3] = np.float32(numbers[row]), radius[row] if wide else np.float32(0.0)
 
 
 @kernel
@@ -282,5 +282,5 @@ def fill_nearest_offsets(
         axes[0, k], axes[1, k], axes[2, k] = plane.ahead
         axes[3, k], axes[4, k], axes[5, k] = plane.left
         for c in range(find_nearest(crowd, requesters, k, plane.up, memory)):
-            other = compute_relative_agent(crowd, plane, agent, memory.nearest[c])
+            other = compute_relative_agent(crowd, plane, agent, memory.nearest_rows[c])
             x[k, c], y[k, c], is_present[k, c] = other.x, other.y, True

@@ -39,9 +39,9 @@ def measure_worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> F
     return overlap
 
 
-def _compute_overlap_share(distance: Floats, one: Floats, other: Floats) -> Floats:
+def _compute_overlap_share(distance: Floats, first: Floats, second: Floats) -> Floats:
     """Return 1 - distance / (sum of both radii), limited to 0 .. 1."""
-    radius_sum = np.maximum(one + other, np.float32(1e-9))
+    radius_sum = np.maximum(first + second, np.float32(1e-9))
     part: Floats = np.clip(1 - distance / radius_sum, 0, 1)
     return part
 

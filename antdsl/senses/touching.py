@@ -267,17 +267,17 @@ def _count_cells(
 
 @kernel
 def _store_agents(
-    positions: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F64],
-    rows: Array1[I32], cells: Array1[I64],
+    positions: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32],
+    ordered_agents: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> None:  # fmt: skip
     """Write position and reach (four entries per agent), row and cell of each agent at its position in the order."""
     for k in range(keys.size):
         if counts.shape[1] > 0:
-            prefetch(ordered, 4 * counts[0, keys[min(k + _PREFETCH_DISTANCE, keys.size - 1)] + 1])
+            prefetch(ordered_agents, 4 * counts[0, keys[min(k + _PREFETCH_DISTANCE, keys.size - 1)] + 1])
         row = order[k] if order.size > 0 else k
         position = take_next_position(counts, 0, k, keys[k])
-        ordered[4 * position], ordered[4 * position + 1] = positions[0][row], positions[1][row]
-        ordered[4 * position + 2], ordered[4 * position + 3] = positions[2][row], reach[row]
+        ordered_agents[4 * position], ordered_agents[4 * position + 1] = positions[0][row], positions[1][row]
+        ordered_agents[4 * position + 2], ordered_agents[4 * position + 3] = positions[2][row], reach[row]
         rows[position], cells[position] = row, keys[k]
 
 
@@ -290,7 +290,10 @@ def _store_queries(
     count = 0
     for k in range(order.size):
         row = order[k]
-        a, b = np.floor((axis_positions[0][row] - low[0]) * inverse[0]), np.floor((axis_positions[1][row] - low[1]) * inverse[1])
+        a, b = (
+            np.floor((axis_positions[0][row] - low[0]) * inverse[0]),
+            np.floor((axis_positions[1][row] - low[1]) * inverse[1]),
+        )
         c = np.floor((axis_positions[2][row] - low[2]) * inverse[2])
         if not (a >= -1.0 and b >= -1.0 and c >= -1.0):
             continue

@@ -11,11 +11,11 @@ from antdsl.outputs.edits.side_effects import Trunks, find_changed, find_overlap
 _TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies is no contact
 
 
-def find_affected(cache: EditedCache, *, with_touched: bool = True) -> dict[int, int]:
+def find_affected(cache: EditedCache, *, includes_touched: bool = True) -> dict[int, int]:
     """Return the affected agents by key, each with the first frame in which it is affected.
 
     Of two agents that overlap because of edits, it is the one that edits leave as it is; of two that edits changed, the one with
-    the greater id. `with_touched`: an agent that touched another one, which edits removed or moved away, is
+    the greater id. `includes_touched`: an agent that touched another one, which edits removed or moved away, is
     affected too."""
     sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
     affected: dict[int, int] = {}
@@ -24,12 +24,12 @@ def find_affected(cache: EditedCache, *, with_touched: bool = True) -> dict[int,
         if any(name not in arrays for arrays in (old, new) for name in ("id", "P", "orient", "pscale")):
             return {}
         old_trunks, new_trunks = make_trunks(cache.original, old, sizes[0]), make_trunks(cache, new, sizes[1])
-        for key in _find_affected_in_frame(old_trunks, new_trunks, with_touched):
+        for key in _find_affected_in_frame(old_trunks, new_trunks, includes_touched):
             affected.setdefault(key, number)
     return affected
 
 
-def _find_affected_in_frame(old: Trunks, new: Trunks, with_touched: bool) -> set[int]:
+def _find_affected_in_frame(old: Trunks, new: Trunks, includes_touched: bool) -> set[int]:
     is_changed = find_changed(old, new)
     at, is_left = match_rows(old.keys, new.keys)
     is_removed = ~is_left
@@ -40,13 +40,13 @@ def _find_affected_in_frame(old: Trunks, new: Trunks, with_touched: bool) -> set
     known = set(find_overlaps(old, np.ones(len(old.keys), np.bool_)))
     pairs = [pair for pair in find_overlaps(new, is_changed) if pair not in known]
     affected = {max(pair) if pair[0] in changed and pair[1] in changed else _pick_other(pair, changed) for pair in pairs}
-    if not with_touched:
+    if not includes_touched:
         return affected
     touched = [pair for pair in find_overlaps(old, is_removed, _TOUCH_DEPTH) if (pair[0] in removed) != (pair[1] in removed)]
     still = set(find_overlaps(new, is_changed, _TOUCH_DEPTH)) if touched else set()
     return affected | {_pick_other(pair, removed) for pair in touched if pair not in still}
 
 
-def _pick_other(pair: tuple[int, int], known: set[int]) -> int:
+def _pick_other(pair: tuple[int, int], known_keys: set[int]) -> int:
     """Return the agent of a pair that is not known."""
-    return pair[1] if pair[0] in known else pair[0]
+    return pair[1] if pair[0] in known_keys else pair[0]

@@ -58,7 +58,7 @@ def settle_cache(
     settlement, rounds = _settle_agents(cache, shot, affected, threads), 1
     while rounds < _MAX_ROUNDS:  # settled agents may walk into others
         view = EditedCache(cache.folder, cache.manifest, SettledLayer.of(cache, settlement.frames), 3, cache.original)
-        added = {key: first for key, first in find_affected(view, with_touched=False).items() if key not in affected}
+        added = {key: first for key, first in find_affected(view, includes_touched=False).items() if key not in affected}
         if not added:
             break
         affected |= added
@@ -130,8 +130,8 @@ def _restore_world(cache: EditedCache, shot: Shot, frame: int, threads: int) -> 
 class _Resimulation:
     """A run in which only some agents are free. `begins`: by agent, the last frame in which it is as edits leave it."""
 
-    def __init__(self, cache: EditedCache, shot: Shot, world: World, begins: dict[int, int]) -> None:
-        self.cache, self.world, self.begins = cache, world, begins
+    def __init__(self, cache: EditedCache, shot: Shot, world: World, first_frames: dict[int, int]) -> None:
+        self.cache, self.world, self.begins = cache, world, first_frames
         self.next_ids = find_next_ids(cache.original)
         output = shot.scene.model.output
         self.maker = FrameMaker(world, shot.program, output.attributes, None, output.events)
@@ -163,33 +163,33 @@ class _Resimulation:
             for k, entry in enumerate(self.cache.manifest.species)
         }
 
-    def _place_others(self, number: int, free: Mapping[str, Ids]) -> None:
+    def _place_others(self, number: int, free_ids: Mapping[str, Ids]) -> None:
         arrays, following = (self.cache.frame(min(each, self.cache.frames()[-1])) for each in (number, number + 1))
-        place_scripted_agents(self.world, arrays, following, self.cache.manifest, free, self.next_ids)
+        place_scripted_agents(self.world, arrays, following, self.cache.manifest, free_ids, self.next_ids)
         for name, population in self.world.populations.items():
             population.next_id = max(population.next_id, self.next_ids.get(name, 0))
 
-    def _separate_at_start(self, number: int, free: Mapping[str, Ids]) -> None:
+    def _separate_at_start(self, number: int, free_ids: Mapping[str, Ids]) -> None:
         """Separate bodies in the first frame of a cache, without a step."""
         for _ in range(_START_ROUNDS):
-            with hold_against_pushes(self.world, free), np.errstate(all="ignore"):
+            with hold_against_pushes(self.world, free_ids), np.errstate(all="ignore"):
                 stances = record_stances(self.world)
                 if stances is not None:
                     resolve_contacts(self.world, stances, _START_SECONDS)
-            self._place_others(number, free)
+            self._place_others(number, free_ids)
         for population in self.world.populations.values():
             for k, axis in enumerate(AXES):
                 for registers in (population.now, population.start):
                     registers[f"position.{axis}"][:] = population.position[:, k]
 
-    def _take_agents(self, free: Mapping[str, Ids]) -> Arrays:
+    def _take_agents(self, free_ids: Mapping[str, Ids]) -> Arrays:
         """Return the rows of the free agents in the arrays of the world's frame."""
         names = [entry.name for entry in self.cache.manifest.species]
-        keys = np.concatenate([ids * SPECIES_PER_KEY + names.index(name) for name, ids in free.items()])
+        keys = np.concatenate([ids * SPECIES_PER_KEY + names.index(name) for name, ids in free_ids.items()])
         arrays = self.maker.frame(self.world)
         if "species" in self.cache.manifest.attributes:
             own = [names.index(name) for name in sorted(self.world.populations)]
             known = arrays.get("species", np.zeros(len(arrays["id"]), np.int16))
             arrays["species"] = np.array(own, np.int16)[known]
-        frame = keep_rows(arrays, self.cache.manifest, lambda each: np.isin(each, keys))
+        frame = keep_rows(arrays, self.cache.manifest, lambda agent_keys: np.isin(agent_keys, keys))
         return {name: frame[name] for name, _ in FrameRows(frame, self.cache.manifest).iterate_agent_arrays()}

@@ -27,11 +27,16 @@ Ids = NDArray[np.int64]
 
 
 def place_scripted_agents(
-    world: World, arrays: Arrays, following: Arrays, manifest: Manifest, free: Mapping[str, Ids], next_ids: Mapping[str, int]
+    world: World,
+    arrays: Arrays,
+    next_arrays: Arrays,
+    manifest: Manifest,
+    free_ids: Mapping[str, Ids],
+    next_ids: Mapping[str, int],
 ) -> None:
-    """Put all agents of a frame into a world, except the `free` ones by species, which keep what they did.
+    """Put all agents of a frame into a world, except the `free_ids` ones by species, which keep what they did.
 
-    Their velocities lead to where they are in the `following` frame, so that free agents meet them there.
+    Their velocities lead to where they are in the `next_arrays` frame, so that free agents meet them there.
 
     Agents that the frame lacks are removed, and those that the world lacks are added: copies of an edit as their original
     (`next_ids`: the first id of a copy), else as the agent with the nearest lower id."""
@@ -40,24 +45,24 @@ def place_scripted_agents(
         population = world.populations.get(entry.name)
         if population is None:
             continue
-        own = np.flatnonzero((numbers == number) & ~np.isin(ids, free[entry.name]))
-        known_rows = np.flatnonzero(np.isin(population.ids, ids[own]) | np.isin(population.ids, free[entry.name]))
+        own = np.flatnonzero((numbers == number) & ~np.isin(ids, free_ids[entry.name]))
+        known_rows = np.flatnonzero(np.isin(population.ids, ids[own]) | np.isin(population.ids, free_ids[entry.name]))
         rows = _place(world, population, arrays, own, manifest, known_rows, next_ids.get(entry.name, 0))
-        _aim(world, population, rows, following, number, UNIT_MM[manifest.units])
+        _aim(world, population, rows, next_arrays, number, UNIT_MM[manifest.units])
 
 
 def _place(
     world: World,
     population: Population,
     arrays: Arrays,
-    own: NDArray[np.intp],
+    own_rows: NDArray[np.intp],
     manifest: Manifest,
     known_rows: NDArray[np.intp],
     period: int,
 ) -> NDArray[np.intp]:
-    """Put agents of one species, the rows `own` of a frame, into a world, and return their rows there."""
-    unit_mm, ids = UNIT_MM[manifest.units], get_agent_ids(arrays)[own]
-    position = np.asarray(arrays["P"], np.float64)[own] * unit_mm
+    """Put agents of one species, the rows `own_rows` of a frame, into a world, and return their rows there."""
+    unit_mm, ids = UNIT_MM[manifest.units], get_agent_ids(arrays)[own_rows]
+    position = np.asarray(arrays["P"], np.float64)[own_rows] * unit_mm
     footing = world.ground.find_nearest(position)[0]
     missing = np.flatnonzero(population.find_rows(ids) < 0)
     if len(missing) and len(population):
@@ -79,13 +84,13 @@ def _place(
     population.position[rows] = world.ground.position(footing)[at]
     population.footing.put_rows(rows, footing.take_rows(at))
     heading, up, _ = np.moveaxis(
-        quaternion_to_matrix(normalise_quaternion(np.asarray(arrays["orient"], np.float64)[own[at]])), 2, 0
+        quaternion_to_matrix(normalise_quaternion(np.asarray(arrays["orient"], np.float64)[own_rows[at]])), 2, 0
     )
     population.normal[rows] = up
     _write_vector(population, "position", rows, population.position[rows])
     _write_vector(population, "heading", rows, heading)
     _write_vector(population, "up", rows, up)
-    size = np.asarray(arrays["pscale"], np.float32)[own[at]] * np.float32(unit_mm)
+    size = np.asarray(arrays["pscale"], np.float32)[own_rows[at]] * np.float32(unit_mm)
     factor = size / np.where(population.now["size"][rows] > 0, population.now["size"][rows], np.float32(1))
     factor = np.where(np.abs(factor - 1) < _SAME_SIZE, np.float32(1), factor)
     for name in ("size", "radius"):
@@ -95,11 +100,11 @@ def _place(
     return rows
 
 
-def _aim(world: World, population: Population, rows: NDArray[np.intp], following: Arrays, number: int, unit_mm: float) -> None:
+def _aim(world: World, population: Population, rows: NDArray[np.intp], next_arrays: Arrays, number: int, unit_mm: float) -> None:
     """Give agents the velocities that lead to their positions in the next frame; 0 if they are not there."""
-    own = np.flatnonzero(get_species_numbers(following) == number)
-    at, is_there = match_rows(population.ids[rows], get_agent_ids(following)[own])
-    goal = np.asarray(following["P"], np.float64)[own][at] * unit_mm if len(own) else np.zeros((len(rows), 3))
+    own = np.flatnonzero(get_species_numbers(next_arrays) == number)
+    at, is_there = match_rows(population.ids[rows], get_agent_ids(next_arrays)[own])
+    goal = np.asarray(next_arrays["P"], np.float64)[own][at] * unit_mm if len(own) else np.zeros((len(rows), 3))
     offset = np.where(is_there[:, None], goal - population.position[rows], 0.0)
     _write_vector(population, "velocity", rows, offset / world.dt)
 
@@ -116,11 +121,12 @@ def _write(population: Population, name: str, rows: NDArray[np.intp], values: ND
 
 
 @contextmanager
-def hold_against_pushes(world: World, free: Mapping[str, Ids]) -> Iterator[None]:
-    """Make all agents except the `free` ones so heavy that contacts push the free ones only, and fast enough for their paths."""
+def hold_against_pushes(world: World, free_ids: Mapping[str, Ids]) -> Iterator[None]:
+    """Make all agents except the `free_ids` ones so heavy that contacts push the free ones only, and fast enough for their
+    paths."""
     limits = {}
     for name, population in world.populations.items():
-        own = population.ids[~np.isin(population.ids, free[name])]
+        own = population.ids[~np.isin(population.ids, free_ids[name])]
         rows = population.find_rows(own)
         limits[name] = own, {key: population.now[key][rows] for key in ("mass", "max_speed")}
         _write(population, "mass", rows, limits[name][1]["mass"] * _HEAVY)

@@ -32,18 +32,18 @@ def sum_exactly(values: NDArray[Any]) -> np.float64:
 def evaluate_aggregate(world: World, populations: dict[str, Population], plan: AggregatePlan) -> Any:
     """Return the number: float64 for totals and counts, float32 for all else. Without agents, it is as for an empty set."""
     if plan.kind == "field" and plan.body_register is None:
-        values = world.fields[plan.of].values
+        values = world.fields[plan.subject].values
         if plan.reducer == "count":
             return np.float64(len(values))
         return _aggregate_values(plan.reducer, values, len(values))
-    if plan.of in world.solids:
-        return np.float64(world.solids[plan.of].measure_volume())
-    population = populations[plan.of]
+    if plan.subject in world.solids:
+        return np.float64(world.solids[plan.subject].measure_volume())
+    population = populations[plan.subject]
     chosen = None if plan.where_register is None else population.now[plan.where_register]
     count = len(population) if chosen is None else int(np.count_nonzero(chosen))
     if plan.body_register is None:
         return np.float64(count) if plan.reducer in ("count", "total") else np.float32(count > 0)
-    values = population.now[plan.body_register] if plan.amount is None else world.items[plan.of].amounts[plan.amount]
+    values = population.now[plan.body_register] if plan.amount is None else world.items[plan.subject].amounts[plan.amount]
     if chosen is not None:
         values = values[chosen]
     if values.dtype == np.bool_:

@@ -26,8 +26,8 @@ MAX_NAMED_AGENTS = 8  # maximum number of ids in a failure
 class SpecFailure:
     """An expectation of a spec that was not met. `values`: text as in the source and its value. `agent`: species and id of the
     first failing agent of an `each`; `other_count`: how many more in that frame; `agents`: the ids of the first of them.
-    `wait_start_frame`: the frame in which the agent's expired waiting time began. `whereabouts`: its states and its position, by
-    name."""
+    `wait_start_frame`: the frame in which the agent's expired waiting time began. `states_and_position`: its states and its
+    position, by name."""
 
     message: str
     span: Span | None
@@ -38,7 +38,7 @@ class SpecFailure:
     other_count: int = 0
     agents: tuple[int, ...] = ()
     wait_start_frame: int | None = None
-    whereabouts: tuple[tuple[str, str], ...] = ()
+    states_and_position: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +118,8 @@ def collect_cases(
 class CaseFinder:
     """Opens each scene once for each set of changed params."""
 
-    def __init__(self, grants: dict[str, Path], parsed: ParsedFileCache, report: Report) -> None:
-        self.grants, self.parsed, self.report = grants, parsed, report
+    def __init__(self, grants: dict[str, Path], parsed_files: ParsedFileCache, report: Report) -> None:
+        self.grants, self.parsed, self.report = grants, parsed_files, report
         self.missing_scene_report = Report()  # scenes that do not exist
         self.shots: dict[tuple[Path, tuple[str, ...]], Shot | None] = {}
         self.scene_and_spec_by_key: dict[tuple[Path, Span], tuple[Path, Spec]] = {}

@@ -66,7 +66,7 @@ class SpecCoverage:
             machine.name,
             tuple(self._get_entry(self.states, f"{species}.{machine.name}.{s.name}", s.span) for s in machine.states),
             tuple(self._get_entry(self.changes, change.key, change.span) for change in pairs),
-            tuple(number for number, change in enumerate(pairs, 1) if change.take is not None),
+            tuple(number for number, change in enumerate(pairs, 1) if change.take_action is not None),
         )
 
     @staticmethod

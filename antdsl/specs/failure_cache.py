@@ -120,7 +120,7 @@ class FailureSaver:
         if begins is not None and begins.resolve() == folder.resolve():
             raise ForeignFolder(f"`{folder}` is the cache from which the scene starts")
         prepare_folder(folder, force=False)
-        world = bind(shot.plan, shot.setting, self.options, built=binding_cache)
+        world = bind(shot.plan, shot.setting, self.options, binding_cache=binding_cache)
         restore_checkpoint(world, failure_point.arrays)
         inputs = {**shot.inputs, **hash_start_frame(shot)}
         recording = Recording(

@@ -142,7 +142,7 @@ class SpecJudge:
             failure = replace(
                 failure, agent=(plan.species, first_agent), other_count=len(agents) - 1, agents=named_agents,
                 wait_start_frame=line.find_start_frame(first_agent),
-                whereabouts=describe_whereabouts(world, plan.species, row or 0) if there_still else (),
+                states_and_position=describe_whereabouts(world, plan.species, row or 0) if there_still else (),
             )  # fmt: skip
         self.failures.append(failure)
 

@@ -38,11 +38,19 @@ class FrameObservation:
     is_released: BoolArray
 
 
-def observe_aggregate(frame: int, is_final: bool, first_frame: int, holds: bool, start_holds: bool | None) -> FrameObservation:
+def observe_aggregate(
+    frame: int, is_final: bool, first_frame: int, is_fulfilled: bool, start_holds: bool | None
+) -> FrameObservation:
     """Return one frame of a line about aggregates."""
     since_flags = None if start_holds is None else np.array([start_holds])
     return FrameObservation(
-        frame, is_final, np.zeros(1, np.int64), np.full(1, first_frame), np.array([holds]), since_flags, np.zeros(1, np.bool_)
+        frame,
+        is_final,
+        np.zeros(1, np.int64),
+        np.full(1, first_frame),
+        np.array([is_fulfilled]),
+        since_flags,
+        np.zeros(1, np.bool_),
     )
 
 
@@ -88,12 +96,12 @@ class JudgementLine:
         is_pending = self.plan.start_condition is not None and agent < len(self.pending_since_frames)
         return int(self.pending_since_frames[agent]) if is_pending and self.pending_since_frames[agent] != _NEVER_FRAME else None
 
-    def _find_removed(self, observation: FrameObservation, waiting: BoolArray) -> AgentIds:
-        """Return the agents that waited before and no longer exist. `waiting`: by row, whether the agent waits now."""
+    def _find_removed(self, observation: FrameObservation, is_waiting: BoolArray) -> AgentIds:
+        """Return the agents that waited before and no longer exist. `is_waiting`: by row, whether the agent waits now."""
         is_present = np.zeros(max(int(observation.ids.max(initial=-1)), int(self.waiting_ids.max(initial=-1))) + 1, np.bool_)
         is_present[observation.ids] = True
         removed_ids = self.waiting_ids[~is_present[self.waiting_ids]]
-        self.waiting_ids = observation.ids[waiting]
+        self.waiting_ids = observation.ids[is_waiting]
         return removed_ids
 
 

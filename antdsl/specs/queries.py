@@ -58,7 +58,7 @@ class SpecEvaluator:
         for items in world.items.values():
             items.publish_amounts()
         spec_world = copy(world)
-        spec_world.plan, spec_world.backend, spec_world.grids, spec_world.clearances, spec_world.touching = (
+        spec_world.plan, spec_world.backend, spec_world.grids, spec_world.clearances, spec_world.touching_agents = (
             self.plan.plan,
             self.backend,
             {},
@@ -142,19 +142,21 @@ class SpecEvaluator:
         judged.start[name] = values[ids].astype(np.float32)
 
 
-def extend_table(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> NDArray[Any]:
+def extend_table(table: NDArray[Any], ids: NDArray[np.int64], fill_value: Any) -> NDArray[Any]:
     """Return the table, extended to every existing id; ids count from 0."""
     missing_count = int(ids.max(initial=-1)) + 1 - len(table)
-    return table if missing_count <= 0 else np.concatenate([table, np.full(max(missing_count, len(table)), unknown, table.dtype)])
+    return (
+        table if missing_count <= 0 else np.concatenate([table, np.full(max(missing_count, len(table)), fill_value, table.dtype)])
+    )
 
 
 def _make_population(
-    plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], now: dict[str, NDArray[Any]], positions: NDArray[np.float64]
+    plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], registers: dict[str, NDArray[Any]], positions: NDArray[np.float64]
 ) -> Population:
     """Return a population of things that are not agents, at positions [n,3], without ground."""
     n = len(positions)
     return Population(
-        plan, make_fixed_columns(n, ids=np.arange(n), position=positions), start, now, Footing.create_unplaced(n), {}, {}
+        plan, make_fixed_columns(n, ids=np.arange(n), position=positions), start, registers, Footing.create_unplaced(n), {}, {}
     )
 
 

@@ -55,11 +55,11 @@ def _case_entry(case: SpecCase) -> dict[str, Any]:
     }
 
 
-def _saved_entry(saved: SavedFrames) -> dict[str, Any]:
-    folder = None if saved.folder is None else display_path(saved.folder)
+def _saved_entry(saved_frames: SavedFrames) -> dict[str, Any]:
+    folder = None if saved_frames.folder is None else display_path(saved_frames.folder)
     return {
-        "folder": folder, "note": saved.note, "begins": saved.first_frame, "frame": saved.frame, "look": saved.view_command,
-        "again": saved.resume_command,
+        "folder": folder, "note": saved_frames.note, "begins": saved_frames.first_frame,
+        "frame": saved_frames.frame, "look": saved_frames.view_command, "again": saved_frames.resume_command,
     }  # fmt: skip
 
 
@@ -90,13 +90,13 @@ def _failure_entry(failure: SpecFailure) -> dict[str, Any]:
         "others": failure.other_count,
         "agents": list(failure.agents),
         "since": failure.wait_start_frame,
-        "whereabouts": dict(failure.whereabouts),
+        "whereabouts": dict(failure.states_and_position),
         "values": [{"text": text, "value": value} for text, value in failure.values],
     }
 
 
-def _coverage_entry(each: CoverageEntry) -> dict[str, Any]:
-    return {"name": each.name, "place": _location_entry(each.span), "count": each.count}
+def _coverage_entry(entry: CoverageEntry) -> dict[str, Any]:
+    return {"name": entry.name, "place": _location_entry(entry.span), "count": entry.count}
 
 
 def _location_entry(span: Span | None) -> dict[str, Any] | None:

@@ -107,7 +107,7 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
 
 def _make_world(shot: Shot, seed: int, work: RunContext) -> World:
     """Return the world at the first frame."""
-    world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.binding_cache)
+    world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, binding_cache=work.binding_cache)
     work.worlds.append(world)
     if world.faults.reported_faults:
         raise FaultStop(world.faults.reported_faults[0])  # a fault at birth
@@ -122,11 +122,11 @@ def _fail_with_fault(run: SpecRun, stop: FaultStop) -> None:
     _fail_cases(run, _describe_fault(stop, ""))
 
 
-def _describe_fault(stop: FaultStop, where: str) -> SpecFailure:
-    """Return a fault as a failure. `where`: text in front of its message."""
+def _describe_fault(stop: FaultStop, prefix: str) -> SpecFailure:
+    """Return a fault as a failure. `prefix`: text in front of its message."""
     fault = stop.fault
     culprit = (fault.species, fault.agent)
-    words = f"{where}`{fault.value_name}` {fault.reason}"
+    words = f"{prefix}`{fault.value_name}` {fault.reason}"
     return SpecFailure(words, fault.span, fault.frame, None, fault.operands, culprit, 0, (fault.agent,))
 
 

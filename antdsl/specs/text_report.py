@@ -35,10 +35,10 @@ def describe_failure(failure: SpecFailure) -> list[str]:
         lines.append(time_text + (f", by {_list_agent_names(failure)}" if failure.agent else ""))
     if failure.wait_start_frame is not None:
         lines.append(f"  pending since frame {failure.wait_start_frame}")
-    if failure.other_count and (failure.values or failure.whereabouts):
+    if failure.other_count and (failure.values or failure.states_and_position):
         lines.append(f"  of {_format_agent_name(failure)}:")
     value_names = {text for text, _ in failure.values}
-    other_values = [pair for pair in failure.whereabouts if pair[0] not in value_names]
+    other_values = [pair for pair in failure.states_and_position if pair[0] not in value_names]
     return lines + [f"    {escape_text(text)} is {escape_text(value)}" for text, value in (*failure.values, *other_values)]
 
 
@@ -53,15 +53,17 @@ def _list_agent_names(failure: SpecFailure) -> str:
     return f"{failure.agent[0]} {', '.join(map(str, agents))}" + (f" and {remainder} more" if remainder > 0 else "")
 
 
-def _describe_saved(saved: SavedFrames) -> list[str]:
-    if saved.folder is None:
-        return [escape_text(saved.note)]
-    lines = [f"saved: frames {saved.first_frame} to {saved.frame} in {escape_text(display_path(saved.folder))}"]
-    lines += [escape_text(saved.note)] if saved.note else []
+def _describe_saved(saved_frames: SavedFrames) -> list[str]:
+    if saved_frames.folder is None:
+        return [escape_text(saved_frames.note)]
+    lines = [
+        f"saved: frames {saved_frames.first_frame} to {saved_frames.frame} in {escape_text(display_path(saved_frames.folder))}"
+    ]
+    lines += [escape_text(saved_frames.note)] if saved_frames.note else []
     return [
         *lines,
-        f"  see it:         {escape_text(saved.view_command)}",
-        f"  continue it:    {escape_text(saved.resume_command)}",
+        f"  see it:         {escape_text(saved_frames.view_command)}",
+        f"  continue it:    {escape_text(saved_frames.resume_command)}",
     ]
 
 

@@ -21,12 +21,12 @@ def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact:
         case TypeKind.BOOL:
             return "yes" if value else "no"
         case TypeKind.STATE:
-            return _find_state_name(world, int(value), type.of or "")
+            return _find_state_name(world, int(value), type.referent or "")
         case TypeKind.ITEM:
-            names = world.items[type.of].names if type.of in world.items else ()
+            names = world.items[type.referent].names if type.referent in world.items else ()
             return names[int(value)] if 0 <= int(value) < len(names) else "none"
         case TypeKind.AGENT:
-            return f"{type.of} {int(value)}" if int(value) >= 0 else "none"
+            return f"{type.referent} {int(value)}" if int(value) >= 0 else "none"
     return _format_number(world, value, unit, is_exact)
 
 

@@ -81,7 +81,7 @@ DESIGNS = (
     GRID_DESIGN,
     Design(
         "latin",
-        "a Latin hypercube: each factor's range in as many parts as points, a point in each",
+        "a Latin hypercube: each factor's range is cut into as many parts as points, with one point in each",
         "points",
         _sample_latin_hypercube,
     ),
@@ -143,7 +143,7 @@ def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: in
                 f"leave out `--points {point_count}`",
             )
         if total_points > limits.MAX_SWEEP_POINTS:
-            words = f"these values make {total_points:,} combinations, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
+            words = f"these values make {total_points:,} combinations; the limit is {limits.MAX_SWEEP_POINTS:,} are not run"
             report.error("too-large", words, None, "sample them: `--design latin --points 100`")
         return
     if not factors:

@@ -48,11 +48,12 @@ class Factor:
         return np.format_float_positional(float(f"{value:.{_SIGNIFICANT_DIGITS}g}"), trim="-") + self.unit
 
 
-def parse_factors(varied: Mapping[str, str]) -> tuple[list[Factor], Report]:
+def parse_factors(text_by_name: Mapping[str, str]) -> tuple[list[Factor], Report]:
     """Return factors from a mapping of names to `A,B,C` or `A..B`, as in the source. Unreadable ones are in the report."""
     report = Report()
     parsed_factors = [
-        _parse_range(name, text, report) if ".." in text else _parse_levels(name, text, report) for name, text in varied.items()
+        _parse_range(name, text, report) if ".." in text else _parse_levels(name, text, report)
+        for name, text in text_by_name.items()
     ]
     return [factor for factor in parsed_factors if factor is not None], report
 

@@ -91,7 +91,7 @@ def build_jobs(
     seeds: Iterable[int],
     *,
     frames: FrameRange | None,
-    until: tuple[str, ...],
+    stop_amounts: tuple[str, ...],
     grants: Mapping[str, Path],
 ) -> tuple[list[SweepJob], Report]:
     """Return all runs, ordered by seed, so that a stopped sweep has results of every variation. Each problem with a scene or a
@@ -104,7 +104,7 @@ def build_jobs(
         shot, findings = open_scene(variation.scene, choices, parsed=parsed, thorough=False)
         report.extend(findings)
         if shot is not None and findings.ok:
-            _check_amounts(shot, until, report)
+            _check_amounts(shot, stop_amounts, report)
             try:
                 shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **find_start_hashes(shot)}))
             except StartError as error:
@@ -114,10 +114,12 @@ def build_jobs(
     for seed in seeds:
         for variation, job_frames, scene, inputs in shots:
             params = tuple(variation.params.items())
-            key = _compute_key(scene, inputs, job_frames, seed, until)
+            key = _compute_key(scene, inputs, job_frames, seed, stop_amounts)
             frame_range = (job_frames.first, job_frames.last)
             job_list.append(
-                SweepJob(str(resolve_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key)
+                SweepJob(
+                    str(resolve_path(variation.scene)), variation.label, params, seed, frame_range, stop_amounts, granted, key
+                )
             )
     return job_list, report
 
@@ -131,22 +133,22 @@ def find_start_hashes(shot: Shot) -> Mapping[str, str]:
     return hash_start_frame(shot)
 
 
-def compute_job_key(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
+def compute_job_key(shot: Shot, seed: int, stop_amounts: tuple[str, ...], start: Mapping[str, str]) -> str:
     """Return a hash of everything that the measures of a run depend on. `start`: the result of `find_start_hashes`."""
-    return _compute_key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, until)
+    return _compute_key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, stop_amounts)
 
 
-def _compute_key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
+def _compute_key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, stop_amounts: tuple[str, ...]) -> str:
     """Return a hash of all inputs of a run: 24 hexadecimal digits. `inputs`: hashes by name."""
     hashes = {**inputs, "scene": scene.replace_values(seed=seed).compute_digest()}
-    key_fields = {"sources": hash_sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
+    key_fields = {"sources": hash_sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(stop_amounts)}
     return hashlib.blake2b(json.dumps(key_fields, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 
-def _check_amounts(shot: Shot, until: tuple[str, ...], report: Report) -> None:
+def _check_amounts(shot: Shot, stop_amounts: tuple[str, ...], report: Report) -> None:
     """Report amounts that the scene does not have."""
     amount_names = list(list_amount_names(shot))
-    for requested_name in until:
+    for requested_name in stop_amounts:
         if not any(is_amount_match(requested_name, name) for name in amount_names):
             display_names = ", ".join(f"`{name}`" for name in amount_names[:6]) or "none: it has no items"
             report.error(

@@ -78,7 +78,7 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
             "files that the scene reads have changed since the sweep began; run the same command again to use the new files"
         )
     began = time.perf_counter()
-    world = bind(shot.plan, shot.setting, Options(threads=worker.threads), built=binding_cache)
+    world = bind(shot.plan, shot.setting, Options(threads=worker.threads), binding_cache=binding_cache)
     recording = Recording(shot, Path(), world, shot.inputs)
     start_from_cache(shot, world)
     for _ in range(shot.scene.model.preroll):
@@ -120,9 +120,12 @@ def _record_empty(world: World, empty_frames: dict[str, int | None]) -> None:
             empty_frames[name] = world.frame
 
 
-def _is_run_over(world: World, until: tuple[str, ...]) -> bool:
-    return bool(until) and not any(
-        amount > 0 for name, amount in _read_amounts(world) for requested_name in until if is_amount_match(requested_name, name)
+def _is_run_over(world: World, stop_amounts: tuple[str, ...]) -> bool:
+    return bool(stop_amounts) and not any(
+        amount > 0
+        for name, amount in _read_amounts(world)
+        for requested_name in stop_amounts
+        if is_amount_match(requested_name, name)
     )
 
 

@@ -15,7 +15,7 @@ from antdsl.syntax.scan import ScannedToken, TokenScan
 class BraceGroup:
     """A pair of braces and the lines between them. `is_choice` is true after the word `choose`."""
 
-    open: ScannedToken
+    opening: ScannedToken
     closing_brace: ScannedToken
     lines: list[SourceLine]
     is_choice: bool
@@ -91,7 +91,7 @@ class MappedText:
 
 def map_text(scan: TokenScan, line: SourceLine) -> MappedText:
     """Return the text of a line without the content of its braces."""
-    opens = {group.open.start for group in line.groups}
+    opens = {group.opening.start for group in line.groups}
     parts: list[tuple[str, int, int]] = []
     begin: int | None = None
     end = 0

@@ -17,9 +17,9 @@ FileSizes = tuple[int, int, int]
 NO_SIZES: FileSizes = (0, 0, 0)
 
 
-def count_sizes(scanned: TokenScan, lines: list[SourceLine]) -> FileSizes:
+def count_sizes(scan: TokenScan, lines: list[SourceLine]) -> FileSizes:
     """Return the number of words, statements and species of a text."""
-    return len(scanned.tokens), sum(1 for _ in _iterate_lines(lines)), len(_find_species_words(scanned, lines))
+    return len(scan.tokens), sum(1 for _ in _iterate_lines(lines)), len(_find_species_words(scan, lines))
 
 
 def add_sizes(first: FileSizes, second: FileSizes) -> FileSizes:
@@ -33,24 +33,24 @@ def is_within_limits(sizes: FileSizes) -> bool:
     return words <= limits.MAX_FILE_TOKENS and statements <= limits.MAX_FILE_STATEMENTS and species <= limits.MAX_FILE_SPECIES
 
 
-def report_too_many(scanned: TokenScan, lines: list[SourceLine]) -> bool:
+def report_too_many(scan: TokenScan, lines: list[SourceLine]) -> bool:
     """Report a text with more words, statements or species than allowed, and return whether it has. They are counted before
     parsing and checking, which cost more."""
-    species = _find_species_words(scanned, lines)
+    species = _find_species_words(scan, lines)
     statements = [line.tokens[0] for line in _iterate_lines(lines)]
     counts = ((species, limits.MAX_FILE_SPECIES, "species"), (statements, limits.MAX_FILE_STATEMENTS, "statements"))
-    for entries, limit, noun in (*counts, (scanned.tokens, limits.MAX_FILE_TOKENS, "words, numbers and signs")):
+    for entries, limit, noun in (*counts, (scan.tokens, limits.MAX_FILE_TOKENS, "words, numbers and signs")):
         if len(entries) > limit:
             words = f"{len(entries):,} {noun} in one file, at most {limit:,} are allowed"
             help = "move some of them to another file, and write `use NAME`"
-            scanned.report_error("too-many", words, entries[limit].start, entries[limit].end, help)
+            scan.report_error("too-many", words, entries[limit].start, entries[limit].end, help)
             return True
     return False
 
 
-def _find_species_words(scanned: TokenScan, lines: list[SourceLine]) -> list[ScannedToken]:
+def _find_species_words(scan: TokenScan, lines: list[SourceLine]) -> list[ScannedToken]:
     """Return the first word of each species."""
-    return [line.tokens[0] for line in lines if get_token_text(scanned, line.tokens[0]) == "species"]
+    return [line.tokens[0] for line in lines if get_token_text(scan, line.tokens[0]) == "species"]
 
 
 def _iterate_lines(lines: list[SourceLine]) -> Iterator[SourceLine]:

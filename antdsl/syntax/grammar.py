@@ -52,7 +52,7 @@ def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
     names = sorted(table["tokens"].values())
     token = {old: names.index(name) for old, name in table["tokens"].items()}
     states = {
-        old: sorted(((token[key], *action) for key, action in actions.items()), key=lambda each: each[0])
+        old: sorted(((token[key], *action) for key, action in actions.items()), key=lambda entry: entry[0])
         for old, actions in table["states"].items()
     }
     order = list(dict.fromkeys(table["start_states"][start] for start in START_RULES))

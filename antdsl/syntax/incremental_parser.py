@@ -184,7 +184,7 @@ def _join_parts(source: Source, parts: list[tuple[TextBlock, ParsedPart]]) -> tu
     first = parts[0][1]
     file = n.File(
         source, first.edition, first.help, tuple(items), tuple(c for _, part in parts for c in part.comments),
-        tuple(span for _, part in parts for span in part.recovered), any(not part.report.ok for _, part in parts),
+        tuple(span for _, part in parts for span in part.skipped_spans), any(not part.report.ok for _, part in parts),
         {part.source: cut.start for cut, part in parts},
     )  # fmt: skip
     return file, Report([move_diagnostic(each, file.file_span) for _, part in parts for each in part.report.diagnostics])

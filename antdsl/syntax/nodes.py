@@ -586,16 +586,16 @@ TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
 
 @node_class
 class File:
-    """One parsed file. `items`: what could be read, in text order, even if other parts were broken. `recovered`: locations of
-    lines that were not understood as in the source, which the report of parsing lists. `broken`: that report has an error."""
+    """One parsed file. `items`: what could be read, in text order, even if other parts were broken. `skipped_spans`: locations of
+    lines that were not understood as in the source, which the report of parsing lists. `has_errors`: that report has an error."""
 
     source: Source
     edition: Number | None
     help: Text | None
     items: tuple[TopItem, ...]
     comments: tuple[Comment, ...] = field(default=())
-    recovered: tuple[Span, ...] = field(default=())
-    broken: bool = field(default=False)
+    skipped_spans: tuple[Span, ...] = field(default=())
+    has_errors: bool = field(default=False)
     parts: Mapping[Source, int] = field(default_factory=dict)
 
     @property

@@ -67,20 +67,20 @@ def parse(source: Source) -> tuple[n.File, Report]:
     if other is not None:
         advice = f"a `.ant` file begins with `{FIRST_LINE}`"
         report.error("not-an-ant-file", f"text looks like {other}", Span(source, 0, 1), advice)
-        return n.File(source, None, None, (), broken=True), report
+        return n.File(source, None, None, (), has_errors=True), report
     scanned = scan(source, report)
     if all(token.kind == "end" for token in scanned.tokens):
         if report.ok:
             advice = f"begin with `{FIRST_LINE}`, then write a `species`"
             report.error("empty-file", "the file is empty", Span(source, 0, 0), advice)
-        return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
+        return n.File(source, None, None, (), tuple(scanned.comments), has_errors=True), report
     tokens = pair_brackets(scanned)
     if tokens is None:
-        return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
+        return n.File(source, None, None, (), tuple(scanned.comments), has_errors=True), report
     lines = cut_lines(scanned, tokens)
     scanned.faults.sort()
     if report_too_many(scanned, lines):
-        return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
+        return n.File(source, None, None, (), tuple(scanned.comments), has_errors=True), report
     with _builder_lock:
         return _FileParser(scanned).file(lines), report
 
@@ -94,7 +94,7 @@ class ParsedPart:
     nodes: tuple[Any, ...]
     report: Report
     comments: tuple[n.Comment, ...]
-    recovered: tuple[Span, ...]
+    skipped_spans: tuple[Span, ...]
     edition: n.Number | None = None
     help: n.Text | None = None
     sizes: FileSizes = NO_SIZES
@@ -133,10 +133,10 @@ def _detect_other_language(text: str) -> str | None:
 class _FileParser:
     """One text that is being parsed."""
 
-    def __init__(self, scanned: TokenScan) -> None:
-        self.scan = scanned
-        self.source = scanned.source
-        self.report = scanned.report
+    def __init__(self, scan: TokenScan) -> None:
+        self.scan = scan
+        self.source = scan.source
+        self.report = scan.report
         self.parser, self.builder = _load_tools()
         self.builder.body_by_offset = {}
 
@@ -198,7 +198,7 @@ class _FileParser:
         for group in line.groups:
             self.mark_block_faults(group)
             body = "weight" if group.is_choice else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*"))
-            self.builder.body_by_offset[group.open.start] = self.lines(group.lines, body) if body else ()
+            self.builder.body_by_offset[group.opening.start] = self.lines(group.lines, body) if body else ()
         text = map_text(self.scan, line)
         from lark.exceptions import UnexpectedInput
 
@@ -215,7 +215,7 @@ class _FileParser:
     def mark_block_faults(self, group: BraceGroup) -> None:
         """Suppress errors in a block without `}`. Its end is unknown, so its last line may be outside the block."""
         if group.closing_brace.inserted_text and group.lines:
-            one_line = "\n" not in self.source.text[group.open.start : group.closing_brace.end]
+            one_line = "\n" not in self.source.text[group.opening.start : group.closing_brace.end]
             for line in group.lines if one_line else group.lines[-1:]:
                 insort(self.scan.faults, line.start)
 
@@ -253,9 +253,9 @@ class _FileParser:
         return [node]
 
     def check_results(self, node: n.Behaviour, line: SourceLine) -> None:
-        lines = self.builder.body_by_offset.get(line.groups[-1].open.start, ()) if line.groups else ()
+        lines = self.builder.body_by_offset.get(line.groups[-1].opening.start, ()) if line.groups else ()
         results = [each for each in lines if isinstance(each, ResultLine)]
-        if any(self.scan.has_fault(group.open.start, group.closing_brace.end) for group in line.groups):
+        if any(self.scan.has_fault(group.opening.start, group.closing_brace.end) for group in line.groups):
             return  # an unparsed line may be the result
         if not results:
             help = "end it with a line that is only a value, such as `direction(target)`"
@@ -369,7 +369,7 @@ class _FileParser:
         name = (get_token_text(self.scan, words[1]), words[1].start, words[1].end - words[1].start)
         head = [(f"{first} ", line.start, len(first)), name]
         braces = [
-            ("{", group.open.start, len("{")),
+            ("{", group.opening.start, len("{")),
             ("}", group.closing_brace.start, group.closing_brace.end - group.closing_brace.start),
         ]
         extra = {"field": " on x ", "behaviour": "() -> push "}.get(first, " ")

@@ -161,7 +161,7 @@ def _count_instructions(world: World, counts: StepCounts) -> Iterator[None]:
 
 
 def _counting_call(call: SlotFunction, instruction: BlockInstruction, counts: StepCounts) -> SlotFunction:
-    slots = (*instruction.inputs, *([instruction.out] if instruction.out >= 0 else []))
+    slots = (*instruction.inputs, *([instruction.slot] if instruction.slot >= 0 else []))
     size = instruction.scope.row_count
 
     def run(v: SlotValues) -> None:

@@ -93,7 +93,7 @@ class Tilts:
 
 def walking(plan: ir.Plan, shape: Shape, how: str, agents: int, steps: int, warm: int = 24) -> Tilts:
     """A crowd that wanders over a shape."""
-    crowd = CrowdData("a", agents, PlacementData(on=("s",)))
+    crowd = CrowdData("a", agents, PlacementData(surfaces=("s",)))
     setting = WorldSetting(surfaces={"s": MeshData(*shape.mesh)}, crowds=(crowd,), orient=how, seed=5)
     world = bind(plan, setting, Options(backend="native", wait_for_code=True))
     population, off, turned, seconds = world.populations["a"], [], [], []

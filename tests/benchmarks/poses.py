@@ -215,7 +215,7 @@ def measure(agents: int, scales: bool, turns: int) -> None:
     ]  # fmt: skip
     for runner in runners:
         runner()
-    world = blend_poses(table, {}, playing).world
+    world = blend_poses(table, {}, playing).world_transforms
     assert np.allclose(arrays.transpose(3, 2, 0, 1), world, atol=1e-4) and np.allclose(loops, world, atol=1e-4)
 
     def cost(runner: int) -> float:

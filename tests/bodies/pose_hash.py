@@ -43,9 +43,9 @@ def main() -> None:
     playing = ClipPlayback.with_shared_tree(
         tree, random.integers(-1, 2, (AGENTS, 3)).astype(np.int32), times, np.abs(numbers(AGENTS, 3)).astype(np.float32)
     )
-    poses = blend_poses(build_clip_table(definition), definition.groups, playing, with_local=True)
+    poses = blend_poses(build_clip_table(definition), definition.groups, playing, needs_local=True)
     digest = hashlib.sha256()
-    for array in (poses.world, poses.local, poses.channels):
+    for array in (poses.world_transforms, poses.local_transforms, poses.channels):
         assert array is not None and np.isfinite(array).all()
         digest.update(array.tobytes())
     for binding in (Binding("j4", "skin"), Binding("", "skin", deformer="blendshape+dualquatblendskinning")):

@@ -37,17 +37,17 @@ def one(tree: ClipTree, clips: Sequence[int], weights: Sequence[float], layers: 
         tree, np.array([clips], np.int32), np.zeros((1, len(clips))), np.array([weights], np.float32),
         None if layers is None else np.array([layers], np.float32),
     )  # fmt: skip
-    return blend_poses(build_clip_table(BODY), GROUPS, playing, with_local=True)
+    return blend_poses(build_clip_table(BODY), GROUPS, playing, needs_local=True)
 
 
 def place(poses: Poses, joint: int) -> list[float]:
-    assert poses.local is not None
-    return [round(float(k), 5) for k in poses.local[0, joint, :, 3]]
+    assert poses.local_transforms is not None
+    return [round(float(k), 5) for k in poses.local_transforms[0, joint, :, 3]]
 
 
 def linear_part(poses: Poses, joint: int) -> np.ndarray:
-    assert poses.local is not None
-    return poses.local[0, joint, :, :3]
+    assert poses.local_transforms is not None
+    return poses.local_transforms[0, joint, :, :3]
 
 
 def test_weights_are_normalised() -> None:
@@ -56,7 +56,7 @@ def test_weights_are_normalised() -> None:
     assert place(poses, 1) == [6, 0, 0]
     assert poses.channels[0].tolist() == [0.75, 0.8125]  # a clip without a channel counts with its default
     again = one(ClipTree.build_flat(2), [LOW, HIGH], [10, 30])
-    assert np.allclose(poses.world, again.world, atol=1e-6)
+    assert np.allclose(poses.world_transforms, again.world_transforms, atol=1e-6)
 
 
 def test_half_of_a_quarter_turn_is_an_eighth_and_scales_are_linear() -> None:
@@ -95,16 +95,18 @@ def test_a_layer_is_an_input_where_its_groups_are_and_the_topmost_weight_is_unus
     assert place(poses, 0) == [0, 0, 0]  # the layer says nothing of the body
     assert place(poses, 1) == [0.75 * 6, 0, 0]
     for topmost in (0.0, 7.0, np.nan):
-        assert one(tree, [LOW, HIGH, LOW], [1, 3, 1], [topmost, 3]).world.tobytes() == poses.world.tobytes()
+        assert one(tree, [LOW, HIGH, LOW], [1, 3, 1], [topmost, 3]).world_transforms.tobytes() == poses.world_transforms.tobytes()
     assert place(one(tree, [LOW, HIGH, LOW], [1, 3, 1], [1, 0]), 1) == [0, 0, 0]
 
 
 def test_a_layer_with_one_input_is_as_that_input() -> None:
     straight = one(ClipTree.build_flat(2, "", "half"), [LOW, HIGH], [1, 0.5])
     wrapped = one(ClipTree((0, 1), ("", "half"), (0, 0), (-1, 0)), [LOW, HIGH], [1, 7], [1, 0.5])
-    assert np.allclose(straight.world, wrapped.world, atol=1e-6) and np.allclose(straight.channels, wrapped.channels)
+    assert np.allclose(straight.world_transforms, wrapped.world_transforms, atol=1e-6) and np.allclose(
+        straight.channels, wrapped.channels
+    )
     twice = one(ClipTree((2,), ("",), (0, 1, 0), (-1, 0, 1)), [HIGH], [0.3], [0, 0.1, 0.2])
-    assert np.allclose(twice.world, one(ClipTree.build_flat(1), [HIGH], [1]).world, atol=1e-6)
+    assert np.allclose(twice.world_transforms, one(ClipTree.build_flat(1), [HIGH], [1]).world_transforms, atol=1e-6)
 
 
 def test_a_layer_of_several_inputs_is_there_as_much_as_their_groups_are_on_average() -> None:
@@ -164,7 +166,7 @@ def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
     poses = blend_poses(build_clip_table(body), {}, playing)
     added = matrix(rotation=turn("z", 75))[:3, :3] @ matrix(rotation=turn("x", -30))[:3, :3]
     expected = added @ matrix(rotation=turn("y", 20))[:3, :3]
-    assert np.allclose(poses.world[0, 0, :, :3], expected, atol=1e-6)
+    assert np.allclose(poses.world_transforms[0, 0, :, :3], expected, atol=1e-6)
 
 
 def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
@@ -177,7 +179,7 @@ def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
         tree, np.array([[0, 1]], np.int32), np.array([[0.0, 2.0]]), np.array([[1, 0.5]], np.float32)
     )
     poses = blend_poses(build_clip_table(body), {}, playing)
-    assert np.allclose(poses.world[0, 0, :, :3], matrix(rotation=turn("z", -10))[:3, :3], atol=1e-6)
+    assert np.allclose(poses.world_transforms[0, 0, :, :3], matrix(rotation=turn("z", -10))[:3, :3], atol=1e-6)
 
 
 def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:
@@ -187,7 +189,9 @@ def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:
         ClipTree.build_flat(3), np.array([[0, 1, 2]], np.int32), np.zeros((1, 3)), np.ones((1, 3), np.float32)
     )
     assert np.allclose(
-        blend_poses(build_clip_table(body), {}, playing).world[0, 0, :, :3], matrix(rotation=turn("x", 185))[:3, :3], atol=1e-6
+        blend_poses(build_clip_table(body), {}, playing).world_transforms[0, 0, :, :3],
+        matrix(rotation=turn("x", 185))[:3, :3],
+        atol=1e-6,
     )
 
 
@@ -212,7 +216,7 @@ def test_nothing_jumps_while_clips_go_round_and_fade_into_each_other() -> None:
             ClipTree.build_flat(2), np.tile(np.array([[0, 1]], np.int32), (steps + 1, 1)), np.stack([times, times * 1.3], axis=1),
             np.stack([1 - share, share], axis=1),
         )  # fmt: skip
-        return float(np.abs(np.diff(blend_poses(table, {}, playing).world, axis=0)).max())
+        return float(np.abs(np.diff(blend_poses(table, {}, playing).world_transforms, axis=0)).max())
 
     assert 0 < largest(4000) < 0.55 * largest(2000) < 0.55 * 0.03
 
@@ -237,7 +241,7 @@ def test_agents_of_different_trees_are_each_as_alone() -> None:
     for k, (tree, clips, weights, layers) in enumerate(rows):
         count = len(trees[tree].layers)
         alone = one(trees[tree], clips[:count], weights[:count], layers[: len(trees[tree].modes)])
-        assert alone.world[0].tobytes() == poses.world[k].tobytes()
+        assert alone.world_transforms[0].tobytes() == poses.world_transforms[k].tobytes()
     with pytest.raises(ValueError, match=r"`weights` of 4 agents has the shape \(4, 1\); it must be \[4, 2 or more\]"):
         blend_poses(build_clip_table(BODY), GROUPS, replace(playing, weights=playing.weights[:, :1]))
     with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
@@ -254,12 +258,12 @@ def test_lists_of_each_agent_become_arrays_and_trees_that_are_shared() -> None:
         layer_counts, np.array([0, 0, 0, 0, 0, 0]), np.array([1, 1, 3, 1, 1, 1]), np.array([-1, -1, 0, -1, -1, 0]),
     )  # fmt: skip
     assert len(playing.trees) == 3 and playing.tree[1] == playing.tree[3]
-    poses = blend_poses(table, GROUPS, playing, with_local=True)
-    assert poses.local is not None and poses.local[:, 1, 0, 3].tolist() == [6, 6, 0, 4]
-    assert poses.local[:, 0, 0, 3].tolist() == [6, 0, 0, 8]
+    poses = blend_poses(table, GROUPS, playing, needs_local=True)
+    assert poses.local_transforms is not None and poses.local_transforms[:, 1, 0, 3].tolist() == [6, 6, 0, 4]
+    assert poses.local_transforms[:, 0, 0, 3].tolist() == [6, 0, 0, 8]
     plain = build_playback(table, np.array([2, 1]), np.array(["low", "high", "nod"]), np.zeros(3), np.array([1, 3, 1]))
     assert sorted(len(tree.layers) for tree in plain.trees) == [1, 2]
-    assert blend_poses(table, GROUPS, plain).world[0].tobytes() == poses.world[0].tobytes()
+    assert blend_poses(table, GROUPS, plain).world_transforms[0].tobytes() == poses.world_transforms[0].tobytes()
 
 
 def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:

@@ -53,8 +53,8 @@ def test_the_collision_size_comes_from_the_idle_clip_and_not_from_a_rest_pose_wi
     body = load_library_body("person")
     spread = spread_arms(body, 80)
     assert compute_collision_size(spread).width > 1.8 * compute_collision_size(body).width
-    assert compute_collision_size(spread, stands=True).width == pytest.approx(
-        compute_collision_size(body, stands=True).width, rel=1e-3
+    assert compute_collision_size(spread, is_standing=True).width == pytest.approx(
+        compute_collision_size(body, is_standing=True).width, rel=1e-3
     )
 
 
@@ -62,7 +62,7 @@ def test_without_an_idle_clip_the_rest_pose_counts() -> None:
     body = replace(load_library_body("person"), idle="")
     low, high = standing_box(body, find_base_layer(body))
     assert high[1] - low[1] == pytest.approx(1.77 / 0.5, rel=0.02)
-    assert compute_collision_size(body, stands=True) == compute_collision_size(body)
+    assert compute_collision_size(body, is_standing=True) == compute_collision_size(body)
 
 
 def test_a_body_is_as_tall_as_its_species_says(tmp_path: Path) -> None:

@@ -52,8 +52,8 @@ def theirs(built: Definition, poses: Poses, method: str) -> tuple[NDArray[Any], 
     assert capture is not None and shape.normals is not None
     at = [built.rig.names.index(name) for name in capture.names]
     result = []
-    for world in poses.world.astype(np.float64):
-        full = np.concatenate([world, np.tile([[[0, 0, 0, 1.0]]], (len(world), 1, 1))], 1)[at] @ capture.inverse
+    for world in poses.world_transforms.astype(np.float64):
+        full = np.concatenate([world, np.tile([[[0, 0, 0, 1.0]]], (len(world), 1, 1))], 1)[at] @ capture.inverse_matrices
         points, normals = vt.Vec3fArray.FromNumpy(shape.points.copy()), vt.Vec3fArray.FromNumpy(shape.normals.copy())
         joints, weights = vt.IntArray(capture.joints.reshape(-1).tolist()), vt.FloatArray(capture.weights.reshape(-1).tolist())
         moves = vt.Matrix4dArray([gf.Matrix4d(each.T.tolist()) for each in full])
@@ -342,7 +342,9 @@ def test_an_agent_is_deformed_alike_whatever_other_agents_there_are(name: str, m
     order = np.array([4, 2, 6, 0, 1, 3, 5])
     monkeypatch.setattr(deformers, "_POINTS_PER_CHUNK", 1)
     for rows in (order, order[:1]):
-        subset = deform_binding(built, binding, Poses(np.ascontiguousarray(poses.world[rows]), None, poses.channels[rows]))
+        subset = deform_binding(
+            built, binding, Poses(np.ascontiguousarray(poses.world_transforms[rows]), None, poses.channels[rows])
+        )
         assert subset.points.tobytes() == total.points[rows].tobytes()
         assert (
             subset.normals is not None and total.normals is not None and subset.normals.tobytes() == total.normals[rows].tobytes()

@@ -22,7 +22,9 @@ def turned(*members: tuple[str, float], look: np.ndarray = DIRECTION) -> dict[st
     body = definition(JOINTS, rest=REST)
     table = build_clip_table(body)
     poses = blend_poses(table, {}, build_machine_playback(table, (), [], 1))
-    matrices = turn_towards_looks(table, poses, {"part": look}, {"part": TransformGroup("part", members)}, np.eye(3)).world[0]
+    matrices = turn_towards_looks(
+        table, poses, {"part": look}, {"part": TransformGroup("part", members)}, np.eye(3)
+    ).world_transforms[0]
     return {
         name: (float(np.degrees(np.arctan2(m[2, 0], m[0, 0]))), float(m[0, 3]), float(m[2, 3]))
         for name, m in zip(JOINTS, matrices, strict=True)

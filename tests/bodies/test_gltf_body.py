@@ -55,7 +55,7 @@ def test_a_mesh_is_a_shape_with_all_that_deformers_need(arm: Definition) -> None
     capture = shape.capture
     assert capture is not None and capture.names == ("root", "elbow")
     assert capture.weights.tolist() == [[1, 0], [0.75, 0.25], [0.5, 0.5], [1, 0], [1, 0]]  # made to add up to 1
-    assert capture.joints[3].tolist() == [1, 0] and capture.inverse[1, :3, 3].tolist() == [0, -2, 0]
+    assert capture.joints[3].tolist() == [1, 0] and capture.inverse_matrices[1, :3, 3].tolist() == [0, -2, 0]
     assert arm.layers["body"].deforming == (Binding("", "arm", deformer="blendshape+linearskinning"),)
     assert [part.tolist() for part in compute_rest_box(arm)] == [[0, 1, 0], [1, 5, 1]]  # the skin, where the joints put it
 
@@ -129,7 +129,7 @@ def test_a_texture_with_too_many_pixels_is_reported(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("antdsl.limits.MAX_TEXTURE_PIXELS", 10)
     tree, data = gltf_bodies.arm()
     notes = read_gltf(textured(tree, data, png([[(255, 0, 0)] * 4] * 4)), "arm", nothing_beside, 20.0)[1]
-    assert len(notes) == 1 and "16 pixels, more than are read" in notes[0]
+    assert len(notes) == 1 and "16 pixels, more than the limit" in notes[0]
 
 
 def test_a_morph_target_is_a_shape_to_blend_with(arm: Definition) -> None:
@@ -267,8 +267,8 @@ def changed(change: Any) -> str:
         (lambda t: t.update(extensionsRequired=["ACME_bones"]), "needs the extension `ACME_bones`"),
         (lambda t: t["nodes"][1].update(children=[0]), "circle"),
         (lambda t: t["nodes"][2].update(children=[1]), "two parents"),
-        (lambda t: t["skins"][0].update(joints=[0, 7]), "names `node` 7, of which there are 3"),
-        (lambda t: t["accessors"][0].update(count=10**9), "more than are read"),
+        (lambda t: t["skins"][0].update(joints=[0, 7]), "names `node` 7, but has only 3"),
+        (lambda t: t["accessors"][0].update(count=10**9), "more than the limit"),
         (lambda t: t["accessors"][0].update(count=500), "too few for its content"),
         (lambda t: t["bufferViews"][0].update(byteLength=10**9), "has a buffer of"),
         (lambda t: t["meshes"][0]["primitives"][0]["attributes"].update(POSITION=5), "1 numbers where 3 are needed"),
@@ -288,7 +288,7 @@ def test_keys_that_go_on_for_too_long_are_refused_before_they_are_sampled(monkey
     monkeypatch.setattr(limits, "MAX_CLIP_BYTES", 3000)
     assert "clips of more than" in changed(lambda tree: None)
     monkeypatch.setattr(limits, "MAX_CLIP_SAMPLES", 10)
-    assert "longer than is read" in changed(lambda tree: None)
+    assert "longer than the limit" in changed(lambda tree: None)
     monkeypatch.setattr(limits, "MAX_BODY_POINTS", 9)
     assert "more than 9 points" in changed(lambda tree: None)
 

@@ -48,7 +48,7 @@ def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarra
 
 def joints(body: Definition, poses: Poses) -> np.ndarray:
     """Where joints are, [n, J, 3], in body lengths."""
-    return np.ascontiguousarray(poses.world[..., 3]) @ body.compute_base_matrix()[:3, :3].T.astype(np.float32)
+    return np.ascontiguousarray(poses.world_transforms[..., 3]) @ body.compute_base_matrix()[:3, :3].T.astype(np.float32)
 
 
 def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
@@ -80,14 +80,14 @@ def test_bones_keep_their_lengths_knees_their_side_and_soles_their_turn(body: De
             np.linalg.norm(bend_axes[0], axis=1) * np.linalg.norm(bend_axes[1], axis=1)
         )
         assert sides.min() > 0.2  # no knee has gone through
-        assert np.array_equal(rest_poses.world[:, foot, :, :3], bent_poses.world[:, foot, :, :3])
+        assert np.array_equal(rest_poses.world_transforms[:, foot, :, :3], bent_poses.world_transforms[:, foot, :, :3])
 
 
 def test_a_goal_out_of_reach_is_gone_towards_and_a_straight_leg_bends_to_the_front(tmp_path: Path) -> None:
     definition, _ = read_definition(stick_bodies.write_body(tmp_path, 2))
     assert definition is not None
     far = feet_near(definition, 0.0, rise=np.zeros(N, np.float32))
-    far = replace(far, positions=far.positions + np.array([2, -1, 0], np.float32), down=np.zeros_like(far.down))
+    far = replace(far, positions=far.positions + np.array([2, -1, 0], np.float32), is_on_ground=np.zeros_like(far.is_on_ground))
     poses = LegSolver(definition).bend_legs(rest(definition), far, np.ones(N, np.float32))
     now = joints(definition, poses)
     hip, knee, foot = (now[0, definition.rig.joint(f"{part}_left_0")] for part in ("thigh", "shank", "foot"))
@@ -123,7 +123,7 @@ def test_a_clip_that_leaves_feet_free_has_its_own_legs_as_much_as_it_weighs(body
         assert np.allclose(legs.compute_stance_weights(played, machines, N), expected)
     feet = feet_near(body, 0.2)
     free = legs.bend_legs(rest(body), feet.scale_trunk(np.zeros(N, np.float32)), np.zeros(N, np.float32))
-    assert np.allclose(free.world, rest(body).world, atol=1e-5)
+    assert np.allclose(free.world_transforms, rest(body).world_transforms, atol=1e-5)
 
 
 def test_feet_beside_bodies_are_as_placed_ones_seen_from_them() -> None:

@@ -120,7 +120,9 @@ def feet_in(body: Definition, name: str) -> tuple[np.ndarray, np.ndarray]:
     clip = body.clips[name]
     times = np.linspace(0, clip.duration, clip.sample_count)[:, None]
     clips, ones = np.full((clip.sample_count, 1), table.find_clip(name), np.int32), np.ones((clip.sample_count, 1), np.float32)
-    world = blend_poses(table, body.groups, ClipPlayback.with_shared_tree(ClipTree.build_flat(1), clips, times, ones)).world
+    world = blend_poses(
+        table, body.groups, ClipPlayback.with_shared_tree(ClipTree.build_flat(1), clips, times, ones)
+    ).world_transforms
     return world[:, [body.rig.joint(leg.foot) for leg in body.legs]][..., 3], clip.stride * np.linspace(0, 1, clip.sample_count)
 
 

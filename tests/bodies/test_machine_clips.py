@@ -35,7 +35,7 @@ def machine(
 def heights(*machines: MachineClips) -> list[float]:
     """Of trunk, arm and leg."""
     table = build_clip_table(BODY)
-    matrices = blend_poses(table, BODY.groups, build_machine_playback(table, CLIPS, machines, 1)).world
+    matrices = blend_poses(table, BODY.groups, build_machine_playback(table, CLIPS, machines, 1)).world_transforms
     return [float(y) for y in matrices[0, :, 1, 3]]
 
 
@@ -70,7 +70,7 @@ def test_rotations_go_over_by_the_shorter_way() -> None:
     table = build_clip_table(body)
     matrices = blend_poses(
         table, {}, build_machine_playback(table, (("a", ""), ("b", "")), [machine(0), machine(1, weight=0.5)], 1)
-    ).world[0, 0]
+    ).world_transforms[0, 0]
     assert matrices[:, :3] == pytest.approx(matrix(rotation=turn("z", 45))[:3, :3], abs=1e-6)
 
 
@@ -85,12 +85,12 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
     all_rows = MachineClips(clip, turns, ones, none, zeros, ones, zeros)
     playing = build_machine_playback(table, clips, [all_rows], 5)
     assert all(tree.modes[0] == OVER_MODE for tree in playing.trees) and len(playing.trees) == 2
-    together = blend_poses(table, body.groups, playing).world
+    together = blend_poses(table, body.groups, playing).world_transforms
     assert together[:, 1, 1, 3] == pytest.approx([0.25, 0.25, 0.5, 1.0, 0.75]) and together[4, 0, 1, 3] == 0
     for k in range(5):
         alone = blend_poses(
             table, body.groups, build_machine_playback(table, clips, [take_rows(all_rows, np.array([k]))], 1)
-        ).world
+        ).world_transforms
         assert np.array_equal(alone[0], together[k])
 
 
@@ -106,7 +106,7 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
 )
 def test_what_is_added_lies_over_all_others(clips: tuple[PlayedClip, ...], expected: list[float]) -> None:
     table = build_clip_table(BODY)
-    matrices = blend_poses(table, BODY.groups, build_machine_playback(table, clips, [machine(0), machine(1)], 1)).world
+    matrices = blend_poses(table, BODY.groups, build_machine_playback(table, clips, [machine(0), machine(1)], 1)).world_transforms
     assert [float(y) for y in matrices[0, :, 1, 3]] == pytest.approx(expected, abs=1e-5)
 
 
@@ -114,12 +114,12 @@ def test_what_is_added_fades_and_gives_way_to_what_is_not() -> None:
     table, clips = build_clip_table(BODY), (PlayedClip("low"), PlayedClip("high", add=True))
     for fade in (0.0, 0.25, 1.0):
         machines = [machine(0), machine(-1, previous_clip=1, fade=fade)]
-        matrices = blend_poses(table, BODY.groups, build_machine_playback(table, clips, machines, 1)).world
+        matrices = blend_poses(table, BODY.groups, build_machine_playback(table, clips, machines, 1)).world_transforms
         assert float(matrices[0, 0, 1, 3]) == pytest.approx(1 + 3 * fade, abs=1e-5)
     # over: half of what is added, and half of a walk that lies over the rest
     matrices = blend_poses(
         table, BODY.groups, build_machine_playback(table, clips, [machine(0, previous_clip=1, fade=0.5)], 1)
-    ).world
+    ).world_transforms
     assert float(matrices[0, 0, 1, 3]) == pytest.approx(0.5 + 1.5, abs=1e-5)
 
 
@@ -140,11 +140,13 @@ def test_what_is_added_fades_and_gives_way_to_what_is_not() -> None:
 def test_clips_give_way_as_an_agent_turns_and_climbs(lean: tuple[float, float], height: float) -> None:
     zero = still("zero", {j: {"t": (0, 0, 0)} for j in JOINTS})
     body = replace(definition(JOINTS, LOW, HIGH, zero), groups=BODY.groups)
-    table, clips = build_clip_table(body), (PlayedClip("low", left="high", right="zero", up="high"),)
+    table, clips = build_clip_table(body), (PlayedClip("low", left_clip="high", right_clip="zero", up_clip="high"),)
     leans = np.array([lean], np.float32)
-    matrices = blend_poses(table, body.groups, build_machine_playback(table, clips, [machine(0)], 1, leans)).world
+    matrices = blend_poses(table, body.groups, build_machine_playback(table, clips, [machine(0)], 1, leans)).world_transforms
     assert float(matrices[0, 0, 1, 3]) == pytest.approx(height, abs=1e-5)
     pair = build_machine_playback(
         table, clips, [take_rows(machine(0), np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32)
     )
-    assert [float(y) for y in blend_poses(table, body.groups, pair).world[:, 0, 1, 3]] == pytest.approx([height, 1], abs=1e-5)
+    assert [float(y) for y in blend_poses(table, body.groups, pair).world_transforms[:, 0, 1, 3]] == pytest.approx(
+        [height, 1], abs=1e-5
+    )

@@ -25,7 +25,7 @@ def alone(definition: Definition, clips: list[int], times: list[float]) -> Poses
     playing = ClipPlayback.with_shared_tree(
         ClipTree.build_flat(1), np.array(clips, np.int32)[:, None], np.array(times)[:, None], np.ones((len(clips), 1), np.float32)
     )
-    return blend_poses(table, definition.groups, playing, with_local=True)
+    return blend_poses(table, definition.groups, playing, needs_local=True)
 
 
 def swing(loop: bool = True) -> Definition:
@@ -43,9 +43,9 @@ def swing(loop: bool = True) -> Definition:
 def test_clips_are_sampled_at_a_time_of_each_agent() -> None:
     poses = alone(swing(), [0, 0, 0, -1], [0.0, 0.25, 0.75, 0.75])
     half = np.sqrt(0.5) * 2
-    assert np.allclose(poses.world[:, 1, :, 3], [[2, 0, 0], [half, half, 0], [-half, half, 0], [2, 0, 0]], atol=1e-6)
+    assert np.allclose(poses.world_transforms[:, 1, :, 3], [[2, 0, 0], [half, half, 0], [-half, half, 0], [2, 0, 0]], atol=1e-6)
     assert np.allclose(poses.channels, [[0, 0.75], [0.5, 0.75], [2.5, 0.75], [0.5, 0.75]])
-    assert poses.local is not None and np.allclose(poses.local[:, 1, :, 3], [2, 0, 0])
+    assert poses.local_transforms is not None and np.allclose(poses.local_transforms[:, 1, :, 3], [2, 0, 0])
 
 
 def test_clips_that_loop_begin_again_and_others_hold_their_ends() -> None:
@@ -57,9 +57,9 @@ def test_clips_that_loop_begin_again_and_others_hold_their_ends() -> None:
 
 def test_a_clip_of_one_sample_and_a_rig_without_joints_are_sampled_too() -> None:
     one = definition({"a": ""}, still("up", {"a": {"t": (0, 3, 0)}}))
-    assert alone(one, [0, 0], [0.0, 9.0]).world[:, 0, 1, 3].tolist() == [3, 3]
+    assert alone(one, [0, 0], [0.0, 9.0]).world_transforms[:, 0, 1, 3].tolist() == [3, 3]
     bare = Definition("bare", Rig((), np.zeros(0, np.int32), np.zeros((0, 4, 4))))
-    assert alone(bare, [-1], [0.0]).world.shape == (1, 0, 3, 4)
+    assert alone(bare, [-1], [0.0]).world_transforms.shape == (1, 0, 3, 4)
 
 
 def test_numbers_of_no_clip_are_refused() -> None:
@@ -83,23 +83,23 @@ def test_rotations_go_the_shorter_way_and_near_to_slerp(far: float, most: float)
 def test_a_joint_that_a_clip_lacks_has_its_rest_pose_and_a_channel_its_default() -> None:
     rest = matrix((1, 2, 3), turn("x", 40), (1, 2, 0.5), (0.1, 0.2, 0.3))
     poses = alone(definition({"a": "", "b": "a"}, still("c", {"a": {}, "unknown": {}}), rest={"b": rest}), [0, -1], [0.0, 0.0])
-    assert poses.local is not None and np.allclose(poses.local[:, 1], rest[:3], atol=1e-6)
+    assert poses.local_transforms is not None and np.allclose(poses.local_transforms[:, 1], rest[:3], atol=1e-6)
     assert alone(swing(), [0], [0.5]).channels[0, 1] == 0.75
 
 
 def test_a_clip_that_tells_of_a_joint_and_of_no_shears_says_that_it_has_none() -> None:
     rest = matrix((1, 2, 3), turn("x", 40), (1, 2, 0.5), (0.1, 0.2, 0.3))
     poses = alone(definition({"a": ""}, still("c", {"a": {"s": (3, 1, 1)}}), rest={"a": rest}), [0, -1], [0.0, 0.0])
-    assert np.allclose(poses.world[0, 0, :, :3], np.diag([3, 1, 1]), atol=1e-6)
-    assert np.allclose(poses.world[1, 0], rest[:3], atol=1e-6)
+    assert np.allclose(poses.world_transforms[0, 0, :, :3], np.diag([3, 1, 1]), atol=1e-6)
+    assert np.allclose(poses.world_transforms[1, 0], rest[:3], atol=1e-6)
 
 
 def test_local_transforms_are_scaled_then_sheared_then_turned_then_moved() -> None:
     parts = {"t": (1, 2, 3), "r": turn("y", 70), "s": (2, 3, -4), "h": (0.5, -0.25, 0.75)}
     poses = alone(definition({"a": ""}, still("c", {"a": parts})), [0], [0.0])
-    assert np.allclose(poses.world[0, 0], matrix(parts["t"], parts["r"], parts["s"], parts["h"])[:3], atol=1e-5)
+    assert np.allclose(poses.world_transforms[0, 0], matrix(parts["t"], parts["r"], parts["s"], parts["h"])[:3], atol=1e-5)
     hand = alone(definition({"a": ""}, still("c", {"a": {"s": (1, 2, 1), "h": (0.5, 0, 0), "r": turn("z", 90)}})), [0], [0.0])
-    assert np.allclose(hand.world[0, 0] @ [0, 1, 0, 1], [-2, 1, 0])  # y doubled, x grown by half of it, a quarter turn
+    assert np.allclose(hand.world_transforms[0, 0] @ [0, 1, 0, 1], [-2, 1, 0])  # y doubled, x grown by half of it, a quarter turn
 
 
 def test_matrices_are_taken_apart_and_put_together_again() -> None:
@@ -140,8 +140,8 @@ def test_world_transforms_are_those_of_an_independent_implementation() -> None:
     body = wild(23, 5, sheared=True)
     poses = alone(body, [0, 1, 0, -1], [0.1, 0.2, 0.33, 0.0])
     topology = skel.Topology(vt.IntArray(body.rig.parents.tolist()))
-    assert poses.local is not None
-    for local, world in zip(poses.local, poses.world, strict=True):
+    assert poses.local_transforms is not None
+    for local, world in zip(poses.local_transforms, poses.world_transforms, strict=True):
         full = [gf.Matrix4d(np.vstack([each, [0, 0, 0, 1]]).T.tolist()) for each in local.astype(np.float64)]
         theirs = vt.Matrix4dArray(len(full))
         assert skel.ConcatJointTransforms(topology, vt.Matrix4dArray(full), theirs)
@@ -153,16 +153,16 @@ def test_transforms_may_be_changed_by_hand_and_the_others_follow() -> None:
     """The shoulder is turned further; and what local transforms world ones stand for is found again."""
     body = wild(12, 8, sheared=True)
     table, poses = build_clip_table(body), alone(body, [0, 1, -1], [0.1, 0.2, 0.0])
-    assert poses.local is not None
-    assert to_world_transforms(table, poses.local).tobytes() == poses.world.tobytes()
-    assert np.allclose(to_local_transforms(table, poses.world), poses.local, atol=1e-3)
+    assert poses.local_transforms is not None
+    assert to_world_transforms(table, poses.local_transforms).tobytes() == poses.world_transforms.tobytes()
+    assert np.allclose(to_local_transforms(table, poses.world_transforms), poses.local_transforms, atol=1e-3)
     arm = swing()
-    local = np.array(alone(arm, [0], [0.5]).local)
+    local = np.array(alone(arm, [0], [0.5]).local_transforms)
     local[0, 0] = matrix((0, 0, 1), turn("z", 180))[:3]
     assert np.allclose(to_world_transforms(build_clip_table(arm), local)[0, 1, :, 3], [-2, 0, 1], atol=1e-6)
-    full = to_square_matrices(poses.world)
+    full = to_square_matrices(poses.world_transforms)
     assert full.shape == (3, 12, 4, 4) and full.flags.c_contiguous
-    assert np.array_equal(full[..., :3, :], poses.world) and full[1, 1, 3].tolist() == [0, 0, 0, 1]
+    assert np.array_equal(full[..., :3, :], poses.world_transforms) and full[1, 1, 3].tolist() == [0, 0, 0, 1]
 
 
 def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,7 +173,7 @@ def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.Mo
         trees, random.integers(0, 2, n).astype(np.int32), random.integers(-1, 2, (n, 3)).astype(np.int32),
         random.uniform(-1, 3, (n, 3)), random.uniform(-0.2, 1, (n, 3)).astype(np.float32), np.ones((n, 2), np.float32),
     )  # fmt: skip
-    plain = blend_poses(table, {}, playing, with_local=True)
+    plain = blend_poses(table, {}, playing, needs_local=True)
     order = random.permutation(n)
     shuffled = ClipPlayback(
         trees, *(getattr(playing, name)[order] for name in ("tree", "clips", "times", "weights", "layer_weights"))
@@ -181,10 +181,10 @@ def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.Mo
     monkeypatch.setattr(blending, "_JOINTS_PER_CHUNK", 9 * 64)
     monkeypatch.setattr("antdsl.numerics.parallel.MIN_AGENTS_PER_THREAD", 100)
     for other, at in (
-        (blend_poses(table, {}, playing, with_local=True, threads=3), slice(None)),
-        (blend_poses(table, {}, shuffled, with_local=True), order),
+        (blend_poses(table, {}, playing, needs_local=True, threads=3), slice(None)),
+        (blend_poses(table, {}, shuffled, needs_local=True), order),
     ):
-        assert plain.local is not None and other.local is not None
-        assert plain.world[at].tobytes() == other.world.tobytes()
-        assert plain.local[at].tobytes() == other.local.tobytes()
+        assert plain.local_transforms is not None and other.local_transforms is not None
+        assert plain.world_transforms[at].tobytes() == other.world_transforms.tobytes()
+        assert plain.local_transforms[at].tobytes() == other.local_transforms.tobytes()
         assert plain.channels[at].tobytes() == other.channels.tobytes()

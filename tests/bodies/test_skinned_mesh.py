@@ -73,7 +73,7 @@ def pose_definition(
     body, machines = PosedBody(definition, PLAYS), [machine(count)]
     world = blend_poses(
         build_clip_table(definition), {}, build_machine_playback(build_clip_table(definition), PLAYS, machines, count)
-    ).world
+    ).world_transforms
     return body, followed(body.mesh, definition, world), *body.pose_vertices(machines, count)
 
 

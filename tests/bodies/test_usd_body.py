@@ -108,7 +108,7 @@ def test_points_are_where_usd_skins_them(body: Definition, file: Path) -> None:
         for number, joint in enumerate(clip.joints):
             local[body.rig.joint(joint)] = compose_matrix(*(part[sample, number].astype(np.float64) for part in parts))
         world = compute_world_matrices(body.rig.parents, local)
-        joint_matrices = np.array([world[body.rig.joint(name)] for name in skin.capture.names]) @ skin.capture.inverse
+        joint_matrices = np.array([world[body.rig.joint(name)] for name in skin.capture.names]) @ skin.capture.inverse_matrices
         homogeneous_points = np.c_[skin.points, np.ones(len(skin.points))]
         skinned_points = np.einsum(
             "pk,pkij,pj->pi", skin.capture.weights, joint_matrices[skin.capture.joints], homogeneous_points

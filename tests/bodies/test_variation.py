@@ -47,7 +47,7 @@ def read(folder: Path, **fields: object) -> tuple[Definition | None, Report]:
 
 def posed(body: PosedBody, draws: VariationDraws | None) -> np.ndarray:
     """Points [n, 4 shapes, 4, 3]."""
-    points = body.pose_vertices([], COUNT, driven=DrivenPose(variation_draws=draws))[0]
+    points = body.pose_vertices([], COUNT, driven_pose=DrivenPose(variation_draws=draws))[0]
     return points.reshape(COUNT, 4, 4, 3)
 
 

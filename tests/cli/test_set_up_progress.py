@@ -32,7 +32,7 @@ def test_a_terminal_displays_and_clears_each_stage(monkeypatch: pytest.MonkeyPat
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
     monkeypatch.setenv("TERM", "xterm")
-    with show_set_up(quiet=False):
+    with show_set_up(is_quiet=False):
         stage_twice()
     text = terminal.getvalue()
     assert "set up: feet" in text and text.endswith("\x1b[2K"), "the line is cleared"
@@ -41,7 +41,7 @@ def test_a_terminal_displays_and_clears_each_stage(monkeypatch: pytest.MonkeyPat
 def test_a_pipe_gets_a_line_after_five_seconds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     clock = [100.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
-    with show_set_up(quiet=False):
+    with show_set_up(is_quiet=False):
         stage_twice(clock)
         assert capsys.readouterr().out == ""
         stage_twice(clock)
@@ -51,7 +51,7 @@ def test_a_pipe_gets_a_line_after_five_seconds(monkeypatch: pytest.MonkeyPatch, 
 def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
-    with show_set_up(quiet=True):
+    with show_set_up(is_quiet=True):
         stage_twice()
     assert terminal.getvalue() == ""
 

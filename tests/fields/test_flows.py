@@ -218,7 +218,7 @@ def test_solved_flows_avoid_solids_until_they_are_dug() -> None:
     hill = SolidData(MeshData(*meshes.box((-40, -10, -150), (40, 25, 80))), 4.0)
     crowd = CrowdData("ant", 3, PlacementData(points=np.array([[-150.0, 50, 5.0 * k] for k in range(3)])))
     floor = {"ground": MeshData(*meshes.grid(400.0, 40))}
-    flow = SolvedFlowData(GOAL, every=0.25)
+    flow = SolvedFlowData(GOAL, interval=0.25)
 
     def start_world() -> World:
         return bind(lowered, WorldSetting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
@@ -304,7 +304,7 @@ def test_faces_may_be_painted_and_other_surfaces_have_nothing() -> None:
 
 def test_a_map_is_a_density_for_placing() -> None:
     """Of agents that take no room: others keep each other from where it is densest."""
-    crowd = (CrowdData("ant", 4000, PlacementData(on=("ground",), density="damp")),)
+    crowd = (CrowdData("ant", 4000, PlacementData(surfaces=("ground",), density="damp")),)
     for cells in (1, 16):  # painted from nothing at the left to 1 at the right
         built = world(cells=cells, radius="0 mm", crowds=crowd)
         x = np.sort(built.populations["ant"].position[:, 0])
@@ -388,7 +388,7 @@ def test_paths_cross_between_stacked_surfaces() -> None:
 
 # --- a crowd that counts ---------------------------------------------------------------------------------------------
 
-CROWDED = SolvedFlowData(GOAL, crowding=4.0, every=0.25, cell=12.0)
+CROWDED = SolvedFlowData(GOAL, crowding=4.0, interval=0.25, cell=12.0)
 
 
 def test_paths_avoid_crowds() -> None:
@@ -433,8 +433,8 @@ def test_checkpoints_between_crowd_updates_continue_equally() -> None:
 
 def test_flows_follow_moving_targets() -> None:
     path = np.linspace([150.0, 0, 0], [-150.0, 0, 150.0], 120)[:, None]
-    goal = replace(GOAL, of="nest", item_index=0)
-    for flow in (SpreadFlowData("toward", goal), SolvedFlowData(goal, every=0.5)):
+    goal = replace(GOAL, name="nest", item_index=0)
+    for flow in (SpreadFlowData("toward", goal), SolvedFlowData(goal, interval=0.5)):
         built = world(flow, motion=GeometryMoves(items={"nest": path}))
         assert read(built, (0, 150))[0, 0] > 0.4
         run(built, 119)
@@ -448,7 +448,7 @@ def test_paths_avoid_moving_obstacles() -> None:
     displacement[10:, :, 2] = 150  # in one go, at frame 10
     moves = GeometryMoves(meshes={"rock": MeshMoves.from_positions(stone[0] + displacement)})
     built = world(
-        SolvedFlowData(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, motion=moves, steer="halt()"
+        SolvedFlowData(GOAL, clearance=10.0, interval=0.5), 30, obstacles={"rock": MeshData(*stone)}, motion=moves, steer="halt()"
     )
     assert abs(read(built, (-60, 4))[0, 2]) > 0.5
     run(built, 10)
@@ -456,7 +456,7 @@ def test_paths_avoid_moving_obstacles() -> None:
     run(built, 3)
     assert abs(read(built, (-60, 4))[0, 2]) < 0.2
     other = world(
-        SolvedFlowData(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, motion=moves, steer="halt()"
+        SolvedFlowData(GOAL, clearance=10.0, interval=0.5), 30, obstacles={"rock": MeshData(*stone)}, motion=moves, steer="halt()"
     )
     restore_checkpoint(other, take_checkpoint(built))
     assert state_hash(other) == state_hash(built)

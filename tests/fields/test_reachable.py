@@ -149,7 +149,7 @@ def test_islands_and_targets_off_the_ground() -> None:
     island_setting = dict(surfaces=surfaces, obstacles={"rock": MeshData(*ball(5.0, (180, 0, 180)))})
     assert count_agents_with_path(world(SolvedFlowData(far_target), **island_setting), "ant", "drift") == 0, "on another island"
     assert count_agents_with_path(world(SolvedFlowData(GOAL), **island_setting), "ant", "drift") == 18
-    assert count_agents_with_path(world(SolvedFlowData(GOAL, on=("isle",)), **island_setting), "ant", "drift") == 0, (
+    assert count_agents_with_path(world(SolvedFlowData(GOAL, surfaces=("isle",)), **island_setting), "ant", "drift") == 0, (
         "they stand on no face of the flow"
     )
     off = FlowTarget(np.array([[-400.0, 0, 0]]), np.array([1.0]))
@@ -181,7 +181,7 @@ def test_digging_opens_a_path_that_checkpoints_store() -> None:
     lowered = compiled(text)
 
     def start_world() -> World:
-        flows = {"drift": SolvedFlowData(goal, every=0.25)}
+        flows = {"drift": SolvedFlowData(goal, interval=0.25)}
         setting = WorldSetting(
             surfaces={"ground": MeshData(*grid(400.0, 40))}, solids={"hill": hill}, flows=flows, crowds=(crowd,)
         )

@@ -35,7 +35,7 @@ def random_steps(ground: MeshGround, rng: np.random.Generator) -> tuple[Floats, 
 def first_met(ground: MeshGround, origin: Floats, step: Floats, face: int, piece: int) -> tuple[int, float, float, float]:
     """The first face on a way that goes on by a millionth of a mm: the kernel's functions, as Python runs them."""
     table, boxes = ground.triangles[3], ground._box_tree.to_box_tree()
-    face_list = FaceList(np.empty(len(table.live), np.int64), 0)
+    face_list = FaceList(np.empty(len(table.is_live), np.int64), 0)
     one, displacement = tuple(origin.tolist()), tuple(step.tolist())
     with np.errstate(all="ignore"):
         count = gather_faces(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, face_list)
@@ -49,8 +49,8 @@ def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> Non
     table = ground.triangles[3]
     origin, step = random_steps(ground, rng)
     face, piece = np.full(N, -1), np.full(N, -1, np.int32)
-    face[::2] = rng.integers(0, table.live.size, N // 2)
-    piece[::3] = table.piece[rng.integers(0, table.live.size, N // 3)]
+    face[::2] = rng.integers(0, table.is_live.size, N // 2)
+    piece[::3] = table.piece[rng.integers(0, table.is_live.size, N // 3)]
     each = [first_met(ground, origin[:, k], step[:, k], face[k], piece[k]) for k in range(N)]
     hits, part, b1, b2 = (np.array(column) for column in zip(*each, strict=True))
     a, e1, e2 = table.corner.T, table.edge1.T, table.edge2.T
@@ -63,7 +63,7 @@ def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> Non
             u, v = ((o - a) * p).sum(axis=1) / det, (np.cross(o - a, e1) @ d) / det
             t = (e2 * np.cross(o - a, e1)).sum(axis=1) / det
         slant = np.abs(det) / np.sqrt((d @ d) * (e1 * e1).sum(axis=1) * (e2 * e2).sum(axis=1))
-        candidates = table.live & (np.arange(len(a)) != face[k]) & (table.piece != piece[k]) & (slant > 1e-9)
+        candidates = table.is_live & (np.arange(len(a)) != face[k]) & (table.piece != piece[k]) & (slant > 1e-9)
         surely = candidates & (u > 1e-7) & (v > 1e-7) & (u + v < 1 - 1e-7) & (t > 1e-7) & (t < 1 - 1e-7)
         maybe = candidates & (u > -1e-7) & (v > -1e-7) & (u + v < 1 + 1e-7) & (t > -1e-7) & (t < 1 + 1e-3)
         if hits[k] >= 0:
@@ -78,7 +78,7 @@ def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> Non
 
 def test_refitted_boxes_are_those_that_are_built_afresh() -> None:
     ground, rng = scene(), np.random.default_rng(3)
-    vertices, faces, live = ground._vertices, ground._faces, np.flatnonzero(ground.triangles[3].live)
+    vertices, faces, live = ground._vertices, ground._faces, np.flatnonzero(ground.triangles[3].is_live)
     group = (ground._vertices[faces[:, 0], 0] > 0).astype(np.int32)
     moved_vertices = vertices @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) * 1.5 + 7.0
     loose = np.unique(faces[group == 1])
@@ -95,7 +95,7 @@ def test_refitted_boxes_are_those_that_are_built_afresh() -> None:
             np.sort(ray * len(corners) + face) for ray, face in (b.find_overlapping_pairs(low, high) for b in (boxes, fresh))
         ]
         beside = (moved.min(axis=1)[:, None] <= high.T).all(axis=2) & (moved.max(axis=1)[:, None] >= low.T).all(axis=2)
-        moved_vertices, ray = np.nonzero(beside & ground.triangles[3].live[:, None])
+        moved_vertices, ray = np.nonzero(beside & ground.triangles[3].is_live[:, None])
         assert np.array_equal(pairs[0], pairs[1]) and np.array_equal(pairs[0], np.sort(ray * len(corners) + moved_vertices))
 
 

@@ -31,7 +31,7 @@ def step(ground: MeshGround, at: GroundMove, length: float, threads: int = 1) ->
 
 
 def check(ground: MeshGround, meshes: list, at: GroundMove) -> None:
-    assert not at.lost.any()
+    assert not at.is_lost.any()
     assert np.isfinite(at.position).all() and np.array_equal(at.position, ground.position(at.footing))
     corners = np.stack([meshes[m][0][meshes[m][1][f]] for m, f in zip(at.footing.mesh, at.footing.face, strict=True)])
     assert np.abs(find_nearest_on_triangle(at.position, corners) - at.position).max() < 1e-9
@@ -123,14 +123,14 @@ def test_at_an_open_border_an_agent_slides_or_stops_and_says_so():
     at = start(ground, [[18, 0, 0], [18, 0, 1]], [[1, 0, 0], [0.6, 0, 0.8]])
     for _ in range(8):
         at = step(ground, at, 1.0)
-    assert at.blocked.all() and not at.lost.any()
+    assert at.is_blocked.all() and not at.is_lost.any()
     assert at.position[0] == pytest.approx([20, 0, 0], abs=1e-4)
     assert at.position[1][0] == pytest.approx(20, abs=1e-4) and 4 < at.position[1][2] < 10
     assert at.travelled[0] < 0.01
     corner = start(ground, [[19.5, 0, 19.5]], [[0.6, 0, 0.8]])
     for _ in range(6):
         corner = step(ground, corner, 1.0)
-    assert np.allclose(corner.position, [[20, 0, 20]], atol=0.5) and corner.blocked.all()
+    assert np.allclose(corner.position, [[20, 0, 20]], atol=0.5) and corner.is_blocked.all()
 
 
 def test_tiles_laid_edge_to_edge_are_one_ground():
@@ -139,7 +139,7 @@ def test_tiles_laid_edge_to_edge_are_one_ground():
     at = start(ground, [[10, 0, 0.3]], [[1, 0, 0.01]])
     for _ in range(20):
         at = step(ground, at, 1.25)
-    assert at.position[0][0] == pytest.approx(35, abs=0.3) and at.footing.mesh[0] == 1 and not at.blocked[0]
+    assert at.position[0][0] == pytest.approx(35, abs=0.3) and at.footing.mesh[0] == 1 and not at.is_blocked[0]
 
 
 def test_up_a_half_sunk_boulder_over_it_and_down_again():
@@ -200,7 +200,7 @@ def test_a_crowd_on_all_sorts_of_ground_is_never_lost():
         at = ground.move(at.footing, heading / np.linalg.norm(heading, axis=1, keepdims=True) * 1.25, heading, at.up, 4.0)
         distances = np.linalg.norm(at.position - previous_move.position, axis=1)
         assert distances.max() < 1.25 + 1.1
-        assert np.allclose(at.travelled[~at.blocked], 1.25, atol=1.1)
+        assert np.allclose(at.travelled[~at.is_blocked], 1.25, atol=1.1)
         if k % 20 == 0:
             check(ground, meshes, at)
     assert np.unique(at.footing.mesh).size == 4
@@ -215,7 +215,7 @@ def test_same_bits_in_any_batch_order_and_thread_count():
     order = rng.permutation(n)
     one = step(ground, at, 3.0)
     two = ground.move(at.footing.take_rows(order), at.heading[order] * 3.0, at.heading[order], at.up[order], 4.0, threads=2)
-    for name in ("position", "up", "heading", "direction", "travelled", "blocked"):
+    for name in ("position", "up", "heading", "direction", "travelled", "is_blocked"):
         assert np.array_equal(getattr(one, name)[order], getattr(two, name)), name
     for k in range(0, n, 101):
         alone = ground.move(at.footing.take_rows(np.array([k])), at.heading[[k]] * 3.0, at.heading[[k]], at.up[[k]], 4.0)
@@ -228,12 +228,12 @@ def test_odd_wishes_leave_an_agent_where_it_is():
     wish = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0, -5, 0], [0, 0, 0]])
     next_move = ground.move(at.footing, wish, at.heading, at.up, 4.0)
     assert np.array_equal(next_move.position, at.position) and np.allclose(next_move.heading, at.heading)
-    assert not next_move.travelled.any() and not next_move.blocked.any()
+    assert not next_move.travelled.any() and not next_move.is_blocked.any()
     nowhere = ground.move(Footing.create_unplaced(2), np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), 4.0)
-    assert nowhere.lost.all() and (nowhere.footing.face == -1).all() and np.isfinite(nowhere.position).all()
+    assert nowhere.is_lost.all() and (nowhere.footing.face == -1).all() and np.isfinite(nowhere.position).all()
     empty = MeshGround({})
     footing, is_placed = empty.place_points(np.zeros((3, 3)), UP)
-    assert not is_placed.any() and empty.move(footing, np.ones((3, 3)), np.ones((3, 3)), np.ones((3, 3)), 4.0).lost.all()
+    assert not is_placed.any() and empty.move(footing, np.ones((3, 3)), np.ones((3, 3)), np.ones((3, 3)), 4.0).is_lost.all()
 
 
 def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
@@ -314,7 +314,7 @@ def test_every_ground_has_the_same_doors() -> None:
         assert at.shape == (4, 3) and ground.normal(footing).shape == (4, 3) and (ground.find_sides(footing) == 2).all()
         assert np.allclose(ground.compute_upright_normals(footing, UP), UP)
         moved = ground.move(footing, np.full((4, 3), (1.0, 0.0, 0.0)), np.full((4, 3), (1.0, 0.0, 0.0)), np.tile(UP, (4, 1)), 4.0)
-        assert np.allclose(moved.position - at, (1.0, 0.0, 0.0)) and not moved.lost.any()
+        assert np.allclose(moved.position - at, (1.0, 0.0, 0.0)) and not moved.is_lost.any()
         footing.put_rows(np.array([0, 1]), moved.footing.take_rows(np.array([2, 3])))
         assert np.allclose(ground.position(footing)[:2], moved.position[2:])
     assert both.place_points(positions, UP)[0].mesh.tolist() == [1, 0]

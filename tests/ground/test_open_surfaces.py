@@ -47,7 +47,7 @@ class Watch:
     def look(self, ground: MeshGround, previous_move: GroundMove, at: GroundMove, step: float, closely: bool) -> None:
         distances = np.linalg.norm(at.position - previous_move.position, axis=1)
         self.farthest = max(self.farthest, float(distances.max()) / step, float(at.travelled.max()) / step)
-        self.lost += int((at.lost | ~np.isfinite(at.position).all(axis=1)).sum())
+        self.lost += int((at.is_lost | ~np.isfinite(at.position).all(axis=1)).sum())
         (f, old_side), (g, new_side) = standing(ground, previous_move), standing(ground, at)
         component, part = self.sides.side_component, self.sides.part
         other = np.flatnonzero(component[old_side, f] != component[new_side, g])
@@ -132,7 +132,7 @@ def watched(mesh: Mesh, n: int, steps: int, step: float = STEP, closely: bool = 
     positions = []
     for _ in range(steps):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (n, 1))
-        heading *= np.where(at.blocked, -step, step)[:, None] / np.linalg.norm(heading, axis=1, keepdims=True)
+        heading *= np.where(at.is_blocked, -step, step)[:, None] / np.linalg.norm(heading, axis=1, keepdims=True)
         previous_move, at = at, ground.move(at.footing, heading, heading, at.up, BODY)
         watch.wish = heading
         watch.look(ground, previous_move, at, step, closely)
@@ -207,7 +207,7 @@ def walk_straight(ground: MeshGround, at: GroundMove, x: float, steps: int) -> t
     for _ in range(steps):
         heading = np.array([[np.sign(x), 0.0, 0.0]])
         at = ground.move(at.footing, heading * abs(x), heading, at.up, BODY)
-        assert at.travelled[0] <= abs(x) * 1.0001 and not at.blocked.any()
+        assert at.travelled[0] <= abs(x) * 1.0001 and not at.is_blocked.any()
         positions.append(at.position[0])
     return at, np.array(positions)
 

@@ -45,7 +45,7 @@ def test_steps_are_flattened_and_lengths_measured(up: list[float]) -> None:
             assert moved.heading[k] == pytest.approx([float(a) for a in heading], rel=1e-12, abs=1e-13)
             assert moved.position[k] == pytest.approx([float(a) for a in position], rel=1e-12, abs=1e-12)
     assert np.array_equal(moved.footing.point, moved.position) and np.array_equal(moved.up, ups)
-    assert not moved.lost.any() and not moved.blocked.any() and (moved.travelled[::7] == 0).all()
+    assert not moved.is_lost.any() and not moved.is_blocked.any() and (moved.travelled[::7] == 0).all()
 
 
 def test_an_empty_crowd_walks_on_the_plane() -> None:

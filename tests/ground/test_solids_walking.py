@@ -87,12 +87,12 @@ def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str) -> None:
     stopped = 0
     for previous_position, moved in wandering(solid, start, STEPS):
         assert np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
-        assert not moved.lost.any()
+        assert not moved.is_lost.any()
         assert np.abs((moved.heading * moved.up).sum(axis=1)).max() < 1e-9
         assert np.abs(np.linalg.norm(moved.heading, axis=1) - 1).max() < 1e-9
         assert np.linalg.norm(moved.position - previous_position, axis=1).max() < 1.35
-        stopped += int(moved.blocked.sum())
-        assert (moved.blocked | (np.abs(moved.travelled - 1) < 1e-6)).all()
+        stopped += int(moved.is_blocked.sum())
+        assert (moved.is_blocked | (np.abs(moved.travelled - 1) < 1e-6)).all()
     assert stopped <= STEPS * 60 * (1e-3 if shape == "cheese" else 0)
 
 
@@ -173,7 +173,7 @@ def test_walks_on_a_ball_follow_great_circles() -> None:
 
     axis, angle = np.cross(normal, travel), far / radius
     expected = [rotated(each, axis, angle) for each in (place, normal, head, travel)]
-    assert not moved.blocked.any() and not moved.lost.any()
+    assert not moved.is_blocked.any() and not moved.is_lost.any()
     assert np.abs(moved.travelled - far).max() < 1e-5
     assert np.abs(moved.position - expected[0]).max() < 0.06
     assert np.abs(moved.position - expected[0])[far < 0.01].max() < 5e-4
@@ -200,7 +200,7 @@ def test_directions_along_the_normal_become_tangents() -> None:
     directions = unit(np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(20, 3))]))
     place, up, _ = standing(solid, directions * 20, directions)
     moved = move(solid, place, 0 * up, up, up, BODY)
-    assert not moved.travelled.any() and not moved.lost.any()
+    assert not moved.travelled.any() and not moved.is_lost.any()
     for vectors in (moved.heading, moved.direction):
         assert np.abs((vectors * moved.up).sum(axis=1)).max() < 1e-9 and np.abs(np.linalg.norm(vectors, axis=1) - 1).max() < 1e-9
 
@@ -252,10 +252,10 @@ def test_who_loses_the_ground_goes_to_what_is_left() -> None:
     assert (solid.sample(place[:20]) > 3).all()
     for step in (0.0, 1.0):
         moved = move(solid, place, head * step, head, up, BODY)
-        assert not moved.lost.any() and np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
+        assert not moved.is_lost.any() and np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
     solid.carve_balls(np.zeros((1, 3)), np.array([100.0]), np.array([0]))
     moved = move(solid, place, head, head, up, BODY)
-    assert moved.lost.all() and (moved.position == place).all()
+    assert moved.is_lost.all() and (moved.position == place).all()
 
 
 def test_one_agent_moves_as_it_does_among_many() -> None:

@@ -33,7 +33,7 @@ def test_on_level_ground_the_step_is_the_wish() -> None:
     moved = ground.move(stand(ground, (3.0, 5.0, 4.0)), np.array([[1.2, 0, 0.5]]), np.array([[0, 0, 1.0]]), UP, BODY)
     assert np.allclose(moved.position, [[4.2, 0, 4.5]], atol=1e-5) and np.allclose(moved.up, UP)
     assert np.allclose(moved.heading, [[0, 0, 1]]) and np.allclose(moved.direction, [[12 / 13, 0, 5 / 13]])
-    assert moved.travelled == pytest.approx(1.3, abs=1e-5) and not moved.blocked[0] and not moved.lost[0]
+    assert moved.travelled == pytest.approx(1.3, abs=1e-5) and not moved.is_blocked[0] and not moved.is_lost[0]
 
 
 def test_the_nearer_of_two_hits_wins() -> None:
@@ -60,11 +60,11 @@ def test_down_is_away_from_the_agents_own_up_on_a_ceiling_too() -> None:
 def test_who_meets_nothing_stays_and_says_so() -> None:
     ground = MeshGround({"floor": grid(20.0, 4)}, by_rays=True)
     moved = ground.move(stand(ground, (9.5, 5.0, 0.0)), np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
-    assert moved.blocked[0] and moved.travelled[0] == 0 and np.allclose(moved.position, [[9.5, 0, 0]])
+    assert moved.is_blocked[0] and moved.travelled[0] == 0 and np.allclose(moved.position, [[9.5, 0, 0]])
     nowhere = ground.move(moved.footing.create_unplaced(1), np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
-    assert nowhere.lost[0] and not nowhere.blocked[0]
+    assert nowhere.is_lost[0] and not nowhere.is_blocked[0]
     still = ground.move(moved.footing, np.array([[np.nan, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
-    assert np.allclose(still.position, [[9.5, 0, 0]]) and not still.blocked[0]
+    assert np.allclose(still.position, [[9.5, 0, 0]]) and not still.is_blocked[0]
 
 
 def test_it_steps_through_what_is_thin_where_walkers_do_not() -> None:

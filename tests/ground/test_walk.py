@@ -103,7 +103,7 @@ def _same(
     face, over = int(ground.get_face_numbers(previous_move.footing)[0][k]), float(previous_move.footing.over[k])
     place = previous_move.position[k] - over * reference.normal[face]
     step = reference.step(face, place, over, wish[k], heading[k], previous_move.up[k], float(body[k]), straight)
-    same = next_move.blocked[k] == step.blocked and abs(next_move.travelled[k] - step.travelled) <= near
+    same = next_move.is_blocked[k] == step.blocked and abs(next_move.travelled[k] - step.travelled) <= near
     for one, other in ((next_move.position, step.position), (next_move.up, step.up), (next_move.heading, step.heading)):
         same = same and np.abs(one[k] - other).max() <= max(near, 1e-6)
     if step.travelled > near:  # in a corner the last border decides, and rounding which that is
@@ -133,7 +133,7 @@ def test_each_step_beside_a_mesh_that_moves_is_that_against_all_faces() -> None:
         wish, body = at.heading * 1.1, rng.uniform(0, 5, 4 * FEW)
         assert differing(ground, at, wish, at.heading, body) == 0
         at = ground.move(at.footing, wish, at.heading, at.up, body)
-        blocked, carried = blocked + at.blocked.sum(), carried + (at.footing.mesh == 1).sum()
+        blocked, carried = blocked + at.is_blocked.sum(), carried + (at.footing.mesh == 1).sum()
     assert blocked > 50 and carried > 100
 
 
@@ -177,9 +177,9 @@ def test_odd_wishes_count_as_none_and_lost_agents_stay_lost() -> None:
     )
     lost = (footing.mesh < 0) | (footing.face < 0) | np.isnan(footing.b1)
     next_move = ground.move(footing, wish, heading, up, 4.0)
-    assert np.array_equal(next_move.lost, lost) and 10 < lost.sum() < N // 4
+    assert np.array_equal(next_move.is_lost, lost) and 10 < lost.sum() < N // 4
     assert (next_move.footing.mesh[lost] == -1).all() and (next_move.footing.face[lost] == -1).all()
-    assert not next_move.position[lost].any() and not next_move.travelled[lost].any() and not next_move.blocked[lost].any()
+    assert not next_move.position[lost].any() and not next_move.travelled[lost].any() and not next_move.is_blocked[lost].any()
     for one, other in ((next_move.up, up), (next_move.heading, heading), (next_move.direction, heading)):
         assert np.array_equal(one[lost], other[lost], equal_nan=True)
     sound = ~lost & np.isfinite(up).all(axis=1)

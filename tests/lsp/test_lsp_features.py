@@ -292,7 +292,7 @@ async def test_hints_rank_layers_and_count_frames(client) -> None:
     await editor.open(
         alone, "ant 1\nspecies ant { state a { when after 0.3 s -> b }\n state b { when after 3 step -> a }\n start a }\n"
     )
-    assert await hints(alone) == [(1, "8 frames at 24 fps", "0.3 s is 8 frames at 24 fps, as no scene says otherwise")]
+    assert await hints(alone) == [(1, "8 frames at 24 fps", "0.3 s is 8 frames at 24 fps, because no scene sets another rate")]
     editor.close(alone)
 
 

@@ -95,7 +95,7 @@ class EmulatedCode:
             self._call(number, np.ctypeslib.as_array(ctypes.cast(table, ctypes.POINTER(ctypes.c_int64)), (words,)), specs)
 
         return kernel_calls._make_python_caller(
-            kernel.__name__, function, types, specs, words, list(description.gives), description.has_several_results
+            kernel.__name__, function, types, specs, words, list(description.result_kinds), description.has_several_results
         )
 
     def _call(self, number: int, table: np.ndarray, specs: Sequence[Any]) -> None:

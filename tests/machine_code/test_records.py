@@ -248,17 +248,17 @@ def returned_array(values: Array1[F64]) -> Any:
         (too_many, 2, "`Point` has 2 fields, not 3"),
         (too_few, 2, "`Point` is given no `y`"),
         (given_twice, 2, "`x` is given twice"),
-        (other_number, 2, "`x` is double, and is given float"),
-        (no_such_constant, 2, "`values` is given a value of another type"),
-        (array_of_two_axes, 2, "`values` is given a value of another type"),
-        (other_record, 2, "`corner` is given a value of another type"),
-        (other_record_returned, 4, "gives back another type than before"),
-        (other_record_assigned, 3, "`point` is given a value of another type"),
+        (other_number, 2, "`x` is double, but gets float"),
+        (no_such_constant, 2, "`values` gets a value of another type"),
+        (array_of_two_axes, 2, "`values` gets a value of another type"),
+        (other_record, 2, "`corner` gets a value of another type"),
+        (other_record_returned, 4, "returns another type than an earlier `return`"),
+        (other_record_assigned, 3, "`point` gets a value of another type"),
         (replaced_field, 2, "`Point` has no field `z`"),
-        (replaced_tuple, 3, "`_replace` belongs to records"),
-        (spread_number, 2, "only tuples and records are spread"),
-        (named_argument, 2, "only the fields of records are given by name"),
-        (returned_array, 2, "arrays cannot be given back"),
+        (replaced_tuple, 3, "`_replace` is a function of records"),
+        (spread_number, 2, "`*` expands only tuples and records"),
+        (named_argument, 2, "only records take arguments by name"),
+        (returned_array, 2, "a kernel cannot return arrays"),
     ],
     ids=lambda value: value.__name__ if isinstance(value, Kernel) else None,
 )
@@ -289,5 +289,5 @@ def test_a_field_without_a_type_of_kernels_is_an_error() -> None:
     def takes(wrong: Any) -> None: ...
 
     takes.__annotations__["wrong"] = Wrong
-    with pytest.raises(TypeError, match="`str` is no type of `kernels`"):
+    with pytest.raises(TypeError, match="`str` is not a type of `kernels`"):
         Kernel(takes).text()  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ from directed import PROGRAM, open_directed
 from antdsl.pipeline import RunChoices, check_path, open_scene
 
 WRONG = [
-    ("{hald: ant}", "wrong-value", "`hald` is no verb of a note", "did you mean `hold`?", "{hald: ant}"),
+    ("{hald: ant}", "wrong-value", "`hald` is not a verb of notes", "did you mean `hold`?", "{hald: ant}"),
     ("{frames: 1..2, hold: ant}",
      "wrong-value", "`frames` comes before the verb of this note", "write `{hold: ant, frames: …}`", None),
     ("{hold: gards.17}", "unknown-thing", "no crowd line or species is named `gards`", "did you mean `guards`?", "gards.17"),

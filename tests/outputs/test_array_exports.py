@@ -80,9 +80,9 @@ def test_poses_bring_the_points_of_a_shape_where_they_are_drawn(cache: Path, tmp
         assert shape.capture is not None
         points = shape.points + archive["bug.channels"][rows, 0, None, None] * (smile.points - shape.points)
         points = np.concatenate([points, np.ones_like(points[..., :1])], axis=2)
-        matrices = (world @ shape.capture.inverse)[:, shape.capture.joints]
+        matrices = (world @ shape.capture.inverse_matrices)[:, shape.capture.joints]
         placed = np.einsum("nij,pk,npkjl,npl->npi", archive["bug.place"][rows], shape.capture.weights, matrices, points)[..., :3]
-        drawn = crowd.body.pose_vertices(take_rows(crowd.plays, among), int(among.sum()))[0].astype(float)
+        drawn = crowd.body.pose_vertices(take_rows(crowd.machine_clips, among), int(among.sum()))[0].astype(float)
         expected = rotate_vectors(crowd.orient[among], drawn) * crowd.scale[among, None, None] + crowd.position[among, None]
         assert np.abs(placed - expected).max() < 1e-5
 
@@ -163,7 +163,7 @@ def test_meshes_have_the_same_points_in_each_frame(cache: Path, tmp_path: Path) 
     (crowd,) = gallery.make_picture(26).crowds
     assert crowd.body is not None and crowd.ids is not None
     is_common = np.isin(crowd.ids, np.asarray(gallery.make_picture(3).crowds[0].ids)) & (crowd.ids <= 12)
-    drawn = crowd.body.pose_vertices(crowd.plays, len(is_common))[0].astype(float)
+    drawn = crowd.body.pose_vertices(crowd.machine_clips, len(is_common))[0].astype(float)
     expected = rotate_vectors(crowd.orient, drawn) * crowd.scale[:, None, None] + crowd.position[:, None]
     assert np.allclose(last.vertices.reshape(is_common.sum(), -1, 3), expected[is_common], atol=1e-6)
     text = (tmp_path / "bugs.0026.obj").read_text()
@@ -181,7 +181,7 @@ def test_meshes_over_time_in_usd(cache: Path, tmp_path: Path) -> None:
     stage = Usd.Stage.Open(str(tmp_path / "bugs.usdc"))
     (crowd,) = Gallery(open_cache(cache)).make_picture(15).crowds
     assert crowd.body is not None and crowd.ids is not None
-    drawn = crowd.body.pose_vertices(crowd.plays, len(crowd.position))[0].astype(float)
+    drawn = crowd.body.pose_vertices(crowd.machine_clips, len(crowd.position))[0].astype(float)
     expected = rotate_vectors(crowd.orient, drawn) * crowd.scale[:, None, None] + crowd.position[:, None]
     for row in np.flatnonzero(crowd.ids < 4):
         mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/World/bug/agent_{crowd.ids[row]}"))

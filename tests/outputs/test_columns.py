@@ -38,7 +38,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def fits(name: str, array: np.ndarray, column: Column) -> bool:
     """Whether an array of a frame is as a row says."""
     pattern = re.sub("[A-Z]{2,}", r"[^.]+", column.frame_name.replace(".", r"\."))
-    sizes = array.shape if column.of == "frame" else array.shape[1:]
+    sizes = array.shape if column.row_kind == "frame" else array.shape[1:]
     same = [isinstance(size, str) or size == real for size, real in zip(column.shape, sizes, strict=False)]
     return (
         re.fullmatch(pattern, name) is not None

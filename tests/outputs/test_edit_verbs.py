@@ -327,7 +327,7 @@ def test_a_joint_is_shifted_and_turned_with_all_below_it(cache: Cache) -> None:
     (crowd, plain) = (next(c for c in Gallery(each).make_picture(9).crowds if c.species == "bug") for each in (view, cache))
     assert crowd.ids is not None and plain.ids is not None
     rig, base = crowd.body.definition.rig, crowd.body.definition.compute_base_matrix()[:3, :3]
-    poses = [np.asarray(each.compute_poses().world, float) for each in (crowd, plain)]
+    poses = [np.asarray(each.compute_poses().world_transforms, float) for each in (crowd, plain)]
     row, head = crowd.ids.tolist().index(3), rig.names.index("head")
     below = rig.find_descendants(head)
     others = np.setdiff1d(np.arange(len(rig.names)), below)

@@ -29,7 +29,7 @@ from antdsl.runtime.backends import BACKENDS
 from antdsl.scene.camera_models import CAMERA_VIEWS
 
 FRAMES = range(FIRST, LAST + 1)
-FORMS = [f"{form} {ending}" for export in EXPORT_FORMATS for form in export.forms for ending in export.endings]
+FORMS = [f"{form} {ending}" for export in EXPORT_FORMATS for form in export.forms for ending in export.extensions]
 """All files that `antdsl export` writes."""
 
 

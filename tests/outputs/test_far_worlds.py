@@ -168,7 +168,7 @@ QUICK = {"points", "keyframes", "arrays", "skinned"}
 
 def exported(pair: Pair, folder: Path, ending: str, form: str) -> Pair:
     """The same form of both caches; of one file a frame that of frame 3."""
-    export = next(each for each in EXPORT_FORMATS if ending in each.endings)
+    export = next(each for each in EXPORT_FORMATS if ending in each.extensions)
     paths = []
     for cache, name in zip(pair, ("near", "far"), strict=True):
         path = folder / f"{name}{ending}"
@@ -180,7 +180,7 @@ def exported(pair: Pair, folder: Path, ending: str, form: str) -> Pair:
 @pytest.mark.parametrize(
     ("ending", "form"),
     [
-        pytest.param(export.endings[0], form, marks=() if form in QUICK else pytest.mark.slow)
+        pytest.param(export.extensions[0], form, marks=() if form in QUICK else pytest.mark.slow)
         for export in EXPORT_FORMATS
         for form in export.forms
     ],

@@ -100,15 +100,15 @@ def test_drawn_feet_are_where_frames_have_them_and_each_frame_stands_alone(cache
     for frame, crowd in pictures.items():
         assert crowd.body is not None and crowd.feet is not None
         every = np.arange(len(crowd.position))
-        points, normals = crowd.body.pose_vertices(crowd.plays, len(every), crowd.select_feet(every))
+        points, normals = crowd.body.pose_vertices(crowd.machine_clips, len(every), crowd.select_feet(every))
         alone = Gallery(cache).make_picture(frame).crowds[0]
-        assert np.array_equal(points, alone.body.pose_vertices(alone.plays, len(every), alone.select_feet(every))[0])  # type: ignore[union-attr]
+        assert np.array_equal(points, alone.body.pose_vertices(alone.machine_clips, len(every), alone.select_feet(every))[0])  # type: ignore[union-attr]
         turned = np.einsum("nij,nvj->nvi", build_rotation_matrices(crowd.orient), points * crowd.scale[:, None, None])
         world = turned + crowd.position[:, None]
         # Each foot that stands has a vertex of its shape within the shape's size of it, and no vertex of the body far below.
         for k in range(6):
             away = np.linalg.norm(world - crowd.feet.P[:, k, None], axis=2).min(axis=1)
-            assert away[crowd.feet.down[:, k] != 0].max() < 0.02 * stick_bodies.SIZE
+            assert away[crowd.feet.is_on_ground[:, k] != 0].max() < 0.02 * stick_bodies.SIZE
         assert np.allclose(np.linalg.norm(normals, axis=2), 1, atol=1e-3)
         level = replace(crowd, feet=None)
         assert level.select_feet(every) is None

@@ -90,7 +90,7 @@ def test_points_are_where_pictures_draw_them(cache: Path, tmp_path: Path, ending
         _, points = scene.at((frame - 3) / 24)
         (crowd,) = gallery.make_picture(frame).crowds
         assert crowd.body is not None and crowd.ids is not None
-        body = crowd.body.pose_vertices(crowd.plays, len(crowd.position))[0].astype(float)
+        body = crowd.body.pose_vertices(crowd.machine_clips, len(crowd.position))[0].astype(float)
         expected = rotate_vectors(crowd.orient, body) * crowd.scale[:, None, None] + crowd.position[:, None]
         if up_is_z:
             expected = np.stack([expected[..., 0], expected[..., 2], -expected[..., 1]], axis=-1)

@@ -70,7 +70,7 @@ def test_paths_are_the_places_of_the_frames_around(cache: Path) -> None:
         crowd = gallery.make_picture(frame).crowds[0]
         assert crowd.paths is not None and crowd.ids is not None
         paths = crowd.paths.positions
-        assert paths.shape == (len(crowd.ids), 6 + 1 + 12, 3) and crowd.paths.now == 6
+        assert paths.shape == (len(crowd.ids), 6 + 1 + 12, 3) and crowd.paths.current_index == 6
         for k in range(paths.shape[1]):
             at = frame - 6 + k
             where = {}
@@ -96,7 +96,7 @@ def test_named_agents_alone_have_paths_and_a_cut_keeps_rows_together(cache: Path
     assert named.paths is not None and len(named.paths.positions) == 1 and others.paths is None
     part = Gallery(open_cache(cache), CutPlane.parse("x > 0"), window).make_picture(20).crowds[0]
     assert part.paths is not None and 0 < len(part.position) == len(part.paths.positions)
-    assert np.abs(part.paths.positions[:, part.paths.now] - part.position).max() < 0.5
+    assert np.abs(part.paths.positions[:, part.paths.current_index] - part.position).max() < 0.5
     assert Gallery(open_cache(cache)).make_picture(20).crowds[0].paths is None
 
 

@@ -63,7 +63,7 @@ def test_rays_and_projection_agree():
     ready = make_view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
     for camera in (
         Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0),
-        Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), wide=9.0),
+        Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), parallel_width=9.0),
     ):
         ready = make_view(camera, W, H, (0.0, 1.0, 0.0))
         start, directions = ready.make_rays(np.array([40 * W + 3, 40 * W + 90]), 0.25, 0.5)
@@ -99,7 +99,7 @@ def test_small_ants_are_drawn_longer_but_not_more_than_threefold():
     far = Camera((0.0, 300.0, 0.1), (0.0, 0.0, 0.0), focal=30.0)
     picture = Picture((floor(400),), (crowd([[0, 0, 0]], (0.1, 0.2, 0.9)),), grain=4.0)
     bare = render_frame(Picture((floor(400),), grain=4.0), far, W, H)
-    drawn = [Renderer(W, H, least=least).draw(picture, far).astype(int) for least in (0.0, 3.5, 100.0)]
+    drawn = [Renderer(W, H, min_body_pixels=least).draw(picture, far).astype(int) for least in (0.0, 3.5, 100.0)]
     changed = [(np.abs(image - bare).max(axis=2) > 12).sum() for image in drawn]
     assert 0 < changed[0] < changed[1] < changed[2] < 60
 
@@ -285,7 +285,7 @@ def test_magnified_agents_have_the_requested_length():
     far = Camera((0.0, 300.0, 0.1), (0.0, 0.0, 0.0), focal=30.0)
     picture = Picture((floor(400),), (crowd([[0, 0, 0]], (0.1, 0.2, 0.9)),), grain=4.0)
     bare = render_frame(Picture((floor(400),), grain=4.0), far, W, H)
-    drawn = Renderer(W, H, least=40.0, enlarged=np.inf).draw(picture, far).astype(int)
+    drawn = Renderer(W, H, min_body_pixels=40.0, max_enlargement=np.inf).draw(picture, far).astype(int)
     columns = np.nonzero((np.abs(drawn - bare).max(axis=2) > 12).any(axis=0))[0]
     assert 30 < np.ptp(columns) < 90
 

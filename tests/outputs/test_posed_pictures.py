@@ -55,7 +55,7 @@ def crowd_at(cache: Cache, frame: int) -> Crowd:
 
 def vertices(crowd: Crowd) -> np.ndarray:
     assert crowd.body is not None
-    return crowd.body.pose_vertices(crowd.plays, len(crowd.position))[0]
+    return crowd.body.pose_vertices(crowd.machine_clips, len(crowd.position))[0]
 
 
 def test_frames_say_what_each_machine_plays(cache: Cache) -> None:
@@ -105,21 +105,24 @@ def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> N
 
 
 def test_the_frame_after_is_that_of_the_same_agents(cache: Cache) -> None:
-    now, then = Gallery(cache, blurred=True).make_picture(FRAMES - 1).crowds[0], Gallery(cache).make_picture(FRAMES).crowds[0]
+    now, then = (
+        Gallery(cache, has_motion_blur=True).make_picture(FRAMES - 1).crowds[0],
+        Gallery(cache).make_picture(FRAMES).crowds[0],
+    )
     assert now.next_crowd is not None and np.array_equal(now.ids, then.ids)
     assert np.array_equal(now.next_crowd.position, then.position) and np.array_equal(now.next_crowd.orient, then.orient)
     assert np.array_equal(vertices(replace(now.next_crowd, body=then.body)), vertices(then)) and not np.array_equal(
         vertices(now), vertices(then)
     )
-    assert Gallery(cache, blurred=True).make_picture(FRAMES).crowds[0].next_crowd is None  # the last has none
-    few = Gallery(cache, blurred=True).make_picture(FRAMES - 1, agents=frozenset([3])).crowds[0]
+    assert Gallery(cache, has_motion_blur=True).make_picture(FRAMES).crowds[0].next_crowd is None  # the last has none
+    few = Gallery(cache, has_motion_blur=True).make_picture(FRAMES - 1, agents=frozenset([3])).crowds[0]
     assert few.next_crowd is not None and np.array_equal(few.next_crowd.position, then.position[np.asarray(then.ids) == 3])
 
 
 def test_clips_move_bodies_and_only_their_group(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
     assert crowd.body is not None
-    legs, arms = crowd.plays
+    legs, arms = crowd.machine_clips
     waving = (arms.clip == 3) & (arms.turns > 0.3) & (arms.turns < 0.7)
     assert waving.any()
     with_arms, without = (crowd.body.pose_vertices(plays, len(legs.clip))[0] for plays in ((legs, arms), (legs,)))
@@ -140,7 +143,7 @@ def test_materials_have_their_colour_and_the_state_the_rest(cache: Cache) -> Non
 def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
     assert crowd.body is not None
-    fine, rough = (body.pose_vertices(crowd.plays, len(crowd.position))[0] for body in (crowd.body, crowd.body.coarse))
+    fine, rough = (body.pose_vertices(crowd.machine_clips, len(crowd.position))[0] for body in (crowd.body, crowd.body.coarse))
     assert len(crowd.body.coarse.faces) < len(crowd.body.faces) / 3
     for k in range(3):
         for end in (np.min, np.max):
@@ -165,7 +168,7 @@ def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
             ClipTree.build_flat(1), np.full((49, 1), table.find_clip(name), np.int32), (turns * clip.duration)[:, None],
             np.ones((49, 1), np.float32),
         )  # fmt: skip
-        world = blend_poses(table, body.groups, playing).world
+        world = blend_poses(table, body.groups, playing).world_transforms
         for foot in ("foot_l", "foot_r"):
             matrices = world[:, body.rig.joint(foot)].astype(np.float64)
             for spot in ((0.14, -0.06, 0.0, 1.0), (-0.07, -0.06, 0.0, 1.0)):  # toe and heel
@@ -210,12 +213,12 @@ def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
             np.ones(3),
             np.ones((3, 3)),
             agent_ids,
-            driven=DrivenPose(variation_draws=VariationDraws(agent_ids, 5, "ant")),
+            driven_pose=DrivenPose(variation_draws=VariationDraws(agent_ids, 5, "ant")),
         )
         for at, agent_ids in ((np.zeros((3, 3)), ids), (np.arange(9.0).reshape(3, 3), ids[::-1]))
     )
     next_crowd = match_agents(now, later)
-    draws = next_crowd.driven.variation_draws
+    draws = next_crowd.driven_pose.variation_draws
     assert draws is not None and (draws.seed, draws.species) == (5, "ant") and np.array_equal(draws.ids, ids)
     assert np.array_equal(next_crowd.position, later.position[::-1])
 
@@ -228,7 +231,7 @@ def test_pictures_draw_by_the_deformer_that_a_layer_names(deformer: str) -> None
     share, ones, none = np.linspace(0, 0.9, count, dtype=np.float32), np.ones(count, np.float32), np.zeros(count, np.float32)
     plays = (MachineClips(np.zeros(count, np.int16), share, ones, np.full(count, -1, np.int16), none, none, none),)
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-    crowd = Crowd("rabbit", np.zeros((count, 3)), turned, np.ones(count), np.ones((count, 3)), body=body, plays=plays)
+    crowd = Crowd("rabbit", np.zeros((count, 3)), turned, np.ones(count), np.ones((count, 3)), body=body, machine_clips=plays)
     drawn = crowd.pose_vertices(body, np.arange(count))[0]
     named, other = (
         deform_binding(rabbit, replace(binding, deformer=name), crowd.compute_poses()).points

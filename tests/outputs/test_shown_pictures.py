@@ -113,8 +113,8 @@ def test_who_wears_the_same_is_a_crowd_and_is_drawn_with_it(cache: Cache) -> Non
     bare, hat, _ = crowds
     assert bare.body is not None and hat.body is not None
     assert len(hat.body.faces) == len(bare.body.faces) + 4 and hat.body.layers == ("hat",)
-    points = hat.body.pose_vertices(hat.plays, len(hat.position), driven=hat.driven)[0]
-    without = bare.body.pose_vertices(hat.plays, len(hat.position), driven=hat.driven)[0]
+    points = hat.body.pose_vertices(hat.machine_clips, len(hat.position), driven_pose=hat.driven_pose)[0]
+    without = bare.body.pose_vertices(hat.machine_clips, len(hat.position), driven_pose=hat.driven_pose)[0]
     assert np.array_equal(points[:, : without.shape[1]], without), "the same body, and a hat on it"
 
 
@@ -124,8 +124,11 @@ def test_a_state_shows_a_layer_and_a_channel_as_long_as_it_lasts(cache: Cache) -
     assert np.isnan(early_frame["channels.bug.mouth_open"]).all() and (late_frame["channels.bug.mouth_open"] == 0.5).all()
     crowd = Gallery(cache).make_picture(9).crowds[0]
     assert crowd.body is not None and crowd.body.layers == ("crumb",)
-    still = DrivenPose(look_directions=crowd.driven.look_directions)
-    opened, shut = (crowd.body.pose_vertices(crowd.plays, len(crowd.position), driven=each)[0] for each in (crowd.driven, still))
+    still = DrivenPose(look_directions=crowd.driven_pose.look_directions)
+    opened, shut = (
+        crowd.body.pose_vertices(crowd.machine_clips, len(crowd.position), driven_pose=each)[0]
+        for each in (crowd.driven_pose, still)
+    )
     moved = np.abs(opened - shut).max(axis=(0, 2)) > 1e-4
     assert moved.sum() == 1 and np.linalg.norm(opened - shut, axis=2).max() == pytest.approx(0.1, abs=1e-5)  # half of 2 mm of 10
 
@@ -138,8 +141,8 @@ def test_a_head_turns_with_all_that_is_on_it_and_nothing_else(cache: Cache) -> N
     assert crowd.body is not None and crowd.ids is not None
     own = look[crowd.ids]
     turned, ahead = (
-        crowd.body.pose_vertices(crowd.plays, len(crowd.position), driven=each)[0]
-        for each in (crowd.driven, DrivenPose(crowd.driven.channels))
+        crowd.body.pose_vertices(crowd.machine_clips, len(crowd.position), driven_pose=each)[0]
+        for each in (crowd.driven_pose, DrivenPose(crowd.driven_pose.channels))
     )
     pivot = np.array([0.5, 0.2, 0.0], np.float32)
     still = np.abs(turned - ahead).max(axis=(0, 2)) < 1e-6

@@ -146,7 +146,7 @@ def test_an_agent_with_a_skeleton_is_an_instance_posed_as_in_pictures(people: Ca
     for frame in (1, 5, FRAMES):
         crowd = Gallery(people).make_picture(frame).crowds[0]
         assert crowd.body is not None and crowd.ids is not None
-        poses = crowd.body.compute_poses(crowd.plays, PEOPLE, feet=crowd.select_feet(np.arange(PEOPLE)))
+        poses = crowd.body.compute_poses(crowd.machine_clips, PEOPLE, feet=crowd.select_feet(np.arange(PEOPLE)))
 
         points = crowd.body.compute_shape_points(poses)[0]
         for k in range(0, PEOPLE, 3):
@@ -242,7 +242,7 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
         crowd = Gallery(people).make_picture(frame).crowds[0]
         assert crowd.body is not None
         numbers, state = instancer.GetProtoIndicesAttr().Get(frame), people.frame(frame)["state"]
-        points = crowd.body.coarse.compute_shape_points(crowd.body.coarse.compute_poses(crowd.plays, PEOPLE))[0]
+        points = crowd.body.coarse.compute_shape_points(crowd.body.coarse.compute_poses(crowd.machine_clips, PEOPLE))[0]
         for k in range(PEOPLE):
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(paths[numbers[k]]))
             used.add(paths[numbers[k]])
@@ -446,7 +446,7 @@ def test_feet_and_trunks_of_skeletons_are_where_pictures_have_them(breeders: Cac
     crowd = Gallery(breeders).make_picture(6).crowds[0]
     assert crowd.body is not None and crowd.feet is not None and crowd.ids is not None
     points = crowd.body.compute_shape_points(crowd.compute_poses())[0]
-    flat = crowd.body.compute_shape_points(crowd.body.compute_poses(crowd.plays, len(points)))[0]
+    flat = crowd.body.compute_shape_points(crowd.body.compute_poses(crowd.machine_clips, len(points)))[0]
     assert np.abs(points - flat).max() > 0.02, "feet matter"
     for k in range(0, len(points), 3):
         mine = points[k] * crowd.scale[k] @ build_rotation_matrices(crowd.orient[k : k + 1])[0].T + crowd.position[k]

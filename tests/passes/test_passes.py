@@ -68,7 +68,7 @@ def test_merge_joins_neighbours_with_one_condition_unless_the_first_changes_it()
     events = [s for s in all_of(plan, If, "decide") if s.condition.op == "event"]
     joined = [s for s in all_of(merged, If, "decide") if s.condition.op == "event"]
     assert (len(events), len(joined)) == (2, 1)
-    assert [s.register for s in joined[0].then.statements] == ["n", "m"]
+    assert [s.register for s in joined[0].body.statements] == ["n", "m"]
 
 
 def test_hoist_takes_what_all_pairs_share_out_of_them():
@@ -118,7 +118,7 @@ def test_narrow_asks_the_cheap_half_first():
     new_plan = split_conditions(plan)
     verify(new_plan)
     outer = next(s for s in new_plan.species["a"].blend.statements if isinstance(s, If))
-    inner = outer.then.statements[0]
+    inner = outer.body.statements[0]
     assert isinstance(inner, If)
     assert not [n for n in collect_required_nodes(list_operands(outer)) if n.op in SENSE_OPERATIONS]
     assert [n for n in collect_required_nodes(list_operands(inner)) if n.op == "reduce.item"]

@@ -102,7 +102,7 @@ def test_a_plan_as_lowered_is_legal(plan):
 
 def test_verify_sees_a_store_to_nowhere_and_of_the_wrong_kind(plan):
     node = plan.nodes[0]
-    with pytest.raises(PlanError, match="not there"):
+    with pytest.raises(PlanError, match="does not exist"):
         verify(changed(plan, act=Block((Store("nowhere", node, None),))))
     with pytest.raises(PlanError, match="a f32"):
         verify(changed(plan, act=Block((Store("n", node, None),))))
@@ -110,7 +110,7 @@ def test_verify_sees_a_store_to_nowhere_and_of_the_wrong_kind(plan):
 
 def test_verify_sees_a_condition_that_is_none(plan):
     number = next(n for n in plan.nodes if n.kind is ValueKind.F32)
-    with pytest.raises(PlanError, match="If asks"):
+    with pytest.raises(PlanError, match="the condition of If is"):
         verify(changed(plan, act=Block((If(number, Block(()), None),))))
 
 
@@ -127,7 +127,7 @@ def test_verify_sees_nodes_out_of_place(plan):
     with pytest.raises(PlanError, match="not in the plan's list"):
         verify(replace(plan, nodes=plan.nodes[:-1]))
     wrong = replace(plan.nodes[-1], rate=UpdateRate.CONST)
-    with pytest.raises(PlanError, match="is said to change"):
+    with pytest.raises(PlanError, match="is declared to change"):
         verify(replace(plan, nodes=(*plan.nodes[:-1], wrong)))
 
 

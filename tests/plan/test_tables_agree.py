@@ -45,10 +45,10 @@ def test_every_sense_has_an_operation_and_a_function() -> None:
     for op, row in SENSE_BY_OPERATION.items():
         operation = ir.OPERATION_BY_NAME[op]
         assert op == row.op and op in ir.SENSE_OPERATIONS and operation.rate is ir.UpdateRate.AGENT
-        assert operation.args == row.operands and operation.attrs == ((row.of,) if row.of else ()) + row.attrs
+        assert operation.args == row.operands and operation.attrs == ((row.thing_kind,) if row.thing_kind else ()) + row.attrs
         assert operation.kind is (ir.ValueKind.TUPLE if op in ir.TUPLE_KINDS_BY_OPERATION else ir.KIND_BY_LETTER[row.kinds])
         assert not row.empty_trace or row.results[0].kind == "b"
-        assert not row.of or row.of in collect_names_by_kind(plan_of("species ant {}\n"))
+        assert not row.thing_kind or row.thing_kind in collect_names_by_kind(plan_of("species ant {}\n"))
 
 
 def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None:
@@ -56,7 +56,7 @@ def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None
     assert len({word.op for word in words}) == len(words)
     for word in words:
         assert word.op in OPERATION_RULES
-        assert word.help and (word.sample or word.called or word.form == "value")
+        assert word.help and (word.sample or word.word or word.form == "value")
         assert parse_type_words(word.result) is not None or word.result.startswith("vector ") or word.result == "hit"
         if word.form == "call":
             assert word in BUILTINS_BY_NAME[word.name]
@@ -155,7 +155,7 @@ def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(phases.SETTLER_BY_EFFECT, "mark", marked)
     t = plans.Text()
     amount = t("sub", t("number", t("id")), 2.0)
-    plan = plans.bare(plans.block(ir.Request("mark", "", (amount,), None, own="marks")), "marks")
+    plan = plans.bare(plans.block(ir.Request("mark", "", (amount,), None, register="marks")), "marks")
     plan = replace(plan, nodes=tuple(t.b.nodes))
     verify(plan)
     assert "mark number(id) - 2" in show(plan)
@@ -172,10 +172,10 @@ def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> N
     ("request_", "words"),
     [
         (ir.Request("mark", "", (), None), "no effect mark"),
-        (ir.Request("carve", "hill", (None,) * 4, None), "Carve of hill, which is not there"),
+        (ir.Request("carve", "hill", (None,) * 4, None), "Carve of hill, which does not exist"),
         (ir.Request("carve", "hill", (None,) * 4, None), "Carve without radius"),
         (ir.Request("emit", "alarm", (), None), "Emit takes"),
-        (ir.Request("die", "", (), None, own="soil"), "Die for soil, which is not there"),
+        (ir.Request("die", "", (), None, register="soil"), "Die for soil, which does not exist"),
     ],
 )
 def test_a_request_that_is_not_as_its_row_says_is_refused(request_: ir.Request, words: str) -> None:

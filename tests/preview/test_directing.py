@@ -60,7 +60,7 @@ def listed(page: Page) -> list[tuple[str, bool]]:
 
 
 def opened(scene: Path, frames: int = LAST) -> Session:
-    session, report = Session.open(scene, every=10)
+    session, report = Session.open(scene, checkpoint_interval=10)
     assert session is not None, [d.message for d in report.errors]
     while session.frame < frames:
         session.step()

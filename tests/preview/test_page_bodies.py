@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 PLAYS = (
-    PlayedClip("sway", left="nod", up="reach"), PlayedClip("nod"), PlayedClip("reach", "arms"), PlayedClip("gone"),
+    PlayedClip("sway", left_clip="nod", up_clip="reach"), PlayedClip("nod"), PlayedClip("reach", "arms"), PlayedClip("gone"),
     PlayedClip("nod", "arms", add=True),
 )  # fmt: skip
 CAMERA = {"at": [50, 40, 120], "look_at": [50, 0, 50], "focal": 35}
@@ -145,7 +145,7 @@ def rig(body: Definition) -> bytes:
 def expected_bones(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
     """The matrices [n, B, 3, 4] of the bones of a mesh, by what antdsl itself makes of what is played."""
     table = build_clip_table(body)
-    return in_bones(body, level, blend_poses(table, body.groups, playing(table, plays)).world)
+    return in_bones(body, level, blend_poses(table, body.groups, playing(table, plays)).world_transforms)
 
 
 def playing(table: ClipTable, plays: tuple[MachineClips, ...]) -> ClipPlayback:
@@ -232,7 +232,7 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
     turned = build_orientations(light["heading"].astype(np.float64), light["up"].astype(np.float64))
     beside = placed.relative_to(light["position"], turned, light["size"]).scale_trunk(stands)
     poses = blend_poses(table, body.groups, playing(table, plays))
-    expected = in_bones(body, level, legs.bend_legs(poses, beside, stands).world)
+    expected = in_bones(body, level, legs.bend_legs(poses, beside, stands).world_transforms)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3, "legs and trunks are moved"
     page.tell(
         scene(camera=CAMERA),
@@ -254,7 +254,7 @@ def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
     poses = blend_poses(table, body.groups, playing(table, plays))
     directions = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
     turned = turn_towards_looks(table, poses, {"arms": directions}, body.groups, body.compute_base_matrix()[:3, :3])
-    expected = in_bones(body, level, turned.world)
+    expected = in_bones(body, level, turned.world_transforms)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
     message = make_rig_packet("ant", BodyOutfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
     page.tell(scene(camera=CAMERA), texts(), status(), message, frame(plays, extra_arrays={"look/arms": looks}))
@@ -307,7 +307,7 @@ def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
         variation_draws=VariationDraws(np.arange(10, 22), 3, "ant"), lean=leans(12)[:, :2].astype(np.float32) / 127
     )
     level = PosedBody(body, PLAYS)
-    expected = in_bones(body, level, level.compute_poses(plays, 12, driven=driven).world)
+    expected = in_bones(body, level, level.compute_poses(plays, 12, driven_pose=driven).world_transforms)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
     worn = BodyOutfit(body, PLAYS, blends_lean=True)
     page.tell(scene(camera=CAMERA), texts(), status(), make_rig_packet("ant", worn, ("main", "arms")))
@@ -355,8 +355,10 @@ def test_blend_shapes_go_by_clips_and_by_what_is_said_of_channels() -> None:
     assert len(body_traits.targets) == 3 and len(np.unique(weights[:, 1:])) > 6
     targets = compute_blend_targets(level.drawn_definition, level.bindings, level.point_indices)
     moved = sum(weights[:, k, None, None] * targets[each][None] for k, each in enumerate(body_traits.targets))
-    points, _ = level.pose_vertices(plays, 12, driven=driven)
-    bones_of = in_bones(body, level, level.compute_poses(plays, 12, driven=driven).world)[:, level.mesh.bones[:, 0]]
+    points, _ = level.pose_vertices(plays, 12, driven_pose=driven)
+    bones_of = in_bones(body, level, level.compute_poses(plays, 12, driven_pose=driven).world_transforms)[
+        :, level.mesh.bones[:, 0]
+    ]
     at = np.concatenate([level.mesh.points + moved[:, :, :3], np.ones((*moved.shape[:2], 1))], axis=2)
     assert np.abs(np.einsum("nvij,nvj->nvi", bones_of, at) - points).max() < 1e-4
 

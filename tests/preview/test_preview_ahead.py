@@ -26,7 +26,7 @@ def scene(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def session(scene: Path) -> Session:
-    session, report = Session.open(scene, every=8)
+    session, report = Session.open(scene, checkpoint_interval=8)
     assert session is not None, report.errors
     return session
 
@@ -91,7 +91,7 @@ def test_an_edit_makes_other_paths(session: Session) -> None:
     assert not np.array_equal(ahead.frames[40]["forager"]["position"], initial_positions)
     for _ in range(3):
         session.step()
-    assert session.layer("forager", "give_way(radius: 2.2 * size)", on=False).ok
+    assert session.layer("forager", "give_way(radius: 2.2 * size)", is_on=False).ok
     edit_frame, later = session.frame, filled(ahead, session).frames[session.frame + 12]["forager"]["position"]
     session.seek(edit_frame - 5)
     filled(ahead, session)

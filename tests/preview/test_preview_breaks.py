@@ -223,7 +223,7 @@ def test_a_breakpoint_fits_again_when_the_program_does(scene: Path) -> None:
 
 
 def test_nothing_stops_while_frames_are_simulated_again_for_a_seek(scene: Path) -> None:
-    driver = Driver(scene, state("rest"), condition("count(state == rest) > 1"), every=4)
+    driver = Driver(scene, state("rest"), condition("count(state == rest) > 1"), checkpoint_interval=4)
     [first, second] = driver.play(40)
     session = driver.session
     session.seek(first + 2)
@@ -298,7 +298,7 @@ def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
     breaks = [StateBreak(kind="state", species=species, machine=machine.name, state=each) for each in machine.states]
     conditions = [condition(f"count({species}) > 10"), condition(f"each {species}: speed > 5 mm/s and overlap > 1 %")]
     specs = [spec(each.name) for each in plain.shot.program.specs if each.reference_run is None and not each.changes]
-    driver = Driver(scene, *breaks, *conditions, *specs, FaultBreak(kind="fault"), every=6)
+    driver = Driver(scene, *breaks, *conditions, *specs, FaultBreak(kind="fault"), checkpoint_interval=6)
     assert driver.misfits == []
     explainer = Explainer(driver.session)
     driver.session.measure(True)
@@ -319,17 +319,17 @@ def test_a_breakpoint_that_is_wrong_is_not_added(scene: Path) -> None:
     initial_message = driver.breaks.make_message()
     wrong = ConditionBreak(kind="condition", text="count(state == rset) > 1")
     with pytest.raises(BreakpointError, match="rset"):
-        driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breakpoints], wrong)
+        driver.breaks.set(driver.session, [each.request for each in driver.breaks.breakpoints], wrong)
     assert driver.breaks.make_message() == initial_message
     good = ConditionBreak(kind="condition", text="count(state == rest) > 2")
-    driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breakpoints], good)
-    assert [each.ask for each in driver.breaks.breakpoints][-1] == good
+    driver.breaks.set(driver.session, [each.request for each in driver.breaks.breakpoints], good)
+    assert [each.request for each in driver.breaks.breakpoints][-1] == good
     edit(scene, "rest", "sleep")
     driver.session.reload()
     driver.step()
     misfits = len(driver.misfits)
     assert misfits == 3
-    driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breakpoints], state("sleep"))
+    driver.breaks.set(driver.session, [each.request for each in driver.breaks.breakpoints], state("sleep"))
     assert len(driver.misfits) == misfits, "what waits is not told of again"
 
 
@@ -434,7 +434,7 @@ def test_steps_on_end_stop_as_well(scene: Path) -> None:
 def test_behind_a_fault_it_is_explained_as_it_went_on(scene: Path, on_fault: Any) -> None:
     """A session that stops at faults goes on when it is requested to, and no agent is set aside in it."""
     edit(scene, "load += 1", "load += 1 / (load * 0)")
-    driver = Driver(scene, every=50, options=Options(on_fault=on_fault))
+    driver = Driver(scene, checkpoint_interval=50, options=Options(on_fault=on_fault))
     driver.play(30)
     assert driver.session.world.faults.count > 0
     message = Explainer(driver.session).make_message("walker", 1, driver.session.frame)

@@ -62,7 +62,7 @@ def test_a_page_is_shown_frames_without_agents(tmp_path: Path, case: str) -> Non
 @pytest.mark.parametrize("case", sampled(CASES, ["not_in_the_middle"]))
 def test_a_program_is_reloaded_from_and_into_nothing(tmp_path: Path, case: str) -> None:
     scene = empty_scenes.scene(tmp_path / "scene", case)
-    session, report = Session.open(scene, every=2)
+    session, report = Session.open(scene, checkpoint_interval=2)
     assert session is not None, [each.message for each in report.errors]
     program = scene.with_name("crowd.ant")
     known_hashes = {}

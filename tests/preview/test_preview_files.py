@@ -148,7 +148,7 @@ def test_what_is_set_by_hand_ahead_is_no_edit_of_files(folder: Path) -> None:
     session, _ = Session.open(EXAMPLES / "foraging" / "scene.yaml")
     assert session is not None
     session.step()
-    assert session.switch_field("trail", on=False).ok
+    assert session.switch_field("trail", is_on=False).ok
     session.step()
     session.seek(1)
     assert session.reload().line == "nothing has changed"

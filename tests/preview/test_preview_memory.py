@@ -33,9 +33,9 @@ def opened(scene: Path, **how: int) -> Session:
 
 
 def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(scene: Path) -> None:
-    session = opened(scene, every=2)
+    session = opened(scene, checkpoint_interval=2)
     one = session.timeline.nbytes
-    session = opened(scene, every=2, budget=10 * one)
+    session = opened(scene, checkpoint_interval=2, budget=10 * one)
     hashes = {}
     for _ in range(120):
         session.step()
@@ -53,8 +53,8 @@ def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(
 
 
 def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
-    bare = opened(scene, every=2)
-    session = opened(scene, every=2, budget=20 * bare.timeline.nbytes)
+    bare = opened(scene, checkpoint_interval=2)
+    session = opened(scene, checkpoint_interval=2, budget=20 * bare.timeline.nbytes)
     for _ in range(120):
         session.step()
         store_poses(session)
@@ -71,7 +71,7 @@ def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
 
 def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timeline, "_MAX_CURVE_FRAMES", 30)
-    session, sent_curves = opened(scene, every=4), SentCurves()
+    session, sent_curves = opened(scene, checkpoint_interval=4), SentCurves()
     for number in range(12):
         for _ in range(4):
             session.step()
@@ -125,7 +125,7 @@ def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_aga
 def test_a_layer_of_several_lines_becomes_as_many_comments(scene: Path) -> None:
     program = scene.with_name("forager.ant")
     program.write_text(program.read_text().replace("give_way(radius: 2.2 * size)", "give_way(\n      radius: 2.2 * size)"))
-    outcome = opened(scene).layer("forager", "give_way(\n      radius: 2.2 * size)", on=False)
+    outcome = opened(scene).layer("forager", "give_way(\n      radius: 2.2 * size)", is_on=False)
     assert outcome.ok and outcome.text == "# give_way(\n# radius: 2.2 * size)"
 
 

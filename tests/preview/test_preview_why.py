@@ -26,7 +26,7 @@ PARAM = {"foraging": ("forager.swing", "120 deg"), "flocking": ("boid.sight", "4
 
 def watched(name: str, frames: int, each: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Notes:
     """Some frames of an example that is edited on the way, gone back in and branched."""
-    notes = Notes(session_of(name, folder, every=5), monkeypatch, len(name), each)
+    notes = Notes(session_of(name, folder, checkpoint_interval=5), monkeypatch, len(name), each)
     session = notes.session
     part = frames // 5
     notes.go(part)

@@ -49,7 +49,7 @@ def fresh(scene: Path, session: Session) -> str:
 
 
 def test_every_frame_can_be_gone_back_to(shot: Path) -> None:
-    session = opened(shot, every=7)
+    session = opened(shot, checkpoint_interval=7)
     hashes = go(session, 20)
     for frame in (3, 20, 8, 1, 21, 14):
         session.seek(frame)
@@ -64,7 +64,7 @@ def test_every_frame_can_be_gone_back_to(shot: Path) -> None:
 
 
 def test_going_back_crosses_edits(shot: Path) -> None:
-    session = opened(shot, every=5)
+    session = opened(shot, checkpoint_interval=5)
     old_hashes = go(session, 12)
     edit(shot, "30 mm/s", "45 mm/s")
     outcome = session.reload()
@@ -79,7 +79,7 @@ def test_going_back_crosses_edits(shot: Path) -> None:
 
 
 def test_an_edit_at_an_earlier_frame_begins_a_branch(shot: Path) -> None:
-    session = opened(shot, every=5)
+    session = opened(shot, checkpoint_interval=5)
     go(session, 15)
     curves = dict(session.timeline.curves)
     session.seek(9)
@@ -108,7 +108,7 @@ def test_an_error_changes_nothing(shot: Path) -> None:
 
 
 def test_a_param_changes_at_a_frame_and_is_replayed_there(shot: Path) -> None:
-    session = opened(shot, every=6)
+    session = opened(shot, checkpoint_interval=6)
     plain = go(session, 20)
     session.seek(8)
     world = session.world
@@ -145,10 +145,10 @@ def test_what_cannot_be_set_is_refused(shot: Path, name: str, value: str, code: 
 
 
 def test_an_edit_that_was_undone_leaves_a_fresh_run(shot: Path) -> None:
-    session = opened(shot, every=6)
+    session = opened(shot, checkpoint_interval=6)
     go(session, 6)
     edit(shot, "30 mm/s", "45 mm/s")
-    assert session.reload().did == "forager.ant line 24"
+    assert session.reload().description == "forager.ant line 24"
     assert session.edited
     edit(shot, "45 mm/s", "30 mm/s")
     session.reload()
@@ -160,10 +160,10 @@ def test_an_edit_that_was_undone_leaves_a_fresh_run(shot: Path) -> None:
     session.set("forager.swing", "80 deg")
     session.set("forager.swing", "50 deg")  # as it was
     assert not session.edited
-    session.layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", on=False)
+    session.layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", is_on=False)
     assert session.edited
     assert (
-        session.layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", on=True).did
+        session.layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", is_on=True).description
         == "layer `separate(radius: 1.2 * size, fov: 260 deg)` is on again"
     )
     go(session, 3)
@@ -183,8 +183,8 @@ def test_an_edit_that_was_undone_leaves_a_fresh_run(shot: Path) -> None:
 def test_what_was_lost_by_an_edit_does_not_come_back_by_undoing_it(shot: Path) -> None:
     session = opened(shot)
     go(session, 6)
-    session.switch_field("trail", on=False)
-    session.switch_field("trail", on=True)  # and starts again
+    session.switch_field("trail", is_on=False)
+    session.switch_field("trail", is_on=True)  # and starts again
     assert session.edited
     session.restart()
     go(session, 3)
@@ -200,21 +200,23 @@ def test_edits_are_described(shot: Path) -> None:
     session = opened(shot)
     go(session, 2)
     outcome = session.set("forager.smell", "60 mm")
-    assert (outcome.did, outcome.line) == ("`forager.smell` is 60 mm", "from the next frame on")
-    assert session.switch_field("trail", on=False).did == "field `trail` is switched off"
+    assert (outcome.description, outcome.line) == ("`forager.smell` is 60 mm", "from the next frame on")
+    assert session.switch_field("trail", is_on=False).description == "field `trail` is switched off"
     session.restart()
     edit(shot, "  state search ", "  state idle gray { when after 1 s -> search }\n  state search ")
     outcome = session.reload()
-    assert outcome.did.startswith("forager.ant line ") and "`idle` is a new state" in outcome.line
+    assert outcome.description.startswith("forager.ant line ") and "`idle` is a new state" in outcome.line
     edit(shot, "  state idle gray { when after 1 s -> search }\n", "")
     outcome = session.reload()
-    assert outcome.did.startswith("forager.ant: 1 line gone after line ") and "`idle` is no longer a state" in outcome.line
+    assert (
+        outcome.description.startswith("forager.ant: 1 line gone after line ") and "`idle` is no longer a state" in outcome.line
+    )
     edit(shot, "ant 2\n", "ant 2\n# a comment\n")
-    assert session.reload().did == "forager.ant line 2"
+    assert session.reload().description == "forager.ant line 2"
     scene = shot.read_text()
     shot.write_text(scene.replace("frames: 1..960", "frames: 1..30"))
     outcome = session.reload()
-    assert (outcome.did, outcome.line) == ("scene.yaml line 6", "the run does not change")
+    assert (outcome.description, outcome.line) == ("scene.yaml line 6", "the run does not change")
     assert session.shot.frames.last == 30
     assert session.reload().line == "nothing has changed"
 
@@ -280,7 +282,7 @@ def test_what_was_set_by_hand_goes_with_the_param_it_was_for(shot: Path) -> None
 
 
 def test_memory_stays_in_its_budget_and_the_oldest_goes_first(shot: Path) -> None:
-    session = opened(shot, every=4, budget=150_000)
+    session = opened(shot, checkpoint_interval=4, budget=150_000)
     hashes = go(session, 60)
     timeline = session.timeline
     array_sizes = {

@@ -50,7 +50,7 @@ def test_species_of_two_files_meet() -> None:
     assert complaints(report) == []
     assert sorted(program.species) == ["hunter", "rabbit"]
     prey = next(a for a in program.species["hunter"].attributes if a.name == "prey")
-    assert prey.type == model.ValueType(model.TypeKind.AGENT, of="rabbit")
+    assert prey.type == model.ValueType(model.TypeKind.AGENT, referent="rabbit")
 
 
 EDITS = [

@@ -95,7 +95,7 @@ def save(folder: Path, name: str, text: str | None) -> None:
 
 def opened(folder: Path, project: Project) -> Session:
     project.save(folder)
-    session, report = Session.open(folder / "scene.yaml", every=16, budget=8_000_000)
+    session, report = Session.open(folder / "scene.yaml", checkpoint_interval=16, budget=8_000_000)
     assert session is not None, [d.message for d in report.errors]
     return session
 

@@ -112,7 +112,7 @@ def taken(world: World, main: Path, **texts: str) -> tuple[World, Migration]:
 def test_with_nothing_edited_a_world_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     shot = opened(digging(tmp_path) if name == "digging" else EXAMPLES / name)
     built = BindingCache()
-    world = bind(shot.plan, shot.setting, built=built)
+    world = bind(shot.plan, shot.setting, binding_cache=built)
     for _ in range(20 if name == "digging" else 5):
         step(world)
     if name == "digging":
@@ -219,7 +219,7 @@ def test_agents_follow_a_ground_with_moving_vertices(scene: Path) -> None:
 
 def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene: Path) -> None:
     built, shot = BindingCache(), opened(scene)
-    world = bind(shot.plan, shot.setting, built=built)
+    world = bind(shot.plan, shot.setting, binding_cache=built)
     built.drop_unused()
     now, _ = migrate_world(world, shot.plan, shot.setting, built)
     assert now.ground is world.ground

@@ -47,7 +47,9 @@ def heights(history: RunHistory) -> list[float]:
     for frame in history.frames:
         clips_of_machine = MachineClips(*(frame["a"][f"main.{name}"] for name in registers))
         hand_heights.append(
-            float(blend_poses(table, {}, build_machine_playback(table, clips, [clips_of_machine], 1)).world[0, 0, 1, 3])
+            float(
+                blend_poses(table, {}, build_machine_playback(table, clips, [clips_of_machine], 1)).world_transforms[0, 0, 1, 3]
+            )
         )
     return hand_heights
 

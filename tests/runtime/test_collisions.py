@@ -166,4 +166,4 @@ species hunter {{ x = 0; {line}
 
 def test_a_handler_without_a_name_in_brackets_is_about_its_own_kind() -> None:
     program = program_of(f"species prey {{ {BALLS} on collision {{ hits += 1 }}\nstart s\nstate s {{ steer heading * hits }} }}")
-    assert [(h.event, h.of, h.other) for h in program.species["prey"].handlers] == [("collision", "prey", None)]
+    assert [(h.event, h.other_species, h.other) for h in program.species["prey"].handlers] == [("collision", "prey", None)]

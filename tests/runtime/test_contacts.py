@@ -187,7 +187,7 @@ def test_two_sides_of_a_thin_sheet_do_not_meet() -> None:
     plate = MeshData(*meshes.box((-40, 0, -40), (40, 0.1, 40)))
     surfaces = {"plate": plate}
     text = RESTING.replace("species ant", 'world { surface plate "thin" }\nspecies ant', 1)
-    bound_world = world(CrowdData("ant", 300, PlacementData(on=("plate",), is_by_area=True)), text=text, surfaces=surfaces)
+    bound_world = world(CrowdData("ant", 300, PlacementData(surfaces=("plate",), is_by_area=True)), text=text, surfaces=surfaces)
     sides = np.sign(bound_world.populations["ant"].normal[:, 1])
     assert (sides > 0).any() and (sides < 0).any()
     for _ in range(30):

@@ -116,7 +116,7 @@ def test_open_ground_in_a_tunnel_is_walked_on(watched, shot):
     direction = np.array([[1.0, 0.0, 0.0]])
     onto = ground.find_nearest(floor)[0]
     moved = ground.move(onto, direction, direction, np.array([[0.0, 1.0, 0.0]]), 4.0)
-    assert moved.footing.mesh[0] == 0 and not moved.blocked[0]
+    assert moved.footing.mesh[0] == 0 and not moved.is_blocked[0]
     assert moved.position[0, 0] == pytest.approx(floor[0, 0] + 1.0, abs=0.05)
 
 

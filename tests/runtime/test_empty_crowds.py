@@ -31,7 +31,7 @@ COMBINATIONS = [f"{who} {life.name}" for who in WHO for life in LIVES]
 
 
 def run(setting: WorldSetting, options: Options, built: BindingCache, size: Size) -> tuple[list[str], World]:
-    world = bind(empty_crowds.plan(size), setting, options, built=built)
+    world = bind(empty_crowds.plan(size), setting, options, binding_cache=built)
     hashes = [state_hash(world)]
     for _ in range(FRAMES):
         step(world)

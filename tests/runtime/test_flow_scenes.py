@@ -95,7 +95,7 @@ def test_every_form_of_a_flow(folder: Path) -> None:
         and flow.target.line
         and flow.target.positions.shape == (2, 3)
     )
-    assert (flow.radius, flow.falloff, flow.strength, flow.cell, flow.on) == (40, "linear", -0.5, 3, ("ground",))
+    assert (flow.radius, flow.falloff, flow.strength, flow.cell, flow.surfaces) == (40, "linear", -0.5, 3, ("ground",))
     assert flow.gather == 2
     flow = drift(folder, "{tangent: way.json}")
     assert isinstance(flow, SpreadFlowData) and flow.radius is None and flow.target.line
@@ -107,9 +107,11 @@ def test_every_form_of_a_flow(folder: Path) -> None:
     flow = drift(folder, "{away: [1 cm, 0, -5]}")
     assert isinstance(flow, SpreadFlowData) and flow.target.positions.tolist() == [[10, 0, -5]] and not flow.target.line
     flow = drift(folder, "{border: ground, within: 20 mm}")
-    assert isinstance(flow, BorderFlowData) and flow.on == ("ground",) and flow.max_distance == 20 and flow.falloff == "linear"
+    assert (
+        isinstance(flow, BorderFlowData) and flow.surfaces == ("ground",) and flow.max_distance == 20 and flow.falloff == "linear"
+    )
     flow = drift(folder, "{solved: nest, slope: 2, room: 5 mm, maps: {damp: 4}, crowding: 1.5, every: 2 step, cell: 30 mm}")
-    assert isinstance(flow, SolvedFlowData) and flow.maps == {"damp": 4} and flow.every == pytest.approx(2 / 24)
+    assert isinstance(flow, SolvedFlowData) and flow.maps == {"damp": 4} and flow.interval == pytest.approx(2 / 24)
     assert (flow.slope, flow.clearance, flow.crowding) == (2, 5, 1.5)
     flow = drift(folder, "{painted: damp.npz, attribute: comb, strength: 0.25}")
     assert isinstance(flow, PaintedValues) and flow.surface == "ground" and np.allclose(flow.values, 0.25)

@@ -83,7 +83,7 @@ def test_edges_and_creases_give_the_same_bits_and_no_agent_is_stuck(how: str) ->
     block = MeshData(*meshes.box((-20.0, 0.0, -20.0), (20.0, 30.0, 20.0)))
     floor = MeshData(*meshes.grid(200.0, 4))
     text = "use steering\nspecies a { max_turn 360 deg/s; state s { steer wander() } }"
-    around = CrowdData("a", 6, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=35.0, on=("ground", "stone")), 0)
+    around = CrowdData("a", 6, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=35.0, surfaces=("ground", "stone")), 0)
     world = "ant 1\nworld { surface ground; surface stone }\n"
     option_sets = (*FAST, OPTION_SETS[2], Options(backend="native"))
     history = play(

@@ -80,24 +80,26 @@ def by_id(bound_world: World, species: str = "ant") -> np.ndarray:
 
 # --- no agent in another --------------------------------------------------------------------------------------------------
 
-DISC = PlacementData(on=("hill",), disc_centre=(0.0, 0.0, 0.0), radius=90.0)
+DISC = PlacementData(surfaces=("hill",), disc_centre=(0.0, 0.0, 0.0), radius=90.0)
 PLACEMENTS = {
     "disc": (CrowdData("ant", 500, DISC),),
-    "surface": (CrowdData("ant", 900, PlacementData(on=("hill",))),),
+    "surface": (CrowdData("ant", 900, PlacementData(surfaces=("hill",))),),
     "everywhere": (CrowdData("ant", 900),),
-    "density": (CrowdData("ant", 900, PlacementData(on=("hill",), density="damp")),),
-    "density by area": (CrowdData("ant", 900, PlacementData(on=("hill",), density="damp", is_by_area=True)),),
+    "density": (CrowdData("ant", 900, PlacementData(surfaces=("hill",), density="damp")),),
+    "density by area": (CrowdData("ant", 900, PlacementData(surfaces=("hill",), density="damp", is_by_area=True)),),
     "inside": (CrowdData("ant", 500, PlacementData(ray_origin=(0.0, 60.0, 0.0))),),
-    "solid": (CrowdData("ant", 90, PlacementData(on=("block",))),),
-    "solid by area": (CrowdData("ant", 400, PlacementData(on=("block",), is_by_area=True)),),
-    "both sides": (CrowdData("ant", 400, PlacementData(on=("plate",), is_by_area=True)),),
-    "ball": (CrowdData("ant", 70, PlacementData(on=("plate",), disc_centre=(40.0, 42.0, 0.0), radius=30.0, is_by_area=True)),),
+    "solid": (CrowdData("ant", 90, PlacementData(surfaces=("block",))),),
+    "solid by area": (CrowdData("ant", 400, PlacementData(surfaces=("block",), is_by_area=True)),),
+    "both sides": (CrowdData("ant", 400, PlacementData(surfaces=("plate",), is_by_area=True)),),
+    "ball": (
+        CrowdData("ant", 70, PlacementData(surfaces=("plate",), disc_centre=(40.0, 42.0, 0.0), radius=30.0, is_by_area=True)),
+    ),
     "sizes": (CrowdData("giant", 22, DISC),),
     "lines and species": (
         CrowdData("ant", 120, DISC, 0),
         CrowdData("giant", 5, DISC, 1),
-        CrowdData("ant", 80, PlacementData(on=("hill",), disc_centre=(40.0, 0.0, 0.0), radius=80.0), 2),
-        CrowdData("giant", 3, PlacementData(on=("hill",), disc_centre=(0.0, 0.0, 50.0), radius=60.0), 3),
+        CrowdData("ant", 80, PlacementData(surfaces=("hill",), disc_centre=(40.0, 0.0, 0.0), radius=80.0), 2),
+        CrowdData("giant", 3, PlacementData(surfaces=("hill",), disc_centre=(0.0, 0.0, 50.0), radius=60.0), 3),
     ),
     "given points": (
         CrowdData("ant", 200, DISC, 0),
@@ -161,7 +163,7 @@ def test_places_are_the_same_whatever_threads_chunks_and_rows(options: Options) 
 
 def test_given_points_are_used_even_inside_each_other() -> None:
     points = np.array([[50.0, 0, 0], [51.0, 0, 0], [52.0, 0, 3.0]])
-    ants = CrowdData("ant", 300, PlacementData(on=("hill",), disc_centre=(50.0, 0, 0), radius=60.0))
+    ants = CrowdData("ant", 300, PlacementData(surfaces=("hill",), disc_centre=(50.0, 0, 0), radius=60.0))
     bound_world = world(ants, CrowdData("giant", 3, PlacementData(points=points), 1))
     assert np.abs(by_id(bound_world, "giant")[:, [0, 2]] - points[:, [0, 2]]).max() < 1e-4 and bound_world.overcrowded_lines == []
     place, radius = discs(bound_world)
@@ -199,16 +201,16 @@ def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: 
     (diagnostic,) = find_crowding_warnings(shot.scene, bound_world).diagnostics
     (line,) = bound_world.overcrowded_lines
     place, radius = discs(bound_world)
-    assert (line.count, line.radius) == (200, (2.0, 2.0)) and 45 < line.fit < 60
+    assert (line.count, line.radius) == (200, (2.0, 2.0)) and 45 < line.fitting_count < 60
     assert diagnostic.code == "no-room" and diagnostic.severity == "warning"
     assert diagnostic.span is not None and diagnostic.span.text == "{on: ground, around: apple, radius: 20 mm}"
     assert diagnostic.message == (
-        f"only {line.fit} of 200 `ant` have space at the start: with a radius of 2 mm they cover 2,513 of 1,257 mm²"
+        f"only {line.fitting_count} of 200 `ant` have space at the start: with a radius of 2 mm they cover 2,513 of 1,257 mm²"
     )
     assert diagnostic.help == "write `radius: 44 mm`, a smaller `count`, or a smaller `radius` in the program"
     # as many as it says do not meet each other
     free = _largest_first(place, radius)
-    assert free >= line.fit
+    assert free >= line.fitting_count
     larger, _ = _opened(folder, "{on: ground, around: apple, radius: 44 mm}", 200)
     assert larger is not None and bind(larger.plan, larger.setting).overcrowded_lines == []
 
@@ -283,9 +285,9 @@ BARE = "ant 1\nuse steering\nworld { surface floor }\nspecies ant { size 4 mm; s
 @pytest.mark.parametrize(
     ("mesh", "place", "count", "area", "larger", "sides"),
     [
-        (meshes.box((-20, -20, -20), (20, 20, 20)), PlacementData(on=("floor",)), 120, 1600, False, True),  # its lid alone
-        (meshes.box((-20, -20, -20), (20, 20, 20)), PlacementData(on=("floor",)), 900, 1600, False, False),
-        (meshes.grid(40.0, 4), PlacementData(on=("floor",)), 120, 1600, False, False),
+        (meshes.box((-20, -20, -20), (20, 20, 20)), PlacementData(surfaces=("floor",)), 120, 1600, False, True),  # its lid alone
+        (meshes.box((-20, -20, -20), (20, 20, 20)), PlacementData(surfaces=("floor",)), 900, 1600, False, False),
+        (meshes.grid(40.0, 4), PlacementData(surfaces=("floor",)), 120, 1600, False, False),
         (meshes.grid(40.0, 4), PlacementData(disc_centre=(0, 0, 0), radius=10.0), 40, 314, True, False),
         (meshes.grid(40.0, 4), PlacementData(disc_centre=(0, 0, 0), radius=10.0), 400, 314, False, False),  # the floor ends
         (meshes.grid(40.0, 4), PlacementData(disc_centre=(0, 0, 0), radius=10.0, is_by_area=True), 40, 314, True, False),
@@ -364,7 +366,7 @@ def test_how_free_a_large_disc_is_among_small_ones_is_exact(count: int) -> None:
 
 def sphere(**place: object) -> World:
     text = "ant 1\nuse steering\nworld { surface ball }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
-    crowd = CrowdData("ant", 2000, PlacementData(on=("ball",), **place))  # type: ignore[arg-type]
+    crowd = CrowdData("ant", 2000, PlacementData(surfaces=("ball",), **place))  # type: ignore[arg-type]
     ball_mesh = MeshData(*meshes.ball(100.0, at=(20, 30, 40), rings=24))
     return world(crowd, text=text, surfaces={"ball": ball_mesh}, solids={}, obstacles={}, maps={})
 

@@ -55,7 +55,7 @@ def test_a_disc_beside_all_surfaces(folder: Path, place: str, beside: bool) -> N
 )
 def test_a_ball_inside_or_outside_of_what_is_closed(middle: float, radius: float, is_beside: bool) -> None:
     block = MeshData(*meshes.box((-20, -20, -20), (20, 20, 20)))
-    place = PlacementData(on=("block",), disc_centre=(middle, 0.0, 1.0), radius=float(radius), is_by_area=True)
+    place = PlacementData(surfaces=("block",), disc_centre=(middle, 0.0, 1.0), radius=float(radius), is_by_area=True)
     assert is_away_from_surfaces(place, WorldSetting(solids={"block": SolidData(block, 2.0)}), "y") == is_beside
     text = "ant 1\nuse steering\nworld { solid block }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
     solids = {"block": SolidData(block, 2.0)}

@@ -37,7 +37,7 @@ def nearest(points: np.ndarray) -> np.ndarray:
 
 
 def test_even_is_as_far_apart_as_all_have_room_for_across_species() -> None:
-    even = PlacementData(on=("ground",), spacing=np.inf)
+    even = PlacementData(surfaces=("ground",), spacing=np.inf)
     world = bind_crowds(even, even)
     drawn = bind_crowds(replace(even, spacing=0.0), replace(even, spacing=0.0))
     both, by_chance = (np.concatenate([positions_by_id(w, "hunter"), positions_by_id(w, "prey")]) for w in (world, drawn))
@@ -48,7 +48,7 @@ def test_even_is_as_far_apart_as_all_have_room_for_across_species() -> None:
 
 
 def test_a_length_holds_between_lines_too_and_agents_without_room_are_reported() -> None:
-    wide, near = PlacementData(on=("ground",), spacing=30.0), PlacementData(on=("ground",), spacing=6.0)
+    wide, near = PlacementData(surfaces=("ground",), spacing=30.0), PlacementData(surfaces=("ground",), spacing=6.0)
     world = bind_crowds(wide, near)
     hunters, prey = positions_by_id(world, "hunter"), positions_by_id(world, "prey")
     assert nearest(hunters).min() >= 30 and nearest(prey).min() >= 6
@@ -58,7 +58,7 @@ def test_a_length_holds_between_lines_too_and_agents_without_room_are_reported()
 
 
 def test_a_seed_of_its_own_moves_that_line_alone() -> None:
-    free, own = PlacementData(on=("ground",)), PlacementData(on=("ground",), seed=3)
+    free, own = PlacementData(surfaces=("ground",)), PlacementData(surfaces=("ground",), seed=3)
     one, other, again = bind_crowds(free, free), bind_crowds(free, own), bind_crowds(free, own, seed=6)
     assert (positions_by_id(one, "hunter") == positions_by_id(other, "hunter")).all()
     assert not (positions_by_id(one, "prey") == positions_by_id(other, "prey")).all(axis=1).any()
@@ -70,7 +70,7 @@ def test_a_seed_of_its_own_moves_that_line_alone() -> None:
 
 @pytest.mark.parametrize("added", [0, 50])
 def test_more_agents_move_no_others_where_a_length_is_given(added: int) -> None:
-    place = PlacementData(on=("ground",), spacing=8.0)
+    place = PlacementData(surfaces=("ground",), spacing=8.0)
     assert (
         positions_by_id(bind_crowds(place, place, (10, 100 + added)), "prey")[:100]
         == positions_by_id(bind_crowds(place, place, (10, 100)), "prey")

@@ -23,7 +23,7 @@ BY_NONE = {"operation told"}
 
 def states(plan: ir.Plan, setting: WorldSetting, seed: int, options: Options, frames: int, built: BindingCache) -> list[str]:
     """Hashes of the frames, as far as the crowd is not too large."""
-    world = bind(plan, setting, options, built=built)
+    world = bind(plan, setting, options, binding_cache=built)
     hashes = [state_hash(world)]
     for frame in range(frames):
         if len(world) > MOST:

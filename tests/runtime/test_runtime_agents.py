@@ -155,7 +155,12 @@ def breeders() -> ir.Plan:
 
     born = plans.block(plans.store("parity", rest(2.0)), plans.store("third", rest(3.0)))
     plan = plans.bare(
-        act, "parity", "third", "sees", born=born, extra_registers=(ir.Register("friend", L, "attribute", -1, of="ant"),)
+        act,
+        "parity",
+        "third",
+        "sees",
+        born=born,
+        extra_registers=(ir.Register("friend", L, "attribute", -1, referenced_species="ant"),),
     )
     return replace(plan)
 

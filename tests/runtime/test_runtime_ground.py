@@ -87,7 +87,9 @@ def surfaces_setting(count: int = 60, shift: float = 0.0, **setting_arguments):
         surfaces={"ground": ground, "boulder": mesh(box((-40.0, 2.0, 30.0), 14.0), shift)},
         obstacles={"stones": mesh(box((25.0, 0.0, 0.0), 12.0), shift)},
         curves={"way": np.array([[-90.0, 0, -60], [0, 0, -40], [90, 0, -60]]) + move},
-        crowds=(CrowdData("ant", count, PlacementData(on=("ground",), disc_centre=(20.0 + shift, 0.0, shift), radius=60.0)),),
+        crowds=(
+            CrowdData("ant", count, PlacementData(surfaces=("ground",), disc_centre=(20.0 + shift, 0.0, shift), radius=60.0)),
+        ),
         field_start={"trail": FieldStartData(0.5, (shift, 0.0, -60.0 + shift), 30.0)},
     )
     return WorldSetting(**{**default_setting, **setting_arguments})

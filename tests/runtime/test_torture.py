@@ -94,7 +94,7 @@ def test_a_sheet_without_thickness_is_gone_through_nowhere() -> None:
     stopped = 0
     for _, at in wander(ground, begin, 2 * STEPS, rng):
         assert np.array_equal(in_can(above(ground, at)), began)
-        stopped += int(at.blocked.sum())
+        stopped += int(at.is_blocked.sum())
     assert stopped > 20  # by its border
 
 
@@ -166,7 +166,7 @@ def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
         around = np.cross(middle, [0.0, 1.0, 0.0])
         heading = around / np.linalg.norm(around) + lean
         at = ground.move(at.footing, heading[None] * STEP, heading[None], at.up, BODY)
-        assert not at.blocked.any()
+        assert not at.is_blocked.any()
         turned = np.arctan2(at.position[0][2], at.position[0][0]) - np.arctan2(previous.position[0][2], previous.position[0][0])
         turns += float(np.mod(turned + np.pi, 2 * np.pi) - np.pi)
         ups.append((turns, at.up[0] @ start.up[0]))
@@ -252,7 +252,7 @@ def test_who_comes_to_a_cut_goes_on_upon_what_cuts() -> None:
     assert np.allclose(at.position, [[10, 2, 6], [10, -2, 6]], atol=1e-5)
     assert np.allclose(at.direction, [[0, 1, 0], [0, -1, 0]], atol=0.02)  # along the smoothed ground
     assert np.allclose(at.heading, at.direction, atol=0.02)
-    assert np.allclose(at.travelled, 6.0) and not at.blocked.any()
+    assert np.allclose(at.travelled, 6.0) and not at.is_blocked.any()
 
 
 def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:

@@ -101,7 +101,7 @@ def test_wavefront_in_any_layout_is_the_same_mesh(data: bytes) -> None:
     notes = ImportNotes()
     points, faces = read_mesh_arrays(data, "a.obj", notes=notes)
     assert np.allclose(points, POINTS) and faces.tolist() == TRIANGLES
-    assert not notes.skipped and notes.cut_polygons == 2 and not notes.concave_polygons
+    assert not notes.skipped_elements and notes.cut_polygons == 2 and not notes.concave_polygons
 
 
 @settings(max_examples=60, deadline=None)
@@ -110,7 +110,7 @@ def test_ply_in_any_layout_is_the_same_mesh(data: bytes) -> None:
     notes = ImportNotes()
     points, faces = read_mesh_arrays(data, "a.ply", notes=notes)
     assert np.allclose(points, POINTS) and faces.tolist() == TRIANGLES
-    assert all("edge" in word for word in notes.skipped)
+    assert all("edge" in word for word in notes.skipped_elements)
 
 
 @settings(max_examples=30, deadline=None)
@@ -133,7 +133,7 @@ FACET = struct.pack("<12fH", 0, 1, 0, *POINTS[:3].ravel(), 0)
 def test_binary_stl_may_be_padded(head: bytes, tail: bytes) -> None:
     notes = ImportNotes()
     assert len(read_mesh_arrays(head.ljust(80) + struct.pack("<I", 1) + FACET + tail, "a.stl", notes=notes)[1]) == 1
-    assert not notes.skipped
+    assert not notes.skipped_elements
 
 
 def test_bytes_after_a_binary_stl_are_reported_and_wrong_counts_are_errors() -> None:

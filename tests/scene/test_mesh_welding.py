@@ -60,7 +60,7 @@ def test_a_scene_and_its_ground_agree_on_what_is_ground() -> None:
         vertices[rng.integers(0, 9, 3)] = vertices[0]
         faces = rng.integers(0, 9, (3, 3)).astype(np.int32)
         extent = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
-        live = bool(build_topology(vertices, faces, np.zeros(3, np.int32), extent).live.any())
+        live = bool(build_topology(vertices, faces, np.zeros(3, np.int32), extent).is_live.any())
         assert has_live_face(vertices, faces, extent) == live
         outcomes.add(live)
     assert outcomes == {True, False}
@@ -70,7 +70,7 @@ def test_a_scene_and_its_ground_agree_on_what_is_ground() -> None:
 @pytest.mark.parametrize("by_area", [False, True])
 def test_a_world_without_live_faces_is_bound(by_area: bool, around: tuple[float, float, float] | None) -> None:
     flat = MeshData(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float), np.array([[0, 1, 2]], np.int32))
-    place = PlacementData(on=("ground",), is_by_area=by_area, disc_centre=around, radius=5.0 if around else None)
+    place = PlacementData(surfaces=("ground",), is_by_area=by_area, disc_centre=around, radius=5.0 if around else None)
     setting = WorldSetting(surfaces={"ground": flat}, crowds=(CrowdData("ant", 4, place),))
     world = bind(bare(block(), thing_names_by_kind={"surface": ("ground",)}), setting)
     assert len(world.populations["ant"]) == 4

@@ -59,7 +59,9 @@ def folder(tmp_path: Path) -> Path:
 
 def make_jobs(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[SweepJob]:
     points = grid(**vary)
-    job_list, report = build_jobs(make_variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
+    job_list, report = build_jobs(
+        make_variations([folder / "scene.yaml"], points), seeds, frames=None, stop_amounts=until, grants={}
+    )
     assert report.ok, report.errors
     return job_list
 
@@ -100,7 +102,7 @@ def test_a_key_is_that_of_the_scene_opened_by_itself(folder: Path) -> None:
 
 def test_mistakes_are_reported_before_anything_runs(folder: Path) -> None:
     chosen = make_variations([folder / "scene.yaml"], grid(smell=("60mm", "4s", "4m")))
-    _, report = build_jobs(chosen, range(1, 3), frames=None, until=("food.lod",), grants={})
+    _, report = build_jobs(chosen, range(1, 3), frames=None, stop_amounts=("food.lod",), grants={})
     assert sorted(d.code for d in report.errors) == ["out-of-range", "unknown-thing", "wrong-unit"]
 
 

@@ -27,7 +27,7 @@ def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> No
     assert len(text.encode()) <= limits.MAX_PROGRAM_BYTES
     with patch("antdsl.syntax.parser._FileParser", side_effect=AssertionError("parsed")):
         file, report = syntax.parse(Source("large.ant", text))
-    assert file.broken
+    assert file.has_errors
     (error,) = report.errors
     assert error.code == "too-many" and words.split(" of")[0] in error.message
     assert error.span is not None and error.span.start > 1000
@@ -49,5 +49,5 @@ def test_a_file_that_is_edited_has_the_same_limits(words: str) -> None:
 def test_a_file_at_the_limits_is_parsed() -> None:
     text = "ant 1\n" + "".join(SPECIES.format(number) for number in range(limits.MAX_FILE_SPECIES))
     file, report = syntax.parse(Source("large.ant", text))
-    assert report.ok and not file.broken
+    assert report.ok and not file.has_errors
     assert not IncrementalParser().parse(Source("large.ant", text))[1].diagnostics

@@ -21,7 +21,7 @@ _SHAPE_FIELD_BY_ATTRIBUTE = {"P": "points", "N": "normals"}  # attributes that a
 _MIN_KNOT_SPACING = 1e-6  # in-betweens with weights nearer to each other than this count as one
 
 
-def blend_shapes(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+def blend_shapes(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
     """Return the shape with the inputs of a blend shape added, weighted by the channels of each agent.
 
     Only the attributes that the shape blends change (default: P and N). Primitives have no attributes in antdsl, so
@@ -34,13 +34,13 @@ def blend_shapes(deformed: DeformedShape, shape: Shape, definition: Definition, 
         raise ValueError(f"shape `{shape.name}` names no blend shapes (blendshape_shapenames)")
     if len(blend.shapes) != len(blend.channels):
         raise ValueError(f"shape `{shape.name}` has {len(blend.shapes)} blend shapes and {len(blend.channels)} channels for them")
-    n = max(len(poses.channels), len(deformed.points))
+    n = max(len(poses.channels), len(deformed_shape.points))
     names = [
         name
         for name in blend.attributes
-        if _read_attribute(deformed, name) is not None and get_point_attribute(shape, name) is not None
+        if _read_attribute(deformed_shape, name) is not None and get_point_attribute(shape, name) is not None
     ]
-    values = {name: _split_components(_read_attribute(deformed, name), n) for name in names}
+    values = {name: _split_components(_read_attribute(deformed_shape, name), n) for name in names}
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
         weights = poses.channels[:, definition.rig.find_channel(channel)]
         targets, knots = find_blend_knots(definition, name)
@@ -54,17 +54,17 @@ def blend_shapes(deformed: DeformedShape, shape: Shape, definition: Definition, 
                     compute_attribute_offsets(shape, targets[k], each, base_points, target_points)[..., None] * share
                 )
     rest = {name: array.transpose(2, 1, 0) for name, array in values.items() if name not in _SHAPE_FIELD_BY_ATTRIBUTE}
-    points = values["P"].transpose(2, 1, 0) if "P" in values else deformed.points
-    normals = normalise_in_place(values["N"]).transpose(2, 1, 0) if "N" in values else deformed.normals
-    return DeformedShape(points, normals, {**deformed.attributes, **rest})
+    points = values["P"].transpose(2, 1, 0) if "P" in values else deformed_shape.points
+    normals = normalise_in_place(values["N"]).transpose(2, 1, 0) if "N" in values else deformed_shape.normals
+    return DeformedShape(points, normals, {**deformed_shape.attributes, **rest})
 
 
-def _read_attribute(deformed: DeformedShape, name: str) -> Floats | None:
+def _read_attribute(deformed_shape: DeformedShape, name: str) -> Floats | None:
     """Return an attribute [n, P, …] in its current, possibly deformed, state."""
     return (
-        {"P": deformed.points, "N": deformed.normals}[name]
+        {"P": deformed_shape.points, "N": deformed_shape.normals}[name]
         if name in _SHAPE_FIELD_BY_ATTRIBUTE
-        else deformed.attributes.get(name)
+        else deformed_shape.attributes.get(name)
     )
 
 

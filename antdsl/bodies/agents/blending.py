@@ -122,34 +122,34 @@ class ClipPlayback:
 
 
 def blend_poses(
-    table: ClipTable, groups: Mapping[str, TransformGroup], playing: ClipPlayback, *, with_local: bool = False, threads: int = 1
+    table: ClipTable, groups: Mapping[str, TransformGroup], playback: ClipPlayback, *, needs_local: bool = False, threads: int = 1
 ) -> Poses:
     """Return the transforms and channel values of all agents for the clips that they play.
 
-    `with_local`: also return local transforms. `threads` and the order of agents change no bit. Raises KeyError for a transform
+    `needs_local`: also return local transforms. `threads` and the order of agents change no bit. Raises KeyError for a transform
     group that does not exist, or that names a joint or channel that the rig lacks. Raises IndexError for a clip or tree number
     out of range. Raises ValueError for arrays that do not match each other or the trees.
     """
-    _check_shapes(playing)
-    n, joints = len(playing.tree), len(table.joint_order)
-    if n and not 0 <= int(playing.tree.min()) <= int(playing.tree.max()) < len(playing.trees):
-        raise IndexError(f"trees are numbered from 0 to {len(playing.trees) - 1}")
-    named = {name for tree in playing.trees for name in tree.groups if name}
+    _check_shapes(playback)
+    n, joints = len(playback.tree), len(table.joint_order)
+    if n and not 0 <= int(playback.tree.min()) <= int(playback.tree.max()) < len(playback.trees):
+        raise IndexError(f"trees are numbered from 0 to {len(playback.trees) - 1}")
+    named = {name for tree in playback.trees for name in tree.groups if name}
     members = {name: table.weights(groups[name]) for name in sorted(named)}
     world = np.empty((3, 4, joints, n), np.float32)
-    own = np.empty((3, 4, joints, n), np.float32) if with_local else None
+    own = np.empty((3, 4, joints, n), np.float32) if needs_local else None
     channels = np.empty((len(table.rig.channels), n), np.float32)
     part = max(64, _JOINTS_PER_CHUNK // max(1, joints))
 
-    for number, tree in enumerate(playing.trees):
-        rows = None if len(playing.trees) == 1 else np.flatnonzero(playing.tree == number)
+    for number, tree in enumerate(playback.trees):
+        rows = None if len(playback.trees) == 1 else np.flatnonzero(playback.tree == number)
         count = n if rows is None else len(rows)
 
         def work(begin: int, end: int, tree: ClipTree = tree, rows: NDArray[np.intp] | None = rows) -> None:
             for a in range(begin, end, part):
                 b = min(a + part, end)
                 agents = slice(a, b) if rows is None else rows[a:b]
-                pose = blend_agents(table, members, tree, playing, agents)
+                pose = blend_agents(table, members, tree, playback, agents)
                 local_matrices, placed = compute_transforms(table, pose)
                 _store_matrices(world, table, agents, placed)
                 if own is not None:
@@ -162,25 +162,25 @@ def blend_poses(
     return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
 
 
-def _check_shapes(playing: ClipPlayback) -> None:
+def _check_shapes(playback: ClipPlayback) -> None:
     """Raise ValueError for arrays with shapes that do not match the trees."""
-    n = len(playing.tree)
-    slots = max((len(tree.layers) for tree in playing.trees), default=0)
-    layers = max((len(tree.modes) for tree in playing.trees), default=0)
+    n = len(playback.tree)
+    slots = max((len(tree.layers) for tree in playback.trees), default=0)
+    layers = max((len(tree.modes) for tree in playback.trees), default=0)
     for name, least in (("clips", slots), ("times", slots), ("weights", slots), ("layer_weights", layers)):
-        shape = getattr(playing, name).shape
+        shape = getattr(playback, name).shape
         if len(shape) != 2 or shape[0] != n or shape[1] < least:
             raise ValueError(f"`{name}` of {n} agents has the shape {shape}; it must be [{n}, {least} or more]")
 
 
-def _store_matrices(into: Floats, table: ClipTable, agents: slice | NDArray[np.intp], matrices: Floats) -> None:
-    """Write the matrices of `agents` into their rows of `into`, with joints in the order of the rig."""
+def _store_matrices(target: Floats, table: ClipTable, agents: slice | NDArray[np.intp], matrices: Floats) -> None:
+    """Write the matrices of `agents` into their rows of `target`, with joints in the order of the rig."""
     for r in range(3):
         for c in range(4):
             if isinstance(agents, slice):
-                into[r, c, table.joint_order, agents] = matrices[r, c]
+                target[r, c, table.joint_order, agents] = matrices[r, c]
             else:
-                into[r, c, table.joint_order[:, None], agents] = matrices[r, c]
+                target[r, c, table.joint_order[:, None], agents] = matrices[r, c]
 
 
 @dataclass(slots=True, eq=False)
@@ -199,13 +199,13 @@ class _BlendInput:
 
 
 def blend_agents(
-    table: ClipTable, group_weights: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playing: ClipPlayback,
+    table: ClipTable, group_weights: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playback: ClipPlayback,
     agents: slice | NDArray[np.intp],
 ) -> Pose:  # fmt: skip
     """Return the local poses of `agents`, which all share `tree`. `group_weights`: weights of transform groups by name."""
-    clips = _take_columns(playing.clips, agents)
-    times, weights = _take_columns(playing.times, agents), _clean_weights(_take_columns(playing.weights, agents))
-    layer_weights = _clean_weights(_take_columns(playing.layer_weights, agents))
+    clips = _take_columns(playback.clips, agents)
+    times, weights = _take_columns(playback.times, agents), _clean_weights(_take_columns(playback.weights, agents))
+    layer_weights = _clean_weights(_take_columns(playback.layer_weights, agents))
     n = clips.shape[1]
     rest = build_rest_pose(table, n)
 
@@ -293,15 +293,15 @@ def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats],
     return [each * by for each in products], presence, none
 
 
-def _add_rotations(into: Floats, addend: Floats, share: Floats, coverage: Floats) -> None:
+def _add_rotations(target: Floats, addend: Floats, share: Floats, coverage: Floats) -> None:
     """Add a share of quaternions to a sum, with the sign aligned to the sum."""
-    np.multiply(into, addend, out=coverage)
+    np.multiply(target, addend, out=coverage)
     dots = coverage[0]
     for k in (1, 2, 3):
         dots += coverage[k]
     side = np.where(dots < 0, -share, share)
     np.multiply(addend, side, out=coverage)
-    into += coverage
+    target += coverage
 
 
 def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:

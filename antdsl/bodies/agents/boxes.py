@@ -64,7 +64,7 @@ def _compute_binding_box(definition: Definition, binding: Binding, worlds: Float
         chosen = [definition.rig.joint(shape.capture.names[number]) for number in followed]
         if len(chosen) == 1:  # a shape with one joint moves like a static shape
             return _transform_box(
-                _compute_shape_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse[followed[0]]
+                _compute_shape_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse_matrices[followed[0]]
             )
         low, high = _compute_joint_box(worlds, chosen)
         middle, half = (low + high) / 2, (high - low) / 2 * scale
@@ -160,7 +160,7 @@ def _compute_rest_points(
     if shape.capture is None or binding.deformer in ("", "blendshape"):
         return _transform_points(world[definition.rig.joint(binding.transform)], points) if binding.transform else points
     chosen = [definition.rig.joint(name) for name in shape.capture.names]
-    matrices = compose_transforms(world[chosen], shape.capture.inverse)
+    matrices = compose_transforms(world[chosen], shape.capture.inverse_matrices)
     skinned_points = np.zeros_like(points)
     for column in range(shape.capture.joints.shape[1]):
         skinned_points += (

@@ -85,11 +85,11 @@ def _find_distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, 
     return tuple(str(name) for name in known), which.reshape(-1)
 
 
-def _pad_lists(values: Numbers | None, counts: NDArray[np.int64], missing: float) -> Numbers:
-    """Return concatenated lists as rows [n, longest length], padded with `missing`. `counts`: the lengths of the lists."""
+def _pad_lists(values: Numbers | None, counts: NDArray[np.int64], fill_value: float) -> Numbers:
+    """Return concatenated lists as rows [n, longest length], padded with `fill_value`. `counts`: the lengths of the lists."""
     flat_values = np.asarray([] if values is None else values)
-    kind = flat_values.dtype if len(flat_values) else np.asarray(missing).dtype
-    padded_rows = np.full((len(counts), int(counts.max(initial=0))), missing, kind)
+    kind = flat_values.dtype if len(flat_values) else np.asarray(fill_value).dtype
+    padded_rows = np.full((len(counts), int(counts.max(initial=0))), fill_value, kind)
     rows = np.repeat(np.arange(len(counts)), counts)
     padded_rows[rows, np.arange(len(flat_values)) - np.repeat(np.cumsum(counts) - counts, counts)] = flat_values
     return padded_rows

@@ -88,13 +88,13 @@ class Capture:
     `names`: of the J captured joints.
     `joints`: int32[P, K], indices into `names`.
     `weights`: float32[P, K], which add up to 1 for each point.
-    `inverse`: float64[J, 4, 4], transforms a point of the rest pose to the space of each joint at capture.
+    `inverse_matrices`: float64[J, 4, 4], transforms a point of the rest pose to the space of each joint at capture.
     """
 
     names: tuple[str, ...]
     joints: NDArray[np.int32]
     weights: Floats
-    inverse: NDArray[np.float64]
+    inverse_matrices: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ class Deformer(Protocol):
     agents (n is 1). Deformers are called for subsets of agents, so the result for one agent must not depend on the others.
     """
 
-    def __call__(self, deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape: ...
+    def __call__(self, deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape: ...
 
 
 DEFORMER_BY_NAME: dict[str, Deformer] = {
@@ -75,7 +75,7 @@ def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> De
     deformer, and the errors of its deformers.
     """
     shape = definition.shapes[binding.shape]
-    n = len(poses.world)
+    n = len(poses.world_transforms)
     named = shape.blend.attributes if shape.blend else ()
     further = {name: values[None].astype(np.float32) for name, values in shape.attributes.items() if name in named}
     rest = DeformedShape(shape.points[None], None if shape.normals is None else shape.normals[None], further)
@@ -88,8 +88,8 @@ def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> De
     part = max(16, _POINTS_PER_CHUNK // max(1, len(shape.points)))
     for a in range(0, n, part):
         rows = slice(a, min(a + part, n))
-        local = None if poses.local is None else poses.local[rows]
-        part_poses, deformed = Poses(poses.world[rows], local, poses.channels[rows]), rest
+        local = None if poses.local_transforms is None else poses.local_transforms[rows]
+        part_poses, deformed = Poses(poses.world_transforms[rows], local, poses.channels[rows]), rest
         with standard_floats():
             for step in chain:
                 deformed = step(deformed, shape, definition, part_poses)
@@ -104,13 +104,13 @@ def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> De
 def _build_rigid_deformer(binding: Binding) -> Deformer:
     """Return the deformer that moves a shape by its joint alone."""
 
-    def carried(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+    def carried(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
         joint = definition.rig.joint(binding.transform)
-        matrices = poses.world[:, joint].transpose(1, 2, 0)[:, :, None]
-        points = transform_points(matrices, deformed.points).transpose(2, 1, 0)
-        if deformed.normals is None:
-            return DeformedShape(points, None, deformed.attributes)
-        across = transform_points(invert_and_transpose(matrices), deformed.normals)
-        return DeformedShape(points, normalise_in_place(across).transpose(2, 1, 0), deformed.attributes)
+        matrices = poses.world_transforms[:, joint].transpose(1, 2, 0)[:, :, None]
+        points = transform_points(matrices, deformed_shape.points).transpose(2, 1, 0)
+        if deformed_shape.normals is None:
+            return DeformedShape(points, None, deformed_shape.attributes)
+        across = transform_points(invert_and_transpose(matrices), deformed_shape.normals)
+        return DeformedShape(points, normalise_in_place(across).transpose(2, 1, 0), deformed_shape.attributes)
 
     return carried

@@ -61,7 +61,7 @@ def turn_towards_looks(
     known_looks = {name: look for name, look in looks.items() if name in groups and len(look)}
     if not known_looks:
         return poses
-    world = np.array(poses.world, np.float32)
+    world = np.array(poses.world_transforms, np.float32)
     x, y, z = base[0]
     axes = (base / np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
     for name, look in known_looks.items():
@@ -80,11 +80,11 @@ def offset_joints(table: ClipTable, poses: Poses, offsets: Mapping[str, Floats],
     known = {table.rig.names.index(name): offset for name, offset in offsets.items() if name in table.rig.names and len(offset)}
     if not known:
         return poses
-    world = np.array(poses.world, np.float32)
+    world = np.array(poses.world_transforms, np.float32)
     x, y, z = base[0]
     scale = np.sqrt((x * x + y * y) + z * z)
     axes = base / scale
-    for joint, offset in sorted(known.items(), key=lambda each: each[0]):
+    for joint, offset in sorted(known.items(), key=lambda entry: entry[0]):
         wide = np.asarray(offset, np.float64)
         shift, turn = (
             (wide[:, k : k + 1] * axes[0] + wide[:, k + 1 : k + 2] * axes[1]) + wide[:, k + 2 : k + 3] * axes[2] for k in (0, 3)

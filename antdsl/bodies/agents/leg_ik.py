@@ -37,13 +37,13 @@ class BodySpaceFeet:
     """The feet of n agents relative to their bodies, in body lengths along ahead, up and aside.
 
     `positions`: float32[n, L, 3], the ground below each foot, or the position of a swinging foot.
-    `down`: bool[n, L], whether the foot is on the ground.
+    `is_on_ground`: bool[n, L], whether the foot is on the ground.
     `rise`: float32[n], height of the trunk relative to its rest.
     `tilt`: float32[n, 4], rotation of the trunk relative to its rest, x y z w.
     """
 
     positions: Floats
-    down: NDArray[np.bool_]
+    is_on_ground: NDArray[np.bool_]
     rise: Floats
     tilt: Floats
 
@@ -59,13 +59,13 @@ class PlacedFeet:
     """The feet of n agents in a frame, as stored in caches, in scene units.
 
     `P`: float32[n, L, 3], positions.
-    `down`: uint8[n, L], whether the foot is on the ground.
+    `is_on_ground`: uint8[n, L], whether the foot is on the ground.
     `phase`: float32[n], of the gait.
     `rise`: float32[n]; `tilt`: float32[n, 4]: height and rotation of the trunk relative to its rest.
     """
 
     P: Floats
-    down: NDArray[np.uint8]
+    is_on_ground: NDArray[np.uint8]
     phase: Floats
     rise: Floats
     tilt: Floats
@@ -83,7 +83,7 @@ class PlacedFeet:
             place = [(x * m[0, :, None] + y * m[1, :, None]) + z * m[2, :, None] for m in np.moveaxis(across, 1, 0)]
             local = np.stack(place, -1) / size[:, None, None]
             return BodySpaceFeet(
-                np.nan_to_num(local, posinf=0, neginf=0).astype(np.float32), self.down != 0,
+                np.nan_to_num(local, posinf=0, neginf=0).astype(np.float32), self.is_on_ground != 0,
                 np.nan_to_num(self.rise / size, posinf=0, neginf=0).astype(np.float32), np.nan_to_num(self.tilt),
             )  # fmt: skip
 
@@ -133,7 +133,7 @@ class LegSolver:
         played = [PlayedClip(*each) for each in clips]
         free = np.array([each.clip in self._clips_without_feet for each in played] + [False])
         moves = np.array(
-            [not each.add and (not each.on or self._group_moves_legs.get(each.on, False)) for each in played] + [False]
+            [not each.add and (not each.group or self._group_moves_legs.get(each.group, False)) for each in played] + [False]
         )
         for machine in machines:
             weight, loose = np.zeros(count, np.float32), np.zeros(count, np.float32)
@@ -151,13 +151,13 @@ class LegSolver:
         `tilt`.
 
         `local` is None."""
-        world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
+        world = np.array(poses.world_transforms.transpose(2, 3, 1, 0), np.float32, order="C")
         goals = self._compute_foot_goals(feet)
-        self._lower_bodies(world, goals, feet.down, stance_weights)
+        self._lower_bodies(world, goals, feet.is_on_ground, stance_weights)
         for each, goal in zip(self._chains, goals, strict=True):
             self._bend_leg(world, each, goal, stance_weights)
         self._move_trunk(world, feet)
-        return replace(poses, world=world.transpose(3, 2, 0, 1), local=None)
+        return replace(poses, world_transforms=world.transpose(3, 2, 0, 1), local_transforms=None)
 
     def _compute_foot_goals(self, feet: BodySpaceFeet) -> list[Floats]:
         """Return the goal of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
@@ -170,7 +170,7 @@ class LegSolver:
             goals.append(np.stack([(b[0, r] * q[0] + b[1, r] * q[1]) + b[2, r] * q[2] for r in range(3)]))
         return goals
 
-    def _lower_bodies(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stance_weights: Floats) -> None:
+    def _lower_bodies(self, world: Floats, goals: list[Floats], is_on_ground: NDArray[np.bool_], stance_weights: Floats) -> None:
         """Lower bodies until the feet that stand reach the ground: the trunk of a clip may be too high for the stance."""
         most = np.zeros(len(stance_weights), np.float32)
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
@@ -180,7 +180,7 @@ class LegSolver:
             high = _dot(displacement, self._up_axis[:, None])
             level = np.maximum(length * length - np.maximum(_dot(displacement, displacement) - high * high, 0), 0)
             short = np.clip(-np.sqrt(level) - high, 0, np.float32(_MAX_TRUNK_SINK) * length)
-            most = np.maximum(most, np.where(down[:, k], short, 0))
+            most = np.maximum(most, np.where(is_on_ground[:, k], short, 0))
         world[:, 3] -= self._up_axis[:, None, None] * (most * stance_weights)
 
     def _bend_leg(self, world: Floats, leg: LegChain, goal: Floats, stance_weights: Floats) -> None:

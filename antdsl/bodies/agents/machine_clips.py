@@ -19,7 +19,8 @@ from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineClips:
     """The clips that one machine of each of n agents plays. At most three clips overlap: the clip of the state (`clip`), the
-    previous one, which fades out (`before`), and one that was still fading out when `before` began to (`earlier`).
+    previous one, which fades out (`before`), and one that was still fading out when `before` began to
+    (`earlier`).
 
     `clip`, `before`, `earlier`: int[n], indices into what the species plays, -1 for none.
     `turns`, `before_turns`, `earlier_turns`: float32[n], how many times the clip was played through.
@@ -61,18 +62,17 @@ EARLIER_FIELDS = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
 class PlayedClip(NamedTuple):
     """A clip that a line of a state plays on the joints of a transform group.
 
-    `on`: the transform group, "" for the complete rig.
-    `add`: whether the clip's differences from the rest pose are added over all other clips.
-    `left`, `right`, `up` and `down`: the clips that replace it as an agent turns, climbs or descends; "" for none.
-    """
+    `group`: the transform group, "" for the complete rig. `add`: whether the clip's differences from the rest pose are added
+    over all other clips. `left_clip`, `right_clip`, `up_clip` and `down_clip`: the clips that replace it as an agent turns,
+    climbs or descends; "" for none."""
 
     clip: str
-    on: str = ""
+    group: str = ""
     add: bool = False
-    left: str = ""
-    right: str = ""
-    up: str = ""
-    down: str = ""
+    left_clip: str = ""
+    right_clip: str = ""
+    up_clip: str = ""
+    down_clip: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +103,7 @@ def build_machine_playback(
     weight; where it fades out completely, those layers are visible. Additive clips lie over all layers, in the order of machines.
     """
     played = [PlayedClip(*each) for each in clips]
-    groups = ["", *sorted({each.on for each in played} - {""})]
+    groups = ["", *sorted({each.group for each in played} - {""})]
     slots = [
         slot
         for k, machine in enumerate(machines)
@@ -135,18 +135,23 @@ def build_machine_playback(
 
 
 def _iterate_slots(
-    table: ClipTable, played: Sequence[PlayedClip], groups: Sequence[str], number: int, machine: MachineClips, lean: Floats | None
+    table: ClipTable,
+    played_clips: Sequence[PlayedClip],
+    groups: Sequence[str],
+    number: int,
+    machine: MachineClips,
+    lean: Floats | None,
 ) -> Iterator[_ClipSlot]:
     """Yield the clips that a machine plays. Additive clips are separate slots."""
-    names = [(each.clip, each.left, each.right, each.up, each.down) for each in played]
+    names = [(each.clip, each.left_clip, each.right_clip, each.up_clip, each.down_clip) for each in played_clips]
     numbers = np.array([[_find_clip_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
     seconds = np.array([[table.get_duration(n) if n != REST_CLIP else 0.0 for n in row] for row in numbers])
     loops = np.array([bool(table.is_looping[n + 1]) for n in numbers[:, 0]])
-    group_of = np.array([groups.index(each.on) for each in played] + [0])
-    adds = np.array([each.add for each in played] + [False])
+    group_of = np.array([groups.index(each.group) for each in played_clips] + [0])
+    adds = np.array([each.add for each in played_clips] + [False])
     parts = list(machine.iterate_clip_slots())
     for clip, turns, weight in parts if parts[0][2].any() else parts[1:]:  # three simultaneous clips are rare
-        row = np.where((clip >= 0) & (clip < len(played)), clip, len(played))
+        row = np.where((clip >= 0) & (clip < len(played_clips)), clip, len(played_clips))
         exact = turns.astype(np.float64)
         far = np.where(loops[row], exact - np.floor(exact), np.minimum(exact, 1.0))
         for side, share in enumerate(_iterate_lean_shares(numbers[row], lean)):

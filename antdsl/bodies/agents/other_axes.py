@@ -76,8 +76,8 @@ def _convert_shape(shape: Shape, rotation: Floats, inverse_rotation: Floats) -> 
     axis = rotation[:3, :3] / np.abs(np.linalg.det(rotation[:3, :3])) ** (1 / 3)
     capture = shape.capture
     if capture is not None:
-        inverse = compose_transforms(np.broadcast_to(rotation, capture.inverse.shape), capture.inverse)
-        capture = replace(capture, inverse=compose_transforms(inverse, np.broadcast_to(inverse_rotation, inverse.shape)))
+        inverse = compose_transforms(np.broadcast_to(rotation, capture.inverse_matrices.shape), capture.inverse_matrices)
+        capture = replace(capture, inverse_matrices=compose_transforms(inverse, np.broadcast_to(inverse_rotation, inverse.shape)))
     return replace(
         shape, points=(shape.points @ rotation[:3, :3].T).astype(np.float32), capture=capture,
         normals=None if shape.normals is None else (shape.normals @ axis.T).astype(np.float32),

@@ -53,28 +53,28 @@ def pack_definition(body: Definition) -> Arrays:
         first, used[kind] = used[kind], used[kind] + array.size
         return [kind, first, list(array.shape)]
 
-    def shape(each: Shape) -> dict[str, Any]:
-        capture, blend, between = each.capture, each.blend, each.in_betweens
+    def shape(shape: Shape) -> dict[str, Any]:
+        capture, blend, between = shape.capture, shape.blend, shape.in_betweens
         return {
-            "name": each.name, "points": put(each.points), "faces": put(each.faces), "normals": put(each.normals),
-            "uvs": put(each.uvs), "materials": each.materials, "material": put(each.material),
-            "attributes": {name: put(values) for name, values in each.attributes.items()},
-            "capture": capture and [capture.names, put(capture.joints), put(capture.weights), put(capture.inverse)],
+            "name": shape.name, "points": put(shape.points), "faces": put(shape.faces), "normals": put(shape.normals),
+            "uvs": put(shape.uvs), "materials": shape.materials, "material": put(shape.material),
+            "attributes": {name: put(values) for name, values in shape.attributes.items()},
+            "capture": capture and [capture.names, put(capture.joints), put(capture.weights), put(capture.inverse_matrices)],
             "blend": blend and [blend.shapes, blend.channels, blend.attributes, blend.point_id, blend.primitive_id],
             "between": between and [between.shapes, between.weights],
-            "dual_quaternion_blend": each.dual_quaternion_blend,
+            "dual_quaternion_blend": shape.dual_quaternion_blend,
         }  # fmt: skip
 
-    def clip(each: Clip) -> dict[str, Any]:
-        arrays = (each.translation, each.rotation, each.scale, each.shear, each.values)
+    def clip(clip: Clip) -> dict[str, Any]:
+        arrays = (clip.translation, clip.rotation, clip.scale, clip.shear, clip.values)
         return {
-            "name": each.name, "rate": each.rate, "joints": each.joints, "channels": each.channels, "loop": each.loop,
-            "stride": each.stride, "marks": dict(each.marks), "feet": each.feet,
+            "name": clip.name, "rate": clip.rate, "joints": clip.joints, "channels": clip.channels, "loop": clip.loop,
+            "stride": clip.stride, "marks": dict(clip.marks), "feet": clip.feet,
             "arrays": [put(array) for array in arrays],
         }  # fmt: skip
 
-    def binding(each: Binding) -> list[Any]:
-        return [each.transform, each.shape, each.bounds_scale, each.deformer]
+    def binding(binding: Binding) -> list[Any]:
+        return [binding.transform, binding.shape, binding.bounds_scale, binding.deformer]
 
     rig = body.rig
     document = {
@@ -145,23 +145,25 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
             raise ValueError
         return array[from_ : from_ + prod(sides)].reshape(sides)
 
-    def shape(each: Any) -> Shape:
-        points = get(each["points"], None, 3)
-        faces = get(each["faces"], None, 3, kind="i4")
+    def shape(entry: Any) -> Shape:
+        points = get(entry["points"], None, 3)
+        faces = get(entry["faces"], None, 3, kind="i4")
         attributes = {}
-        for name, place in each["attributes"].items():
+        for name, place in entry["attributes"].items():
             sides: tuple[int | None, ...] = (len(points), *(None for _ in place[2][1:]))
             attributes[_read_text(name)] = get(place, *sides, kind="i8" if place[0] == "i8" else "f4")
         return Shape(
-            _read_text(each["name"]), points, faces,
-            None if each["normals"] is None else get(each["normals"], len(points), 3),
-            None if each["uvs"] is None else get(each["uvs"], len(points), 2),
-            _read_texts(each["materials"]),
-            None if each["material"] is None else get(each["material"], len(faces), kind="i4"),
-            attributes, capture(each["capture"], len(points)),
-            None if each["blend"] is None else blend(*each["blend"]),
-            None if each["between"] is None else InBetweens(_read_texts(each["between"][0]), _read_numbers(each["between"][1])),
-            _read_text(each["dual_quaternion_blend"]),
+            _read_text(entry["name"]), points, faces,
+            None if entry["normals"] is None else get(entry["normals"], len(points), 3),
+            None if entry["uvs"] is None else get(entry["uvs"], len(points), 2),
+            _read_texts(entry["materials"]),
+            None if entry["material"] is None else get(entry["material"], len(faces), kind="i4"),
+            attributes, capture(entry["capture"], len(points)),
+            None if entry["blend"] is None else blend(*entry["blend"]),
+            None
+            if entry["between"] is None
+            else InBetweens(_read_texts(entry["between"][0]), _read_numbers(entry["between"][1])),
+            _read_text(entry["dual_quaternion_blend"]),
         )  # fmt: skip
 
     def blend(shapes: Any, channels: Any, attributes: Any, point_id: Any, primitive_id: Any) -> BlendTargets:
@@ -169,35 +171,35 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
             _read_texts(shapes), _read_texts(channels), _read_texts(attributes), _read_text(point_id), _read_text(primitive_id)
         )
 
-    def capture(said: Any, points: int) -> Capture | None:
-        if said is None:
+    def capture(entry: Any, points: int) -> Capture | None:
+        if entry is None:
             return None
-        names = _read_texts(said[0])
-        joints = get(said[1], points, None, kind="i4")
-        inverse = get(said[3], len(names), 4, 4, kind="f8")
-        return Capture(names, joints, get(said[2], points, joints.shape[1]), inverse)
+        names = _read_texts(entry[0])
+        joints = get(entry[1], points, None, kind="i4")
+        inverse = get(entry[3], len(names), 4, 4, kind="f8")
+        return Capture(names, joints, get(entry[2], points, joints.shape[1]), inverse)
 
-    def clip(each: Any) -> Clip:
-        joints, channels = _read_texts(each["joints"]), _read_texts(each["channels"])
-        array_places = each["arrays"]
+    def clip(entry: Any) -> Clip:
+        joints, channels = _read_texts(entry["joints"]), _read_texts(entry["channels"])
+        array_places = entry["arrays"]
         count = _read_integer(array_places[0][2][0])
         moved = [None if place is None else get(place, count, len(joints), wide)
                  for place, wide in zip(array_places[:4], (3, 4, 3, 3), strict=True)]  # fmt: skip
         if moved[0] is None or moved[1] is None or moved[2] is None:
             raise ValueError
-        rate, stride = _read_number(each["rate"]), _read_number(each["stride"])
-        marks = {_read_text(name): _read_number(mark_time) for name, mark_time in each["marks"].items()}
+        rate, stride = _read_number(entry["rate"]), _read_number(entry["stride"])
+        marks = {_read_text(name): _read_number(mark_time) for name, mark_time in entry["marks"].items()}
         return Clip(
-            _read_text(each["name"]), rate, joints, moved[0], moved[1], moved[2], moved[3], channels,
-            get(array_places[4], None, None), bool(each["loop"]), stride, marks, bool(each["feet"]),
+            _read_text(entry["name"]), rate, joints, moved[0], moved[1], moved[2], moved[3], channels,
+            get(array_places[4], None, None), bool(entry["loop"]), stride, marks, bool(entry["feet"]),
         )  # fmt: skip
 
-    def layer(each: Any) -> Layer:
+    def layer(entry: Any) -> Layer:
         bindings = [
             tuple(Binding(_read_text(b[0]), _read_text(b[1]), _read_triple(b[2]), _read_text(b[3])) for b in part)
-            for part in each[1]
+            for part in entry[1]
         ]
-        return Layer(_read_text(each[0]), *bindings)
+        return Layer(_read_text(entry[0]), *bindings)
 
     names, parents, rest, channels = said["rig"]
     rig = Rig(
@@ -264,7 +266,7 @@ def _check_bounds(body: Definition) -> None:
                 _is_within(shape.capture.joints, len(shape.capture.names)),
                 shape.capture.joints.shape[1] <= limits.MAX_JOINTS_PER_POINT,
             ]
-            fits += [bool(np.isfinite(shape.capture.weights).all() and np.isfinite(shape.capture.inverse).all())]
+            fits += [bool(np.isfinite(shape.capture.weights).all() and np.isfinite(shape.capture.inverse_matrices).all())]
     for clip in body.clips.values():
         arrays = [each for each in (clip.translation, clip.rotation, clip.scale, clip.shear, clip.values) if each is not None]
         fits += [clip.rate > 0, 0 < clip.sample_count <= limits.MAX_CLIP_SAMPLES, all(np.isfinite(each).all() for each in arrays)]

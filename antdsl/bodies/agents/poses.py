@@ -53,16 +53,15 @@ class Pose:
 class Poses:
     """Transforms and channel values of n agents, joints and channels in the order of the rig.
 
-    `world` and `local`: float32[n, J, 3, 4], the upper three rows of each joint's matrix, in agent space and in parent space; the
-        fourth row is 0 0 0 1.
-    `channels`: float32[n, C].
+    `world_transforms` and `local_transforms`: float32[n, J, 3, 4], the upper three rows of each joint's matrix, in agent space
+        and in parent space; the fourth row is 0 0 0 1. `channels`: float32[n, C].
 
     The arrays are views of [3, 4, J, n] memory, in which each component of a joint is contiguous over agents. Computations use
     that layout. `numpy.ascontiguousarray` makes each agent contiguous.
     """
 
-    world: Floats
-    local: Floats | None
+    world_transforms: Floats
+    local_transforms: Floats | None
     channels: Floats
 
 
@@ -106,13 +105,15 @@ def compute_transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
     return local, _compute_world_matrices(table, local)
 
 
-def to_world_transforms(table: ClipTable, local: Floats) -> Floats:
+def to_world_transforms(table: ClipTable, local_transforms: Floats) -> Floats:
     """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig.
 
     Use this for transforms that do not come from a clip, such as legs after inverse kinematics or a head that looks at a
     point."""
-    world = np.empty((3, 4, local.shape[1], len(local)), np.float32)
-    world[:, :, table.joint_order] = _compute_world_matrices(table, local.transpose(2, 3, 1, 0)[:, :, table.joint_order])
+    world = np.empty((3, 4, local_transforms.shape[1], len(local_transforms)), np.float32)
+    world[:, :, table.joint_order] = _compute_world_matrices(
+        table, local_transforms.transpose(2, 3, 1, 0)[:, :, table.joint_order]
+    )
     return world.transpose(3, 2, 0, 1)
 
 
@@ -141,16 +142,16 @@ def to_square_matrices(matrices: Floats) -> Floats:
     return squares
 
 
-def _compute_world_matrices(table: ClipTable, local: Floats) -> Floats:
+def _compute_world_matrices(table: ClipTable, local_transforms: Floats) -> Floats:
     """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table.
 
     They are computed by depth of the rig: the world matrix of a joint is its parent's world matrix times its local matrix."""
-    world = np.empty(local.shape, np.float32)
+    world = np.empty(local_transforms.shape, np.float32)
     for begin, end, parents in table.depth_levels:
         if not len(parents):
-            world[:, :, begin:end] = local[:, :, begin:end]
+            world[:, :, begin:end] = local_transforms[:, :, begin:end]
         else:
-            multiply_matrices(world[:, :, parents], local[:, :, begin:end], world[:, :, begin:end])
+            multiply_matrices(world[:, :, parents], local_transforms[:, :, begin:end], world[:, :, begin:end])
     return world
 
 
@@ -283,13 +284,13 @@ def _build_rest_row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np
 
 
 def _build_clip_rows(
-    clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp], scaled: bool, sheared: bool
+    clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp], has_scale: bool, has_shear: bool
 ) -> Floats:
     """Return the rows of a clip. Joints that the clip animates have its samples, all others the rest pose."""
     count = clip.sample_count
     if count < 1 or not clip.rate > 0:
         raise ValueError(f"clip `{clip.name}` has no samples, or its rate is not above 0")
-    clip_parts = [clip.translation, clip.rotation, *([clip.scale] if scaled else []), *([clip.shear] if sheared else [])]
+    clip_parts = [clip.translation, clip.rotation, *([clip.scale] if has_scale else []), *([clip.shear] if has_shear else [])]
     expected_shapes = [(count, len(clip.joints), width) for width in (3, 4, 3, 3)]
     rig_parts = [np.repeat(part[None], count, 0) for part in rest]
     numbers = {name: number for number, name in enumerate(rig.names)}

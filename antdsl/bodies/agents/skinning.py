@@ -47,22 +47,26 @@ class DeformedShape:
     attributes: dict[str, Floats]
 
 
-def apply_linear_skinning(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+def apply_linear_skinning(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
     """Return a shape after linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the
     rig does not have."""
     joints, weights, matrices = _compute_joint_transforms(shape, definition, poses)
-    x, y, z = _split_components(deformed.points)
+    x, y, z = _split_components(deformed_shape.points)
     points = np.empty((3, len(joints), matrices.shape[-1]), np.float32)
     for r in range(3):
         a, b, c, d = (_compute_weighted_mean(matrices[r, k], joints, weights) for k in range(4))
         points[r] = ((a * x + b * y) + c * z) + d
     normals = None
-    if deformed.normals is not None:
-        normals = transform_normals(deformed.normals, _compute_matrix_means(invert_and_transpose(matrices), joints, weights))
-    return DeformedShape(points.transpose(2, 1, 0), normals, deformed.attributes)
+    if deformed_shape.normals is not None:
+        normals = transform_normals(
+            deformed_shape.normals, _compute_matrix_means(invert_and_transpose(matrices), joints, weights)
+        )
+    return DeformedShape(points.transpose(2, 1, 0), normals, deformed_shape.attributes)
 
 
-def apply_dual_quaternion_skinning(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+def apply_dual_quaternion_skinning(
+    deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses
+) -> DeformedShape:
     """Return a shape after dual quaternion skinning in two phases. Raises the errors of `apply_linear_skinning`."""
     joints, weights, matrices = _compute_joint_transforms(shape, definition, poses)
     rotation = extract_rotations(matrices)
@@ -71,18 +75,18 @@ def apply_dual_quaternion_skinning(deformed: DeformedShape, shape: Shape, defini
     moved = np.concatenate([matrices[:, 3], np.zeros_like(matrices[:1, 3])])
     dual = (0.5 * multiply_quaternions(moved.astype(np.float64), real)).astype(np.float32)
     turn, shift = _blend_dual_quaternions(real.astype(np.float32), dual, joints, weights)
-    points = transform_points(_compute_matrix_means(rest, joints, weights), deformed.points)
+    points = transform_points(_compute_matrix_means(rest, joints, weights), deformed_shape.points)
     rotate_points(points, turn)
     points += shift
     normals = None
-    if deformed.normals is not None:
-        across = transform_points(_compute_matrix_means(invert_and_transpose(rest), joints, weights), deformed.normals)
+    if deformed_shape.normals is not None:
+        across = transform_points(_compute_matrix_means(invert_and_transpose(rest), joints, weights), deformed_shape.normals)
         rotate_points(across, turn)
         normals = normalise_in_place(across).transpose(2, 1, 0)
-    return DeformedShape(points.transpose(2, 1, 0), normals, deformed.attributes)
+    return DeformedShape(points.transpose(2, 1, 0), normals, deformed_shape.attributes)
 
 
-def blend_skinning_methods(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+def blend_skinning_methods(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
     """Return a blend of linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.blend_skinning_methods`
     names (deformDualQuaternionBlendAttrib). Raises the errors of `apply_linear_skinning`, and ValueError if the shape lacks the
     attribute."""
@@ -91,15 +95,15 @@ def blend_skinning_methods(deformed: DeformedShape, shape: Shape, definition: De
         raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
     share = shape.attributes[name].astype(np.float32).reshape(-1)[None, :, None]
     straight, turned_ = (
-        apply_linear_skinning(deformed, shape, definition, poses),
-        apply_dual_quaternion_skinning(deformed, shape, definition, poses),
+        apply_linear_skinning(deformed_shape, shape, definition, poses),
+        apply_dual_quaternion_skinning(deformed_shape, shape, definition, poses),
     )
     points = straight.points + (turned_.points - straight.points) * share
     normals = None
     if straight.normals is not None and turned_.normals is not None:
         mixed = straight.normals + (turned_.normals - straight.normals) * share
         normals = normalise_in_place(mixed.transpose(2, 1, 0)).transpose(2, 1, 0)
-    return DeformedShape(points, normals, deformed.attributes)
+    return DeformedShape(points, normals, deformed_shape.attributes)
 
 
 def transform_points(matrices: Numbers, points: Floats) -> Floats:
@@ -149,8 +153,8 @@ def _compute_joint_transforms(shape: Shape, definition: Definition, poses: Poses
     missing = [name for name in capture.names if name not in numbers]
     if missing:
         raise KeyError(f"shape `{shape.name}` follows joint `{missing[0]}`, which the rig does not have")
-    world = poses.world.transpose(2, 3, 1, 0)[:, :, [numbers[name] for name in capture.names]]
-    inverse = np.ascontiguousarray(np.moveaxis(capture.inverse[:, :3], 0, -1), np.float32)[..., None]
+    world = poses.world_transforms.transpose(2, 3, 1, 0)[:, :, [numbers[name] for name in capture.names]]
+    inverse = np.ascontiguousarray(np.moveaxis(capture.inverse_matrices[:, :3], 0, -1), np.float32)[..., None]
     used = int(np.flatnonzero((capture.weights != 0).any(axis=0)).max(initial=0)) + 1
     matrices = multiply_matrices(world, inverse, np.empty(world.shape, np.float32))
     return capture.joints[:, :used].astype(np.intp), capture.weights[:, :used].astype(np.float32), matrices

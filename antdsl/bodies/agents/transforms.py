@@ -163,9 +163,9 @@ def compose_transforms(outer: Floats, inner: Floats) -> Floats:
     return matrix
 
 
-def compute_world_matrices(parents: NDArray[np.int32], local: Floats) -> Floats:
+def compute_world_matrices(parents: NDArray[np.int32], local_matrices: Floats) -> Floats:
     """Return world matrices float64[J, 4, 4] of a rig's local ones; parents come before children."""
-    world = np.empty_like(local)
+    world = np.empty_like(local_matrices)
     for joint, parent in enumerate(parents):
-        world[joint] = local[joint] if parent < 0 else compose_transforms(world[parent], local[joint])
+        world[joint] = local_matrices[joint] if parent < 0 else compose_transforms(world[parent], local_matrices[joint])
     return world

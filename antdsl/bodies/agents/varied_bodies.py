@@ -37,7 +37,7 @@ def scale_groups(
     their weights."""
     if draws is None or not variation.scales or not len(draws.ids):
         return poses
-    world = np.array(poses.world, np.float32)
+    world = np.array(poses.world_transforms, np.float32)
     for name in variation.scales:
         size = draw_group_scale(variation, name, draws)
         for joint, weight in iterate_scale_pivots(table.rig, groups[name]):

@@ -73,11 +73,11 @@ def _split_channels(form: ClipForm, root: Node, report: Report, rig: Rig | None)
             if rig_channels is None or channel in rig_channels:
                 numbers.append(channel)
             else:
-                report_unknown(report, place, "channel", channel, rig_channels, warn=True)
+                report_unknown(report, place, "channel", channel, rig_channels, is_warning=True)
         elif part not in TRANSFORM_PARTS:
             report_unknown(report, place, "part of a transform", part, TRANSFORM_PARTS)
         elif names is not None and joint not in names:
-            report_unknown(report, place, "joint", joint, names, warn=True)
+            report_unknown(report, place, "joint", joint, names, is_warning=True)
         else:
             joints[joint] = None
     return tuple(joints), tuple(numbers)

@@ -63,7 +63,9 @@ def check_definition(parts: ReadDefinition, report: Report) -> Definition | None
                 report_unknown(report, parts.find_text_span("groups", name, joint), "joint", joint, definition.rig.names)
         for channel in group.channels:
             if channel not in channels:
-                report_unknown(report, parts.find_text_span("groups", name, channel), "channel", channel, channels, warn=True)
+                report_unknown(
+                    report, parts.find_text_span("groups", name, channel), "channel", channel, channels, is_warning=True
+                )
     for shape in definition.shapes.values():
         _check_shape(definition, shape, parts.span, report)
     for key, what, varied, known in (

@@ -87,11 +87,11 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
     """Return the tree of a definition with separate files inserted in place of the references. Parts that cannot be read are left
     out."""
 
-    def part(node: Node, what: str) -> Node | None:
+    def part(node: Node, expected_part: str) -> Node | None:
         file = node.get_inner("file")
         if file is None or len(node.keys) != 1 or not isinstance(file.value, str):
             return node
-        return files.read_part(file.value, what, file.span)
+        return files.read_part(file.value, expected_part, file.span)
 
     if not isinstance(root.value, dict):
         return root

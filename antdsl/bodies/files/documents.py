@@ -87,9 +87,9 @@ def _order_joints(form: RigForm, root: Node, report: Report) -> tuple[tuple[str,
     return tuple(names), [number_of[parent[name][0]] if name in parent else -1 for name in names]
 
 
-def _report_missing_child(report: Report, place: Span, name: str, child: str, free: list[str]) -> None:
+def _report_missing_child(report: Report, place: Span, name: str, child: str, free_joints: list[str]) -> None:
     """Report a child that is not among the joints of a rig."""
-    near = find_nearest_name(child, free)
+    near = find_nearest_name(child, free_joints)
     help = f'write `"{near}"`' if near else f'add `"{child}": []` to the transforms'
     report.error("bad-rig", f"`{name}` has a child `{child}` that is not among the transforms", place, help)
 
@@ -231,7 +231,7 @@ def _read_typed_value(kind: Node, inner: Node, report: Report) -> TypedValue | N
         report.error("wrong-value", f"expected the name of a type here, not {kind.kind}", kind.marked_span, 'write `"…"`')
         return None
     if name not in _COMPONENTS_BY_TYPE:
-        report_unknown(report, kind.span, "type of metadata", name, _COMPONENTS_BY_TYPE, warn=True)
+        report_unknown(report, kind.span, "type of metadata", name, _COMPONENTS_BY_TYPE, is_warning=True)
     elif not _matches_type(name, value):
         count = _COMPONENTS_BY_TYPE[name]
         expectation = f"a list of {count} numbers" if count else f"a value of the type `{name}`"

@@ -108,11 +108,13 @@ def _find_number_span(node: Node, number: int) -> Span:
     return node.span
 
 
-def report_unknown(report: Report, span: Span | None, what: str, name: str, known: Iterable[str], *, warn: bool = False) -> None:
+def report_unknown(
+    report: Report, span: Span | None, noun: str, name: str, known_names: Iterable[str], *, is_warning: bool = False
+) -> None:
     """Report an unknown name, with a suggestion of the name that may have been meant."""
-    near = find_nearest_name(name, known)
-    add = report.warning if warn else report.error
-    add("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
+    near = find_nearest_name(name, known_names)
+    add = report.warning if is_warning else report.error
+    add("unknown-name", f"there is no {noun} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
 
 
 class _SyntaxAborted(Exception):
@@ -134,16 +136,17 @@ _NON_FINITE_WORDS = frozenset(
 _WORD_CORRECTIONS = {"True": "true", "False": "false", "None": "null", "undefined": "null", "TRUE": "true", "FALSE": "false"}
 
 
-def read_tree(data: bytes, name: str, what: str) -> tuple[Node | None, Report]:
-    """Return the tree of a file's bytes, or None with the first error in the report. `what` names the expected part, such as `a
+def read_tree(data: bytes, name: str, expected_part: str) -> tuple[Node | None, Report]:
+    """Return the tree of a file's bytes, or None with the first error in the report. `expected_part` names the expected part,
+    such as `a rig`."""
+    source, report = decode_source(data, name, expected_part)
+    return read_json(source, expected_part) if report.ok else (None, report)
+
+
+def read_json(source: Source, expected_part: str) -> tuple[Node | None, Report]:
+    """Return the tree of a text, or None with the first error in the report. `expected_part` names the expected part, such as `a
     rig`."""
-    source, report = decode_source(data, name, what)
-    return read_json(source, what) if report.ok else (None, report)
-
-
-def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
-    """Return the tree of a text, or None with the first error in the report. `what` names the expected part, such as `a rig`."""
-    reader = _Reader(source, what)
+    reader = _Reader(source, expected_part)
     try:
         return reader.document(), reader.report
     except _SyntaxAborted:
@@ -153,8 +156,8 @@ def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
 class _Reader:
     """A recursive parser of one text. Methods take the position `at` of a value and return its node."""
 
-    def __init__(self, source: Source, what: str) -> None:
-        self.source, self.text, self.expected_part = source, source.text, what
+    def __init__(self, source: Source, expected_part: str) -> None:
+        self.source, self.text, self.expected_part = source, source.text, expected_part
         self.report = Report()
         self.count = 0
 
@@ -167,14 +170,14 @@ class _Reader:
         self.report.error(code, message, Span(self.source, start, end), help, labels=labels)
         return _SyntaxAborted()
 
-    def skip_whitespace(self, at: int) -> int:
+    def skip_whitespace(self, offset: int) -> int:
         """Return the position after white space and comments."""
-        match = _SPACE_PATTERN.match(self.text, at)
+        match = _SPACE_PATTERN.match(self.text, offset)
         assert match is not None
-        at = match.end()
-        if self.text.startswith("/*", at):
-            raise self.report_error(at, at + 2, "this comment is not closed", "write `*/` where it ends")
-        return at
+        offset = match.end()
+        if self.text.startswith("/*", offset):
+            raise self.report_error(offset, offset + 2, "this comment is not closed", "write `*/` where it ends")
+        return offset
 
     def document(self) -> Node:
         """Return the only value of the text."""
@@ -187,22 +190,24 @@ class _Reader:
             raise self.report_error(at, at + 1, f"there is text after the end of {self.expected_part}", "delete it")
         return node
 
-    def value(self, at: int, depth: int) -> Node:
+    def value(self, offset: int, depth: int) -> Node:
         """Return the value at a position, of any kind."""
         self.count += 1
         if self.count > limits.MAX_BODY_JSON_VALUES:
-            raise self.report_error(at, at, f"there are more than {limits.MAX_BODY_JSON_VALUES:,} values", None, code="too-large")
-        sign = self.text[at : at + 1]
+            raise self.report_error(
+                offset, offset, f"there are more than {limits.MAX_BODY_JSON_VALUES:,} values", None, code="too-large"
+            )
+        sign = self.text[offset : offset + 1]
         if sign == "[":
-            return self.read_number_array(at) or self.array(at, depth)
+            return self.read_number_array(offset) or self.array(offset, depth)
         if sign == "{":
-            return self.read_object(at, depth)
+            return self.read_object(offset, depth)
         if sign == '"':
-            return self.string(at)
-        match = _NUMBER_PATTERN.match(self.text, at)
+            return self.string(offset)
+        match = _NUMBER_PATTERN.match(self.text, offset)
         if match:
-            return Node(self.source, self.parse_number(match), at, match.end())
-        return self.read_word(at)
+            return Node(self.source, self.parse_number(match), offset, match.end())
+        return self.read_word(offset)
 
     def parse_number(self, match: re.Match[str]) -> int | float:
         """Return the number that a pattern matched. Raises for too many digits, and for values that are too large."""
@@ -214,10 +219,10 @@ class _Reader:
             raise self.report_error(match.start(), match.end(), words, "write a smaller one", code="out-of-range")
         return value if match[1] or match[2] else int(match[0])
 
-    def read_number_array(self, at: int) -> Node | None:
+    def read_number_array(self, offset: int) -> Node | None:
         """Parse an array that contains only numbers, the usual form of a clip's values. Return None for any other array, and for
         errors."""
-        match = _NUMBER_ARRAY_PATTERN.match(self.text, at)
+        match = _NUMBER_ARRAY_PATTERN.match(self.text, offset)
         if not match:
             return None
         inside = match[0][1:-1].strip()
@@ -229,28 +234,28 @@ class _Reader:
         if not all(-_MAX_MAGNITUDE <= each <= _MAX_MAGNITUDE for each in values):
             return None
         self.count += len(values) // 16  # a plain number needs less memory than a node
-        return Node(self.source, values, at, match.end(), has_plain_numbers=True)
+        return Node(self.source, values, offset, match.end(), has_plain_numbers=True)
 
-    def enter_brackets(self, at: int, depth: int) -> int:
+    def enter_brackets(self, offset: int, depth: int) -> int:
         """Return the depth inside a bracket. Raises if brackets are nested too deeply."""
         if depth >= limits.MAX_BRACKET_DEPTH:
             words = f"values are nested more than {limits.MAX_BRACKET_DEPTH} levels deep"
-            raise self.report_error(at, at + 1, words, None, code="too-large")
+            raise self.report_error(offset, offset + 1, words, None, code="too-large")
         return depth + 1
 
-    def array(self, at: int, depth: int) -> Node:
-        depth, items, place = self.enter_brackets(at, depth), [], self.skip_whitespace(at + 1)
+    def array(self, offset: int, depth: int) -> Node:
+        depth, items, place = self.enter_brackets(offset, depth), [], self.skip_whitespace(offset + 1)
         while self.text[place : place + 1] != "]":
-            items.append(self.value(self.require_text(place, at, "]"), depth))
-            place = self.skip_separator(items[-1].end, at, "]")
-        return Node(self.source, items, at, place + 1)
+            items.append(self.value(self.require_text(place, offset, "]"), depth))
+            place = self.skip_separator(items[-1].end, offset, "]")
+        return Node(self.source, items, offset, place + 1)
 
-    def read_object(self, at: int, depth: int) -> Node:
-        depth, place = self.enter_brackets(at, depth), self.skip_whitespace(at + 1)
+    def read_object(self, offset: int, depth: int) -> Node:
+        depth, place = self.enter_brackets(offset, depth), self.skip_whitespace(offset + 1)
         entries: dict[str, Node] = {}
         keys: dict[str, tuple[int, int]] = {}
         while self.text[place : place + 1] != "}":
-            key = self.read_key(self.require_text(place, at, "}"))
+            key = self.read_key(self.require_text(place, offset, "}"))
             name = str(key.value)
             if name in entries:
                 first = Label(Span(self.source, *keys[name]), "here first")
@@ -259,67 +264,69 @@ class _Reader:
             place = self.skip_whitespace(key.end)
             if self.text[place : place + 1] != ":":
                 raise self.report_error(place, place + 1, f"`:` is missing after `{name[:60]}`", 'write `"key": value`')
-            place = self.require_text(self.skip_whitespace(place + 1), at, "}")
+            place = self.require_text(self.skip_whitespace(place + 1), offset, "}")
             if self.text[place : place + 1] in (",", "}"):
                 raise self.report_error(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
             entries[name], keys[name] = self.value(place, depth), (key.start, key.end)
-            place = self.skip_separator(entries[name].end, at, "}")
-        return Node(self.source, entries, at, place + 1, keys)
+            place = self.skip_separator(entries[name].end, offset, "}")
+        return Node(self.source, entries, offset, place + 1, keys)
 
-    def read_key(self, at: int) -> Node:
+    def read_key(self, offset: int) -> Node:
         """Return the key of an object's entry, a text in double quotes."""
-        if self.text[at] == '"':
-            return self.string(at)
-        match = _WORD_PATTERN.match(self.text, at)
-        word = match[0] if match else self.text[at]
+        if self.text[offset] == '"':
+            return self.string(offset)
+        match = _WORD_PATTERN.match(self.text, offset)
+        word = match[0] if match else self.text[offset]
         bare = word.strip("'")
         help = f'write `"{bare}"`' if re.fullmatch("[A-Za-z0-9_.-]+", bare) else 'write `"key": value`'
-        raise self.report_error(at, at + len(word), f"a key needs double quotes, but `{word}` has none", help)
+        raise self.report_error(offset, offset + len(word), f"a key needs double quotes, but `{word}` has none", help)
 
-    def require_text(self, at: int, opened: int, closing: str) -> int:
+    def require_text(self, offset: int, opening_offset: int, closing_bracket: str) -> int:
         """Return the position of a required value; report an error if the text ends before it."""
-        if at >= len(self.text):
-            opening = Label(Span(self.source, opened, opened + 1), "this is still open")
-            raise self.report_error(at, at, f"the text ends before `{closing}`", f"write the missing `{closing}`", opening)
-        return at
-
-    def skip_separator(self, end: int, opened: int, closing: str) -> int:
-        """Return the position after a value and its comma: that of the next value or the closing bracket."""
-        at = self.require_text(self.skip_whitespace(end), opened, closing)
-        if self.text[at] == ",":
-            return self.require_text(self.skip_whitespace(at + 1), opened, closing)
-        if self.text[at] != closing:
-            opening = Label(Span(self.source, opened, opened + 1), "this is still open")
-            help = f"write `,` between two values, or `{closing}` at the end"
-            raise self.report_error(end, end + 1, f"`,` or `{closing}` is missing here", help, opening)
-        return at
-
-    def string(self, at: int) -> Node:
-        match = _STRING_PATTERN.match(self.text, at)
-        if not match:
-            line = re.compile(r"[^\n]*").match(self.text, at)
-            end = line.end() if line else at + 1
+        if offset >= len(self.text):
+            opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this is still open")
             raise self.report_error(
-                at, end, "this text has no closing quote on its line, or has a character that must be escaped", 'write `"…"`'
+                offset, offset, f"the text ends before `{closing_bracket}`", f"write the missing `{closing_bracket}`", opening
+            )
+        return offset
+
+    def skip_separator(self, end: int, opening_offset: int, closing_bracket: str) -> int:
+        """Return the position after a value and its comma: that of the next value or the closing bracket."""
+        at = self.require_text(self.skip_whitespace(end), opening_offset, closing_bracket)
+        if self.text[at] == ",":
+            return self.require_text(self.skip_whitespace(at + 1), opening_offset, closing_bracket)
+        if self.text[at] != closing_bracket:
+            opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this is still open")
+            help = f"write `,` between two values, or `{closing_bracket}` at the end"
+            raise self.report_error(end, end + 1, f"`,` or `{closing_bracket}` is missing here", help, opening)
+        return at
+
+    def string(self, offset: int) -> Node:
+        match = _STRING_PATTERN.match(self.text, offset)
+        if not match:
+            line = re.compile(r"[^\n]*").match(self.text, offset)
+            end = line.end() if line else offset + 1
+            raise self.report_error(
+                offset, end, "this text has no closing quote on its line, or has a character that must be escaped", 'write `"…"`'
             )
         try:
             text = str(json.loads(match[0]))
         except ValueError:
             raise self.report_error(
-                at, match.end(), "this text has a `\\` without a meaning", "write `\\\\` for a backslash"
+                offset, match.end(), "this text has a `\\` without a meaning", "write `\\\\` for a backslash"
             ) from None
         if _LONE_SURROGATE_PATTERN.search(text):
             raise self.report_error(
-                at, match.end(), "this text has half of a character (a lone surrogate)", "write the character itself"
+                offset, match.end(), "this text has half of a character (a lone surrogate)", "write the character itself"
             )
-        return Node(self.source, text, at, match.end())
+        return Node(self.source, text, offset, match.end())
 
-    def read_word(self, at: int) -> Node:
+    def read_word(self, offset: int) -> Node:
         """Return `true`, `false` or `null`. Raises with a correction for any other word."""
-        match = _WORD_PATTERN.match(self.text, at)
-        word = match[0] if match else self.text[at : at + 1]
+        match = _WORD_PATTERN.match(self.text, offset)
+        word = match[0] if match else self.text[offset : offset + 1]
         if word in _VALUE_BY_WORD:
-            return Node(self.source, _VALUE_BY_WORD[word], at, at + len(word))
+            return Node(self.source, _VALUE_BY_WORD[word], offset, offset + len(word))
         message, help = f"`{word}` is not a value", None
         if word.lower() in _NON_FINITE_WORDS:
             message, help = f"`{word}` is not a valid number here", "write a number, such as `0`"
@@ -333,4 +340,4 @@ class _Reader:
             help = f'write `"{word}"`' if re.fullmatch("[A-Za-z_]+", word) else None
         elif word == ",":
             message, help = "a value is missing before this comma", "delete the comma"
-        raise self.report_error(at, at + len(word), message, help)
+        raise self.report_error(offset, offset + len(word), message, help)

@@ -67,9 +67,9 @@ class BodyFiles:
         """Return all bytes of a file. Raises PathRefused with the reason if it cannot be read."""
         return read_user_file(self.path_by_text[path], cap) if path in self.path_by_text else self.roots.read_file(path, cap)
 
-    def report_refusal(self, why: PathRefused, place: Span | None) -> None:
+    def report_refusal(self, refusal: PathRefused, place: Span | None) -> None:
         """Report that a file cannot be read, with the reason."""
-        self.report.error(why.code, str(why), place, why.help)
+        self.report.error(refusal.code, str(refusal), place, refusal.help)
 
     def is_closed_format(self, path: str, place: Span | None) -> bool:
         """Return whether a file has a format that antdsl cannot read. Report such a file, with an alternative."""
@@ -79,8 +79,8 @@ class BodyFiles:
         self.report.error("wrong-kind", f"`{path[-80:]}` cannot be read here", place, _HELP_BY_CLOSED_FORMAT[kind])
         return True
 
-    def read_part(self, path: str, what: str, place: Span | None) -> Node | None:
-        """Return the tree of a part in a separate JSON file, or None. `what`: the expected part, such as `a rig`."""
+    def read_part(self, path: str, expected_part: str, place: Span | None) -> Node | None:
+        """Return the tree of a part in a separate JSON file, or None. `expected_part`: the expected part, such as `a rig`."""
         if self.is_closed_format(path, place):
             return None
         try:
@@ -88,7 +88,7 @@ class BodyFiles:
         except PathRefused as error:
             self.report_refusal(error, place)
             return None
-        root, report = read_tree(data, self.display_path(path), what)
+        root, report = read_tree(data, self.display_path(path), expected_part)
         self.report.extend(report)
         return root
 
@@ -142,28 +142,30 @@ class BodyFiles:
             self.report.warning("body-left-out", f"of `{self.display_path(path)}`: {sentence}", place)
         return definition
 
-    def _build_sibling_reader(self, full: str) -> Callable[[str, int], bytes]:
-        """Return a reader of files that are named relative to the folder of the file `full`."""
-        folder = full[: full.rfind("/") + 1] or (f"{full.partition(':')[0]}:" if _ROOT_PREFIX_PATTERN.match(full) else "")
+    def _build_sibling_reader(self, full_path: str) -> Callable[[str, int], bytes]:
+        """Return a reader of files that are named relative to the folder of the file `full_path`."""
+        folder = full_path[: full_path.rfind("/") + 1] or (
+            f"{full_path.partition(':')[0]}:" if _ROOT_PREFIX_PATTERN.match(full_path) else ""
+        )
         return lambda path, cap: self.read_file(folder + path, cap)
 
-    def _read_usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
+    def _read_usd(self, full_path: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
         """Return the result of `read_usd`. If the user named a link, read the file that the link points to."""
         from antdsl.bodies.files.usd_definition import read_usd
 
-        roots, text = self.roots, full
-        if full in self.path_by_text:
-            target = self.path_by_text[full].resolve()
-            roots, text = Roots(target.parent, self.roots.granted), target.name
+        roots, text = self.roots, full_path
+        if full_path in self.path_by_text:
+            target = self.path_by_text[full_path].resolve()
+            roots, text = Roots(target.parent, self.roots.folder_by_name), target.name
         return read_usd(roots, text, prim, name, rate)
 
-    def resolve_library(self, condensed: str, absolute: str) -> str:
+    def resolve_library(self, condensed_path: str, absolute: str) -> str:
         """Return the path of a shape library that is named twice. Raises PathRefused if neither path can be used.
 
         The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) is searched below the definition's folder or a granted root.
         The absolute path is used only if a granted root contains it."""
-        match = _VARIABLE_PATTERN.fullmatch(condensed)
-        path = condensed
+        match = _VARIABLE_PATTERN.fullmatch(condensed_path)
+        path = condensed_path
         if match:
             variable, rest = match[1] or match[2], match[3]
             path = rest if variable in ("HIP", "HIPFILE") else f"{variable}:{rest}"
@@ -180,7 +182,7 @@ class BodyFiles:
     def _name_by_root(self, absolute: str) -> str | None:
         """Return an absolute path, written with the name of the root that contains it, or None."""
         full_path = os.path.normpath(absolute)
-        for name, folder in (("", self.roots.folder), *sorted(self.roots.granted.items())):
+        for name, folder in (("", self.roots.folder), *sorted(self.roots.folder_by_name.items())):
             root = os.path.abspath(folder)
             if absolute and full_path.startswith(root + os.sep):
                 below = Path(full_path).relative_to(root).as_posix()
@@ -191,7 +193,7 @@ class BodyFiles:
         return None
 
 
-def _has_different_rest_pose(one: Rig, other: Rig) -> bool:
+def _has_different_rest_pose(first: Rig, second: Rig) -> bool:
     """Return whether any joint that both rigs have has a different rest pose in each."""
-    known = {name: number for number, name in enumerate(other.names)}
-    return any((one.rest[k] != other.rest[known[name]]).any() for k, name in enumerate(one.names) if name in known)
+    known = {name: number for number, name in enumerate(second.names)}
+    return any((first.rest[k] != second.rest[known[name]]).any() for k, name in enumerate(first.names) if name in known)

@@ -77,7 +77,7 @@ def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | 
     """Return the result of `read_definition` for a path in a scene, with names in the spelling of the language.
 
     A definition that was read without findings is cached."""
-    key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
+    key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.folder_by_name.items())))
     known = _definition_cache.get(key)
     if known is not None and all(_compute_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
         _definition_cache.move_to_end(key)

@@ -138,9 +138,9 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
     """Return a shape in other units: its points and the joint positions at capture are multiplied by `factor`."""
     capture = shape.capture
     if capture is not None:
-        inverse = capture.inverse.copy()
+        inverse = capture.inverse_matrices.copy()
         inverse[:, :3, 3] *= factor
-        capture = replace(capture, inverse=inverse)
+        capture = replace(capture, inverse_matrices=inverse)
     return replace(shape, points=(shape.points * np.float32(factor)).astype(np.float32), capture=capture)
 
 

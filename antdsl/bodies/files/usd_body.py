@@ -234,7 +234,7 @@ def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float,
     if not (columns or shares):
         return None
     if seconds * (rate or per_second) > limits.MAX_CLIP_SAMPLES:
-        raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
+        raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than the limit", code="too-large")
     times, rate = compute_even_times(seconds, rate or per_second)
     if len(times) * (len(columns) * 13 + len(shares)) * 8 > left:
         raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes when they are sampled", code="too-large")

@@ -26,12 +26,12 @@ class Skin:
     """The joints that a mesh follows.
 
     `names`: of the joints.
-    `inverse`: matrices from the mesh's space to that of each joint.
+    `inverse_matrices`: matrices from the mesh's space to that of each joint.
     `query`: UsdSkel's query of the weights.
     """
 
     names: tuple[str, ...]
-    inverse: Floats
+    inverse_matrices: Floats
     query: Any
 
 
@@ -140,7 +140,7 @@ def _read_uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | 
     """Return texture coordinates for each corner: the primvar `st`, else the first that exists."""
     primvars = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
     known = [each for each in primvars if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
-    known.sort(key=lambda each: each.GetPrimvarName() != "st")
+    known.sort(key=lambda primvar: primvar.GetPrimvarName() != "st")
     if not known:
         return None
     return _expand_to_corners(known[0].ComputeFlattened(time), str(known[0].GetInterpolation()), 2, points, corners)
@@ -183,7 +183,7 @@ def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Int
     point_joints, shares, lone = normalise_capture(joints, np.maximum(weights, 0.0), len(skin.names))
     if lone:
         body.omissions[f"{lone:,} points of `{prim.GetPath()}` follow no joint, and were given to `{skin.names[0]}`"] = None
-    return Capture(skin.names, point_joints[source], shares[source], skin.inverse)
+    return Capture(skin.names, point_joints[source], shares[source], skin.inverse_matrices)
 
 
 def _read_blend_shapes(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:

@@ -178,7 +178,7 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
     if body.metadata:
         notes.append("metadata is left out")
     if any("dualquat" in binding.deformer for binding in layer.deforming):
-        notes.append("dual quaternion skinning is linear there: glTF has no other")
+        notes.append("dual quaternion skinning becomes linear: glTF has only linear skinning")
     if any(shape.in_betweens for shape in body.shapes.values()):
         notes.append("in-betweens become separate morph targets, with the weight that they have at each sample")
     return notes

@@ -27,12 +27,12 @@ _PLANTED_SPEED = 0.35  # leg lengths per second; a slower low foot stands still
 class ClipGait:
     """A walking clip, with L feet.
 
-    `speed`: definition units per second. `back` float64[3]: the direction in which feet on the ground move. `cycles`: steps of
-    each foot in the clip. `duty`, `lift`, `phases`: as in a gait."""
+    `speed`: definition units per second. `backward_direction` float64[3]: the direction in which feet on the ground move.
+    `cycles`: steps of each foot in the clip. `duty`, `lift`, `phases`: as in a gait."""
 
     clip: str
     speed: float
-    back: Floats
+    backward_direction: Floats
     cycles: int
     duty: float
     lift: float
@@ -116,26 +116,26 @@ def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: 
     return ClipGait(motion.name, speed, back, cycles, float(np.clip(duties.mean(), 0.05, 0.95)), lift, phases, motion.seconds)
 
 
-def _cycles(stands: NDArray[np.bool_]) -> int:
+def _cycles(is_stance: NDArray[np.bool_]) -> int:
     """Return the number of cycles of the feet, bool[F, L], in a clip: the least number in which stances occur at one phase."""
-    samples = np.arange(len(stands)) / len(stands)
+    samples = np.arange(len(is_stance)) / len(is_stance)
     for cycles in range(1, _MAX_CYCLES + 1):
         turns = np.exp(2j * np.pi * cycles * samples)
-        if np.mean([abs(turns[each].mean()) for each in stands.T]) > _MIN_GATHERING:
+        if np.mean([abs(turns[each].mean()) for each in is_stance.T]) > _MIN_GATHERING:
             return cycles
     return 1
 
 
-def _without_short_runs(stands: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _without_short_runs(is_stance: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the stances of a foot over a cycle, without swings and stances of only a few samples."""
-    shortest = max(1, round(_SHORT_RUN * len(stands)))
+    shortest = max(1, round(_SHORT_RUN * len(is_stance)))
     for value in (False, True):
-        starts = np.flatnonzero((stands == value) & (np.roll(stands, 1) != value))
+        starts = np.flatnonzero((is_stance == value) & (np.roll(is_stance, 1) != value))
         for start in starts.tolist():
             run = 1
-            while run < len(stands) and stands[(start + run) % len(stands)] == value:
+            while run < len(is_stance) and is_stance[(start + run) % len(is_stance)] == value:
                 run += 1
             if run < shortest:
-                stands = stands.copy()
-                stands[(start + np.arange(run)) % len(stands)] = not value
-    return stands
+                is_stance = is_stance.copy()
+                is_stance[(start + np.arange(run)) % len(is_stance)] = not value
+    return is_stance

@@ -83,13 +83,13 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
     return LegSearch(tuple(legs), tuple(feet), tuple(reasons), ground, height)
 
 
-def _group_by_branch(rig: Rig, touching: list[int]) -> dict[int, list[int]]:
+def _group_by_branch(rig: Rig, contact_joints: list[int]) -> dict[int, list[int]]:
     """Return joints that touch the ground by the joint where their chain leaves the rest, each group from the trunk outward.
 
     A chain begins below the nearest joint that has several branches to the ground."""
-    below = {joint: {each for each in touching if joint in _ancestors(rig, each)} for joint in range(len(rig.names))}
+    below = {joint: {each for each in contact_joints if joint in _ancestors(rig, each)} for joint in range(len(rig.names))}
     groups: dict[int, list[int]] = {}
-    for contact in touching:
+    for contact in contact_joints:
         path = _ancestors(rig, contact)  # from the contact to the root
         start = path[0]
         for inner, outer in pairwise(path):

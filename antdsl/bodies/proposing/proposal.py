@@ -87,7 +87,7 @@ def _idle_reason(study: BodyStudy) -> str:
     """Return the reason for choosing a clip as the idle clip."""
     if any(word in study.idle.lower() for word in IDLE_WORDS):
         return "its name suggests this"
-    return f"has feet on the ground for {study.planted.get(study.idle, 0.0):.0%} of its time, and moves least"
+    return f"has feet on the ground for {study.plant_heights.get(study.idle, 0.0):.0%} of its time, and moves least"
 
 
 # ---- axes, units and length
@@ -112,8 +112,10 @@ def _add_axes(proposal: Proposal, study: BodyStudy) -> Floats:
 def _front(study: BodyStudy) -> tuple[Floats, str]:
     """Return the front axis and the reason for it."""
     if study.gaits:
-        gait = max(study.gaits.values(), key=lambda each: each.speed)
-        return _nearest_axis(-gait.back, study.up), f"in `{gait.clip}`, feet on the ground move in the opposite direction"
+        gait = max(study.gaits.values(), key=lambda gait: gait.speed)
+        return _nearest_axis(
+            -gait.backward_direction, study.up
+        ), f"in `{gait.clip}`, feet on the ground move in the opposite direction"
     toes = _toe_direction(study)
     if toes is not None:
         return _nearest_axis(toes, study.up), "feet point this way; no clip walks"
@@ -226,10 +228,10 @@ def _add_clips(proposal: Proposal, study: BodyStudy, names: Mapping[str, str]) -
             reasons.append(
                 f"`{names[name]}`: feet on the ground move {gait.speed:.3g} units a second, for {gait.seconds:.3g} s a cycle"
             )
-        elif study.search.feet and study.planted[name] < STILL_SHARE:
+        elif study.search.feet and study.plant_heights[name] < STILL_SHARE:
             entry["feet"] = False
             reasons.append(
-                f"`{names[name]}`: feet leave the ground ({study.planted[name]:.0%} stand), so the clip moves the legs"
+                f"`{names[name]}`: feet leave the ground ({study.plant_heights[name]:.0%} stand), so the clip moves the legs"
             )
         if gait is None and name != study.idle and not study.motions[name].is_cyclic:
             entry["loop"] = False
@@ -263,7 +265,7 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
     proposal.add("legs", legs, *reasons)
     feet = [search.feet.index(search.legs[k]) for k in order]
     gaits, gait_reasons, speeds = [], [], list[float]()
-    for name, gait in sorted(study.gaits.items(), key=lambda each: each[1].speed):
+    for name, gait in sorted(study.gaits.items(), key=lambda entry: entry[1].speed):
         if any(abs(gait.speed - speed) < 0.1 * speed for speed in speeds):
             gait_reasons.append(f"`{clip_names[name]}` is as fast as another clip, so it defines no gait")
             continue

@@ -30,7 +30,7 @@ class BodyStudy:
     search: LegSearch
     motions: Mapping[str, ClipMotion]
     gaits: Mapping[str, ClipGait]
-    planted: Mapping[str, float]
+    plant_heights: Mapping[str, float]
     length: float
 
 

@@ -31,7 +31,7 @@ def edit(
         metavar="DIR",
         help="Write the edited frames as a new cache into this folder; CACHE stays as it is.",
     ),
-    remove: bool = typer.Option(False, "--remove", help="Take the edits of the cache away."),
+    remove: bool = typer.Option(False, "--remove", help="Remove the edits of the cache."),
     settle: bool = typer.Option(
         False, "--settle", help="Simulate agents again that the edits of --edits make overlap, or leave without a neighbour."
     ),
@@ -138,7 +138,7 @@ def _store_edits(folder: Path, edits: Path, settling: _Settling | None) -> tuple
     store_edits(folder, loaded.entry, loaded.inputs.arrays)
     count = len(loaded.edits.edits)
     words, them = ("edit is", "it") if count == 1 else ("edits are", "them")
-    return count, f"{words} applied when {folder} is read; `antdsl edit {folder} --remove` takes {them} away"
+    return count, f"{words} applied when {folder} is read; `antdsl edit {folder} --remove` removes {them}"
 
 
 def _write_view(view: Cache, cache: Path, folder: Path, force: bool) -> int:

@@ -27,7 +27,7 @@ def _explain_missing_export(path: Path) -> str:
     if path.suffix.lower() in ALTERNATIVE_ADVICE:
         advice = ALTERNATIVE_ADVICE[path.suffix.lower()]
         return f"`{path.suffix}` is not supported: write {advice} (docs/exports.md#what-is-not-written)"
-    return f"`{path.name}` is none of {', '.join(ending for each in EXPORT_FORMATS for ending in each.endings)}"
+    return f"`{path.name}` is none of {', '.join(ending for each in EXPORT_FORMATS for ending in each.extensions)}"
 
 
 def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
@@ -134,7 +134,7 @@ def export(
     set_options = {name: value for name, value in all_options.items() if value is not None}
     for name in sorted(set_options.keys() - export.list_option_names(word)):
         forms = [
-            f"`{each.endings[0]}` as `{w}`" for each in EXPORT_FORMATS for w in each.forms if name in each.list_option_names(w)
+            f"`{each.extensions[0]}` as `{w}`" for each in EXPORT_FORMATS for w in each.forms if name in each.list_option_names(w)
         ]
         raise typer.BadParameter(
             f"`{to.name}` as `{word}` does not support this option; {', '.join(forms)} does", param_hint=f"--{name}"
@@ -146,7 +146,7 @@ def export(
     if "samples" in set_options and "shutter" not in set_options:
         raise typer.BadParameter("state the range of the samples: `--shutter -0.25..0.25`", param_hint="--samples")
     if scheduler and word not in export.per_frame_forms:
-        spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORT_FORMATS if each.per_frame_forms)
+        spread = ", ".join(f"`{each.extensions[0]}`" for each in EXPORT_FORMATS if each.per_frame_forms)
         message = f"`{to.name}` as `{word}` is one file, which is written here; {spread} have a file for each frame"
         raise typer.BadParameter(message, param_hint="--scheduler")
     options = (export.options[word](**set_options),) if word in export.options else ()

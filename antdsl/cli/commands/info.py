@@ -77,7 +77,7 @@ def describe_cache(cache: Cache) -> list[str]:
         f"complete     {'yes' if len(inside) == frame_count else f'no; continue with: {make_resume_command(cache.folder)}'}"
     )
     if isinstance(cache, EditedCache):
-        lines.append("edits        applied as frames are read; `antdsl edit CACHE --remove` takes them away")
+        lines.append("edits        applied as frames are read; `antdsl edit CACHE --remove` removes them")
     if manifest.made_with is not None:
         lines.append("made with")
         lines += [f"  {name:<10} {value or 'none'}" for name, value in manifest.made_with.model_dump().items()]

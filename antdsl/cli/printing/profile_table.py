@@ -35,12 +35,12 @@ def _print_tables(console: Console, profile: StepProfile, show_lines: bool) -> N
     worked = sum(profile.cpu_ms.values())
     console.print(f"{profile.total_ms:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}{_describe_backend(profile)}")
     total = profile.total_ms
-    phases = sorted(profile.phases.items(), key=lambda each: -each[1])
+    phases = sorted(profile.phases.items(), key=lambda entry: -entry[1])
     _print_table(console, "phase", ((name, "", ms) for name, ms in phases), total, profile.cpu_ms)
     if not show_lines:
         console.print("layers and lines are measured only on the backends `native` and `numpy`")
         return
-    layers = sorted(profile.layers, key=lambda each: -each.ms)
+    layers = sorted(profile.layers, key=lambda entry: -entry.ms)
     _print_table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), total)
     dearest = profile.lines[:MAX_LISTED_LINES]
     _print_table(console, "line", ((each.text, f"{_shorten_path(each.file)}:{each.line}", each.ms) for each in dearest), total)

@@ -90,9 +90,9 @@ class BarProgress(ProgressDisplay):
 
 
 @contextmanager
-def show_set_up(quiet: bool) -> Iterator[None]:
+def show_set_up(is_quiet: bool) -> Iterator[None]:
     """Display the stages of a set-up: on a temporary line on a terminal, as occasional plain lines elsewhere."""
-    if quiet:
+    if is_quiet:
         yield
     elif can_draw_bar():
         from rich.progress import Progress, TextColumn
@@ -119,12 +119,12 @@ def _make_stage_printer() -> Callable[[str], None]:
 
 
 @contextmanager
-def show_progress(recording: Recording, quiet: bool) -> Iterator[ProgressDisplay]:
+def show_progress(recording: Recording, is_quiet: bool) -> Iterator[ProgressDisplay]:
     """Yield a display of each frame that suits the output stream. At the end, print the location of the cache."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
-    if recording.resumed_from is not None and not quiet:
+    if recording.resumed_from is not None and not is_quiet:
         print_note(f"continues after frame {recording.resumed_from}")
-    if quiet:
+    if is_quiet:
         yield ProgressDisplay(recording)
         return
     if can_draw_bar():

@@ -114,17 +114,32 @@ class FaceBoxes:
 
 @kernel_helper
 def gather_faces(
-    pieces: Array1[I32], boxes: BoxTree, one: Vec3, two: Vec3, margin: F64, face: I64, piece: I64, face_list: FaceList
+    pieces: Array1[I32],
+    boxes: BoxTree,
+    first_point: Vec3,
+    second_point: Vec3,
+    margin: F64,
+    face: I64,
+    piece: I64,
+    face_list: FaceList,
 ) -> I64:
     """Write the triangles with boxes that overlap a query box into `face_list`, and return their number.
 
-    The query box contains the points `one` and `two`, and is `margin` mm larger. Triangles are given by positions in the order of
-    all triangles. `face` and the triangles of `piece` are left out."""
+    The query box contains the points `first_point` and `second_point`, and is `margin` mm larger. Triangles are given by
+    positions in the order of all triangles. `face` and the triangles of `piece` are left out."""
     order, first, bounds = boxes
     numbers, behind = face_list
     count, waiting = 0, 0
-    low_x, low_y, low_z = min(one[0], two[0]) - margin, min(one[1], two[1]) - margin, min(one[2], two[2]) - margin
-    high_x, high_y, high_z = max(one[0], two[0]) + margin, max(one[1], two[1]) + margin, max(one[2], two[2]) + margin
+    low_x, low_y, low_z = (
+        min(first_point[0], second_point[0]) - margin,
+        min(first_point[1], second_point[1]) - margin,
+        min(first_point[2], second_point[2]) - margin,
+    )
+    high_x, high_y, high_z = (
+        max(first_point[0], second_point[0]) + margin,
+        max(first_point[1], second_point[1]) + margin,
+        max(first_point[2], second_point[2]) + margin,
+    )
     levels, nodes = allocate_scratch(_MAX_OPEN_BOXES, I64), allocate_scratch(_MAX_OPEN_BOXES, I64)
     if order.size:
         levels[0], nodes[0], waiting = first.size - 2, 0, 1

@@ -79,7 +79,7 @@ def bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index
     far = corners[table.link[0, half] >> 3, (table.link[0, half] >> 1) & 3].T - corners[face, (half % 3 + 1) % 3].T
     climbs = dot(table.normal.take(face, axis=1), far) > 0
     # Agents may stand on either side of a sheet: an edge that descends on one side rises on the other.
-    climbs |= bool((table.link[0].reshape(-1, 3)[table.live] == NO_LINK).any())
+    climbs |= bool((table.link[0].reshape(-1, 3)[table.is_live] == NO_LINK).any())
     bends, wide = (cosine < elementary.cos(turn.astype(np.float32))) & climbs, height >= reach
     curls = cosine < elementary.cos((_MAX_CURL * np.minimum(height / size, 1.0)).astype(np.float32))
     has_bend = np.zeros(len(corners), np.bool_)
@@ -104,7 +104,7 @@ class CreaseMap:
     count as creases."""
 
     def __init__(self, corners: Floats, table: MeshTopology, face_mask: NDArray[np.bool_], half: Index) -> None:
-        live = np.flatnonzero(table.live & face_mask)
+        live = np.flatnonzero(table.is_live & face_mask)
         self._near_cells_by_rung: dict[int, NDArray[np.bool_]] = {}
         self._low = corners[live].min(axis=(0, 1)) if live.size else np.zeros(3)
         size = (corners[live].max(axis=(0, 1)) if live.size else np.zeros(3)) - self._low
@@ -120,7 +120,7 @@ class CreaseMap:
         """Return the cells that contain a crease. With several pieces, return also the least and the greatest piece in each
         cell."""
         corners, table, minded, half = self._inputs
-        live = np.flatnonzero(table.live & minded)
+        live = np.flatnonzero(table.is_live & minded)
         half = half[minded[half // 3]]
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
         sharp = self._mark_cells(np.stack([one, two, two], axis=1))
@@ -170,7 +170,7 @@ class CreaseMap:
         if rung not in self._near_cells_by_rung:
             rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
             corners, table, minded, half = self._inputs
-            inputs = (corners, table.live, table.link, table.piece, table.cuts.is_cut, minded, half, float(rings))
+            inputs = (corners, table.is_live, table.link, table.piece, table.cuts.is_cut, minded, half, float(rings))
             tables = stored_tables.get_or_compute("cells near creases", len(corners), inputs, partial(self._spread_cells, rings))
             self._near_cells_by_rung[rung] = tables["near"]
         return self._near_cells_by_rung[rung]
@@ -187,7 +187,7 @@ class CreaseMap:
 
 def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
     """Return the result of `compute_slope_clearance`, stored for other runs."""
-    inputs = (corners, table.live, table.link, table.piece, table.cuts.is_cut, half)
+    inputs = (corners, table.is_live, table.link, table.piece, table.cuts.is_cut, half)
     tables = stored_tables.get_or_compute(
         "clear of rises", len(corners), inputs, lambda: {"clear": compute_slope_clearance(corners, table, half)}
     )
@@ -213,7 +213,7 @@ def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -
         samples = samples[np.lexsort(samples.T)]
         fresh = np.concatenate(([True], (samples[1:] != samples[:-1]).any(axis=1)))
         distances = cKDTree(samples[fresh]).query(middle)[0] - radius - reach
-    pieces, cut = np.unique(table.piece[table.live]).astype(np.int64), np.flatnonzero(table.cuts.is_cut)
+    pieces, cut = np.unique(table.piece[table.is_live]).astype(np.int64), np.flatnonzero(table.cuts.is_cut)
     error = radius + _DISTANCE_NOISE * (float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max()) if len(corners) else 0)
     if pieces.size > _MAX_SEPARATE_PIECES:
         distances[:] = 0.0
@@ -277,11 +277,11 @@ class SlopeMap:
     Input: `corners` float64[m,3,3] of its faces, the `table` of their topology, for each moving mesh a mask bool[m] of its faces,
     and the half-edges that count as creases."""
 
-    def __init__(self, corners: Floats, table: MeshTopology, moving: Sequence[NDArray[np.bool_]], half: Index) -> None:
+    def __init__(self, corners: Floats, table: MeshTopology, moving_masks: Sequence[NDArray[np.bool_]], half: Index) -> None:
         still = np.ones(len(corners), np.bool_)
-        for own in moving:
+        for own in moving_masks:
             still &= ~own
-        self._face_clearances = _get_slope_clearance(corners, table, half) if not moving else np.zeros(len(corners))
+        self._face_clearances = _get_slope_clearance(corners, table, half) if not moving_masks else np.zeros(len(corners))
         self._min_clearance = float(self._face_clearances.min(initial=np.inf))
         self._face_sizes: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
         self._crease_map = CreaseMap(corners, table, still, half)
@@ -289,27 +289,27 @@ class SlopeMap:
     def find_rows_near_slopes(
         self,
         mesh: Ints,
-        local: Ints,
+        face: Ints,
         first: Index,
         place: Floats,
         reach: Floats,
-        moving: Sequence[tuple[Floats, Floats]],
+        moving_boxes: Sequence[tuple[Floats, Floats]],
         threads: int = 1,
     ) -> Index:
-        """Return rows as `MeshGround.find_rows_near_slopes`, for agents on face `local` of a `mesh` (-1: nowhere).
+        """Return rows as `MeshGround.find_rows_near_slopes`, for agents on face `face` of a `mesh` (-1: nowhere).
 
         - `first`: the first face number of each mesh
-        - `moving`: the lowest and highest corner of each moving mesh"""
-        if self._min_clearance > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._min_clearance:
+        - `moving_boxes`: the lowest and highest corner of each moving mesh"""
+        if self._min_clearance > 0 and not moving_boxes and not np.fmax.reduce(reach, initial=0.0) >= self._min_clearance:
             return np.empty(0, np.int64)  # no face has a rise within the reach
         rows, rungs = np.empty((2, len(reach)), np.int64)
-        on = (mesh, local, first, self._face_clearances, self._face_sizes, reach, *self._crease_map.reach_range)
+        on = (mesh, face, first, self._face_clearances, self._face_sizes, reach, *self._crease_map.reach_range)
         parts = parallel.run_in_parts(partial(find_candidates, *on, rows, rungs), len(reach), threads)
         rows, rungs = parallel.join_parts(parts, rows, rungs)
         if not len(rows):
             return rows
         is_near = self._crease_map.find_rows_near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
-        for low, high in moving:
+        for low, high in moving_boxes:
             at, wide = place.take(rows, axis=0), reach[rows, None]
             is_near |= ((at >= low - wide) & (at <= high + wide)).all(axis=1)
         return rows[is_near]
@@ -366,16 +366,17 @@ def mark_rows_near(
     place: Strided2[F64],
     low: Array1[F64],
     width: F64,
-    near: Array3[BOOL],
+    is_near_slope: Array3[BOOL],
     begin: I64,
     end: I64,
 ) -> None:
-    """Replace `rung` by a result, for agents `begin` to `end` (exclusive): -1 for agents in a `near` cell, -2 for others."""
+    """Replace `rung` by a result, for agents `begin` to `end` (exclusive): -1 for agents in a `is_near_slope` cell, -2 for
+    others."""
     for k in range(begin, end):
         if rungs[k] != rung:
             continue
         i = rows[k]
-        x = int(min(max(np.floor((place[i, 0] - low[0]) / width), 0.0), float(near.shape[0] - 1)))
-        y = int(min(max(np.floor((place[i, 1] - low[1]) / width), 0.0), float(near.shape[1] - 1)))
-        z = int(min(max(np.floor((place[i, 2] - low[2]) / width), 0.0), float(near.shape[2] - 1)))
-        rungs[k] = -1 if near[x, y, z] else -2
+        x = int(min(max(np.floor((place[i, 0] - low[0]) / width), 0.0), float(is_near_slope.shape[0] - 1)))
+        y = int(min(max(np.floor((place[i, 1] - low[1]) / width), 0.0), float(is_near_slope.shape[1] - 1)))
+        z = int(min(max(np.floor((place[i, 2] - low[2]) / width), 0.0), float(is_near_slope.shape[2] - 1)))
+        rungs[k] = -1 if is_near_slope[x, y, z] else -2

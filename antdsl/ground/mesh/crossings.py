@@ -162,21 +162,21 @@ def _leads_through(
 
 @inlined
 def _is_blocked_by_third_sheet(
-    table: Array1[F64], cuts: CutTables, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64
+    table: Array1[F64], cuts: CutTables, face: I64, own_face: I64, place: Vec3, offset: Vec3, touch: F64
 ) -> BOOL:
     """Return whether three sheets meet, so that feet at a position on a face must stay.
 
-    Feet placed at distance `off` from their own face would pass or touch the third sheet."""
+    Feet placed at distance `offset` from their own face would pass or touch the third sheet."""
     first, others = cuts
     is_tight = False
     for k in range(first[face], first[face + 1]):
         third = others[k]
-        if third == own:
+        if third == own_face:
             continue
         row = ROW_FLOATS * third
         normal = load_vector(table, row + NORMAL_OFFSET)
         begins = dot(normal, minus(place, load_vector(table, row + CORNER_OFFSET)))
-        ends = begins + dot(normal, off)
+        ends = begins + dot(normal, offset)
         is_touched = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
         is_tight = is_tight or (is_touched and _is_within(table, row, place, 2 * OFF_FACE_TOUCHES * touch))
     return is_tight

@@ -19,7 +19,7 @@ def write_positions(
     face: Array1[I32],
     b1: Array1[F64],
     b2: Array1[F64],
-    over: Array1[F64],
+    heights: Array1[F64],
     place: Array2[F64],
 ) -> BOOL:
     """Write the position of each footing, [n,3], 0 for nowhere; return whether all face numbers are valid.
@@ -44,7 +44,7 @@ def write_positions(
             if mesh[n] >= 0 and face[n] >= 0:
                 f = first[mesh[n]] + face[n]
                 i, j, k = 3 * faces[f, 0], 3 * faces[f, 1], 3 * faces[f, 2]
-                p, q, h = b1[n], b2[n], over[n]
+                p, q, h = b1[n], b2[n], heights[n]
                 x, y, z = vertices[i], vertices[i + 1], vertices[i + 2]
                 x = (x + p * (vertices[j] - x)) + q * (vertices[k] - x)
                 y = (y + p * (vertices[j + 1] - y)) + q * (vertices[k + 1] - y)

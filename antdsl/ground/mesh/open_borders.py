@@ -27,7 +27,7 @@ def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale,
     The search paths of `find_landing_beyond_border` lie in the plane across the edge, above or below the face, except beyond the
     border. They meet nothing under two conditions. All other nearby faces lie in the plane of the edge's face, and none extends
     over the edge's line. Paths along that plane, and paths beyond the line, stay at least the gap away from these faces."""
-    half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MAX_BORDERS]
+    half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.is_live, 3))[:_MAX_BORDERS]
     reach = 1.01 * (
         (BORDER_RAY_HEIGHT_PER_BODY + BORDER_GAP_PER_BODY)
         * float(np.fmax(max_body_size, scale.min_eye_height / EYE_HEIGHT_PER_BODY))

@@ -94,12 +94,12 @@ def _find_cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) 
     return pairs[0], pairs[1]
 
 
-def _iterate_overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
-    """Yield pairs of `live` faces with overlapping boxes, the lower number first; a pair may occur more than once."""
+def _iterate_overlapping_pairs(corners: Floats, live_faces: Index) -> Iterator[tuple[Index, Index]]:
+    """Yield pairs of `live_faces` faces with overlapping boxes, the lower number first; a pair may occur more than once."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     size = (high - low).max(axis=0)
-    smaller, left = live[:0], live
+    smaller, left = live_faces[:0], live_faces
     while left.size:
         width = _CELL_WIDTH_IN_FACES * float(np.median(size[left]))
         fits = size[left] <= _MAX_FACE_CELLS * width

@@ -53,19 +53,19 @@ def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s
 
 
 @inlined
-def get_clearance(near: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
+def get_clearance(clearances: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
     """Return a distance (mm) around a position without any other piece; at most `reach`. See `FacePartClearances`."""
-    n = near.parts_per_edge[f]
+    n = clearances.parts_per_edge[f]
     if n == 0:
-        return near.reach
+        return clearances.reach
     column, row = round_to_int(np.floor(weights[0] * n)), round_to_int(np.floor(weights[1] * n))
-    return near.clearances[near.first[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
+    return clearances.clearances[clearances.first[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
 
 
 @inlined
 def walk_stretches(
     surface: SurfaceTables,
-    near: ClearanceTables,
+    clearances: ClearanceTables,
     search_height: F64,
     skip_first_search: BOOL,
     follow_borders: BOOL,
@@ -104,7 +104,7 @@ def walk_stretches(
             if edge_distance < until:
                 until, edge = edge_distance, 2
         length = min(until, left)
-        if search_height > 0 and not skip_first_search and get_clearance(near, f, (b1, b2)) <= length + search_height:
+        if search_height > 0 and not skip_first_search and get_clearance(clearances, f, (b1, b2)) <= length + search_height:
             event = LOOK_AHEAD_EVENT
             break
         skip_first_search = False
@@ -146,17 +146,17 @@ def turn_along_border(edge: FaceDirection, direction: FaceDirection, left: F64) 
 @inlined
 def cross_edge(
     table: Array1[F64],
-    beyond: I64,
+    half_edge: I64,
     edge: I64,
-    along: FaceDirection,
+    edge_direction: FaceDirection,
     weights: TriangleWeights,
     side: F64,
     direction: FaceDirection,
     heading: FaceDirection,
 ) -> FaceWalker:
-    """Return the agent in the face beyond an edge; `along` is the direction of the edge."""
-    (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = along, weights, direction, heading
-    f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
+    """Return the agent in the face beyond an edge; `edge_direction` is the direction of the edge."""
+    (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = edge_direction, weights, direction, heading
+    f, k2, flip = np.int64(half_edge >> 3), (half_edge >> 1) & 3, (half_edge & 1) == 1
     b0 = 1.0 - b1 - b2
     first = b1 if edge == 0 else (b2 if edge == 1 else b0)
     second = b2 if edge == 0 else (b0 if edge == 1 else b1)
@@ -222,15 +222,15 @@ def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> A
 
 
 @inlined
-def _rotate_with_normal(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
+def _rotate_with_normal(vx: F64, vy: F64, vz: F64, bx: F64, rotation: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
     """Return a vector rotated as unit normal b rotates into a. If the normals are opposite, the rotation passes through the
     vector itself."""
-    cosine = bx * ax + by * ay + bz * az
+    cosine = bx * ax + rotation * ay + bz * az
     if cosine < -1 + 1e-9:
-        hx, hy, hz = by * vz - bz * vy, bz * vx - bx * vz, bx * vy - by * vx
+        hx, hy, hz = rotation * vz - bz * vy, bz * vx - bx * vz, bx * vy - rotation * vx
         twice = 2 * (hx * vx + hy * vy + hz * vz)
         return twice * hx - vx, twice * hy - vy, twice * hz - vz
-    x, y, z = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+    x, y, z = rotation * az - bz * ay, bz * ax - bx * az, bx * ay - rotation * ax
     part = (x * vx + y * vy + z * vz) / (1 + cosine)
     return (
         cosine * vx + (y * vz - z * vy) + part * x,

@@ -54,7 +54,9 @@ class MeshGround:
         self._ray_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         corners = self._vertices[self._faces]
         self._scale = GroundScale.from_extent(self.extent)
-        self._box_tree = FaceBoxes.build(self._vertices, self._faces, np.flatnonzero(self._topology.live), self._group_surfaces())
+        self._box_tree = FaceBoxes.build(
+            self._vertices, self._faces, np.flatnonzero(self._topology.is_live), self._group_surfaces()
+        )
         self._clearances = PieceClearances(
             corners, self._topology.piece, self._topology.cuts.is_cut, self.low, self._scale.distance_noise
         )
@@ -314,7 +316,7 @@ class MeshGround:
         """Return a ray scene of some surfaces, and the ground's face number of each face of that scene."""
         chosen = self._find_surface_numbers(surface_names)
         if chosen not in self._ray_scenes:
-            live = np.flatnonzero(self._topology.live & np.isin(self._mesh_of_face, chosen))
+            live = np.flatnonzero(self._topology.is_live & np.isin(self._mesh_of_face, chosen))
             self._ray_scenes[chosen] = (RayScene(self._vertices, self._faces[live]), live)
         return self._ray_scenes[chosen]
 
@@ -327,11 +329,11 @@ class MeshGround:
         return tuple(sorted(self.names.index(name) for name in names))
 
     @staticmethod
-    def _to_ground_faces(mesh: NDArray[np.int32], face: NDArray[np.int32], live: Index) -> Index:
-        """Return the ground's numbers of hit faces of a ray scene, -1 for no hit. `live`: number of each scene face."""
+    def _to_ground_faces(mesh: NDArray[np.int32], face: NDArray[np.int32], live_faces: Index) -> Index:
+        """Return the ground's numbers of hit faces of a ray scene, -1 for no hit. `live_faces`: number of each scene face."""
         result = np.full(len(face), -1, np.int64)
         hit = mesh >= 0
-        result[hit] = live[face[hit]]
+        result[hit] = live_faces[face[hit]]
         return result
 
     def _compute_face_numbers(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
@@ -342,18 +344,18 @@ class MeshGround:
             return face, known
         return np.where(known, self._first_face.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
-    def _build_footing(self, face: Index, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
+    def _build_footing(self, face: Index, b1: Floats, b2: Floats, heights: Floats | None = None) -> Footing:
         """Return footings on faces, numbered over all surfaces; -1 is nowhere."""
         known = face >= 0
-        over = np.zeros(face.size) if over is None else over
+        heights = np.zeros(face.size) if heights is None else heights
         if known.all():
             mesh = self._mesh_of_face.take(face)
-            return Footing.from_faces(mesh, (face - self._first_face.take(mesh)).astype(np.int32), b1, b2, over)
+            return Footing.from_faces(mesh, (face - self._first_face.take(mesh)).astype(np.int32), b1, b2, heights)
         mesh = np.where(known, self._mesh_of_face.take(np.maximum(face, 0)) if self._mesh_of_face.size else -1, -1).astype(
             np.int32
         )
         local = np.where(known, face - self._first_face.take(np.maximum(mesh, 0)), -1).astype(np.int32)
-        return Footing.from_faces(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, over)))
+        return Footing.from_faces(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, heights)))
 
     def _compute_smooth_normals(self, face: Index, b1: Floats, b2: Floats) -> Floats:
         """Return smooth unit normals (3, n), by the faces' winding."""

@@ -94,16 +94,16 @@ class PieceClearances:
         least[self._is_cut[near]] = 0.0
         return {"first": first, "count": count, "least": least.ravel()}
 
-    def _compute_part_clearances(self, own: Index, others: Index, n: int, reach: float) -> Floats:
-        """Return the clearances (k, n*n) of faces `own`, each cut into n*n parts, from faces `others`."""
-        a, b, c = (self._corners[own, k] for k in range(3))
+    def _compute_part_clearances(self, own_faces: Index, other_faces: Index, n: int, reach: float) -> Floats:
+        """Return the clearances (k, n*n) of faces `own_faces`, each cut into n*n parts, from faces `other_faces`."""
+        a, b, c = (self._corners[own_faces, k] for k in range(3))
         edge1, edge2 = (b - a) / n, (c - a) / n
         middle = np.arange(n) + 0.5
         one, two = (v.ravel() for v in np.meshgrid(middle, middle, indexing="ij"))
         centre = a[:, None] + one[:, None] * edge1[:, None] + two[:, None] * edge2[:, None]
         radius = np.sqrt(np.maximum(((edge1 + edge2) ** 2).sum(axis=1), ((edge1 - edge2) ** 2).sum(axis=1))) / 2
         low, high = (np.min(centre, axis=(0, 1)) - 2 * reach, np.max(centre, axis=(0, 1)) + 2 * reach)
-        other_corners = self._corners[others]
+        other_corners = self._corners[other_faces]
         beside = ((other_corners.min(axis=1) <= high) & (other_corners.max(axis=1) >= low)).all(axis=1)
         if not beside.any():
             return np.full(centre.shape[:2], reach)

@@ -113,7 +113,7 @@ class BorderFrame(NamedTuple):
 
 @kernel_helper
 def find_piece_ahead(
-    table: Array1[F64], around: NearbySurfaces, body: F64, walker: FaceWalker, remaining: F64, length: F64
+    table: Array1[F64], around: NearbySurfaces, body: F64, walker: FaceWalker, remaining_length: F64, length: F64
 ) -> SurfaceLanding:
     """Return another piece of surface within the path, as seen from slightly above the ground.
 
@@ -123,7 +123,7 @@ def find_piece_ahead(
     least, fine = around.length_tolerances.min_eye_height, around.length_tolerances.coincident_distance
     ground = compute_stance(table, walker)
     place, _, direction = ground
-    high = fmax(fmin(EYE_HEIGHT_PER_BODY * body, remaining / MIN_LOOK_AHEAD_FACTOR), least)
+    high = fmax(fmin(EYE_HEIGHT_PER_BODY * body, remaining_length / MIN_LOOK_AHEAD_FACTOR), least)
     n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
     if n == 0:
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, length, 0.0, False)
@@ -140,7 +140,7 @@ def find_piece_ahead(
         face,
         weights,
         _find_approached_side(table, face, towards),
-        min(np.sqrt(distance * distance + eye * eye), remaining),
+        min(np.sqrt(distance * distance + eye * eye), remaining_length),
         0.0,
         False,
     )
@@ -177,7 +177,7 @@ def _find_visible_piece(
 
 @kernel_helper
 def _is_hidden(
-    table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, eye_height: F64, towards: Vec3
+    table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, eye_height: F64, ray_direction: Vec3
 ) -> BOOL:
     """Return whether the agent's own piece hides face `f`, seen from eye height `eye_height`."""
     pieces, boxes, face_list, fine = (
@@ -196,9 +196,9 @@ def _is_hidden(
     first = find_first_hit(table, boxes, face_list, n, eye, step, fine).face
     if first >= 0 and pieces[first] == piece:
         return True
-    if towards[0] == direction[0] and towards[1] == direction[1] and towards[2] == direction[2]:
+    if ray_direction[0] == direction[0] and ray_direction[1] == direction[1] and ray_direction[2] == direction[2]:
         return False
-    first = find_first_hit(table, boxes, face_list, n, plus(eye, step), towards, 0.0).face
+    first = find_first_hit(table, boxes, face_list, n, plus(eye, step), ray_direction, 0.0).face
     return first >= 0 and pieces[first] == piece
 
 
@@ -338,18 +338,18 @@ def _to_world_direction(table: Array1[F64], row: I64, direction: FaceDirection) 
 
 
 @inlined
-def _find_approached_side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
-    """Return the side of a face from which a path in direction `towards` comes. The agent walks on that side."""
-    return -1.0 if dot(load_vector(table, ROW_FLOATS * face + NORMAL_OFFSET), towards) > 0 else 1.0
+def _find_approached_side(table: Array1[F64], face: I64, direction: Vec3) -> F64:
+    """Return the side of a face from which a path in direction `direction` comes. The agent walks on that side."""
+    return -1.0 if dot(load_vector(table, ROW_FLOATS * face + NORMAL_OFFSET), direction) > 0 else 1.0
 
 
 @kernel_helper
-def _can_step(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, towards: Vec3) -> BOOL:
+def _can_step(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, direction: Vec3) -> BOOL:
     """Return whether an agent may step over a border to a face.
 
     It may not step to the other side of the surface it walks on, nor to a face that turns back below that surface."""
     pieces, side_groups = sides
-    to_side = _find_approached_side(table, face, towards)
+    to_side = _find_approached_side(table, face, direction)
     own_side, other = 1 if border.side < 0 else 0, 1 if to_side < 0 else 0
     alike = pieces[border.face] != pieces[face] or side_groups[own_side, border.face] == side_groups[other, face]
     return alike and dot(times(load_vector(table, ROW_FLOATS * face + NORMAL_OFFSET), to_side), border.up) > MIN_NORMALS_COSINE
@@ -362,17 +362,17 @@ def _build_landing(
     border: BorderFrame,
     face: I64,
     weights: TriangleWeights,
-    towards: Vec3,
+    direction: Vec3,
     distance: F64,
     rise: F64,
 ) -> SurfaceLanding:
     """Return the landing of `find_landing_beyond_border` on a face; no landing if the agent may not step there."""
-    if not _can_step(table, sides, border, face, towards):
+    if not _can_step(table, sides, border, face, direction):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     return SurfaceLanding(
         face,
         clamp_weights(weights[0] + 0.0, weights[1] + 0.0),
-        _find_approached_side(table, face, towards),
+        _find_approached_side(table, face, direction),
         distance,
         rise,
         False,

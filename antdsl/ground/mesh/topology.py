@@ -42,7 +42,7 @@ class MeshTopology:
       side (1). A link is 8 times the neighbouring face, plus twice the corner opposite its half-edge, plus one if that face has
       opposite winding."""
 
-    live: NDArray[np.bool_]
+    is_live: NDArray[np.bool_]
     corner: Floats
     edge1: Floats
     edge2: Floats
@@ -58,7 +58,9 @@ class MeshTopology:
     piece: Ints
     piece_count: int
     cuts: SelfCuts  # cuts between faces of one piece
-    way: Ints  # (2, m): group number of each side (0: the normal's); sides that are reachable from each other share a number
+    side_groups: (
+        Ints  # (2, m): group number of each side (0: the normal's); sides that are reachable from each other share a number
+    )
     has_forked_edges: bool  # whether the links of any edge differ between the two sides, as where more than two faces meet
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
     weld: Ints  # (m, 3): vertex numbers of corners; corners at one position share a number
@@ -106,10 +108,10 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
     cut = find_cuts(vertices[faces], weld, piece, extent * _RELATIVE_TOUCH_DISTANCE)
     side_groups, shape = _group_sides(link, live, piece), _compute_shape_arrays(vertices, faces, weld, live)
     return {
-        "live": live,
+        "is_live": live,
         "link": link,
         "piece": piece,
-        "way": side_groups,
+        "side_groups": side_groups,
         "weld": weld,
         "first_cut": cut.first,
         "cut_by": cut.cutting_faces,
@@ -121,7 +123,7 @@ def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice
     """Update the shape of the faces in `rows`, all faces of one mesh, after vertices moved. This changes the table's arrays.
 
     Connectivity stays. A face that lost its area keeps its normal and has zero width."""
-    live, weld = table.live[rows], table.weld[rows]
+    live, weld = table.is_live[rows], table.weld[rows]
     old_frames = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
     edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
     shape = _compute_shape_arrays(vertices, faces[rows], weld - weld.min(initial=0), live)
@@ -142,21 +144,21 @@ def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice
         table.smooth[:, at] = np.tile(table.normal[:, at], (3, 1))
 
 
-def _compute_shape_arrays(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
+def _compute_shape_arrays(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_]) -> dict[str, Floats]:
     """Return all arrays of a table that depend on corner positions, by the names in _FLOATS."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     edge1, edge2 = b - a, c - a
     across = np.cross(edge1, edge2)
     with np.errstate(all="ignore"):  # a moving face may lose its area
-        normal = across / np.where(live, _compute_lengths(across), 1.0)[:, None]
-        length1 = np.where(live, _compute_lengths(edge1), 1.0)
+        normal = across / np.where(is_live, _compute_lengths(across), 1.0)[:, None]
+        length1 = np.where(is_live, _compute_lengths(edge1), 1.0)
         axis1 = edge1 / length1[:, None]
         normal = np.where(np.isfinite(normal), normal, 0.0)
         axis2 = np.cross(normal, axis1)
-        x2, y2 = (edge2 * axis1).sum(axis=1), np.where(live, (edge2 * axis2).sum(axis=1), 1.0)
+        x2, y2 = (edge2 * axis1).sum(axis=1), np.where(is_live, (edge2 * axis2).sum(axis=1), 1.0)
         direction = _compute_edge_directions(length1, x2, y2)
         frame = [np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2)]
-        smooth = _compute_smooth_normals(vertices, faces, weld, live, normal)
+        smooth = _compute_smooth_normals(vertices, faces, weld, is_live, normal)
         rates = (1 / length1, 1 / y2, x2 / (y2 * length1))
     return dict(zip(_FLOAT_COLUMNS, (*frame, *rates, *direction, smooth), strict=True))
 
@@ -175,13 +177,13 @@ def _compute_edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[F
     return (c / size).ravel(), (s / size).ravel()
 
 
-def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> Ints:
+def _link_edges(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_]) -> Ints:
     """Return the neighbour of each half-edge for either side: the next face around the edge on that side.
 
     If more than two faces meet at an edge (a wall on a floor), an agent thus stays in the wedge that it walks in."""
     m = len(faces)
     link = np.full((2, 3 * m), NO_LINK, np.int32)
-    half = np.flatnonzero(np.repeat(live, 3))
+    half = np.flatnonzero(np.repeat(is_live, 3))
     if not half.size:
         return link
     face, k = half // 3, half % 3
@@ -217,24 +219,24 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool
     return link
 
 
-def _number_pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
+def _number_pieces(link: Ints, is_live: NDArray[np.bool_]) -> Ints:
     """Return the number of the connected piece of each face, ascending from 0 by the first faces of pieces; -1 for faces that are
     not live."""
     half = np.flatnonzero(link[0] != NO_LINK)
-    piece = number_components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
-    result = np.full(len(live), -1, np.int32)
-    result[live] = np.unique(piece[live], return_inverse=True)[1]
+    piece = number_components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(is_live))
+    result = np.full(len(is_live), -1, np.int32)
+    result[is_live] = np.unique(piece[is_live], return_inverse=True)[1]
     return result
 
 
-def _group_sides(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
+def _group_sides(link: Ints, is_live: NDArray[np.bool_], piece: Ints) -> Ints:
     """Return a group number per side and face (2, m). Sides that are connected across edges, and so can be reached from each
     other, share one number.
 
     The two sides of a sheet are separate, those of a Möbius strip are not. A piece without an open border has an unambiguous
     inside and outside, even where it cuts itself: its sides share one number."""
-    m = len(live)
-    if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
+    m = len(is_live)
+    if not (link[0].reshape(-1, 3)[is_live] == NO_LINK).any():
         return np.zeros((2, m), np.int32)
     from_sides, to_sides = [], []
     for side in (0, 1):
@@ -243,13 +245,13 @@ def _group_sides(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
         from_sides.append(half // 3 + side * m)
         to_sides.append((beyond >> 3) + (side ^ (beyond & 1)) * m)
     shut = np.ones(int(piece.max(initial=-1)) + 1, bool)
-    shut[piece[live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
-    closed = np.flatnonzero(live)[shut[piece[live]]]
+    shut[piece[is_live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
+    closed = np.flatnonzero(is_live)[shut[piece[is_live]]]
     one, two = np.concatenate([*from_sides, closed]), np.concatenate([*to_sides, closed + m])
     return number_components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
 
 
-def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:
+def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_], normal: Floats) -> Floats:
     """Return normals at the corners of faces, (9, m): the mean of the surrounding faces, weighted by their angle at the corner.
 
     Faces that meet this face in a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998,
@@ -260,7 +262,7 @@ def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDA
     for k in range(3):
         u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
         weight[:, k] = elementary.atan2_float64(_compute_lengths(np.cross(u, v)), (u * v).sum(axis=1))
-    weight[~live] = 0.0
+    weight[~is_live] = 0.0
     points = int(weld.max(initial=-1)) + 1
     flat = weld.ravel()
     each = np.repeat(normal, 3, axis=0)

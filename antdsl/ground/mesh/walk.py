@@ -84,7 +84,7 @@ def prefetch_faces(surface: SurfaceTables, mesh: Array1[I32], face: Array1[I32],
 @inlined
 def walk_agent(
     surface: SurfaceTables,
-    near: ClearanceTables,
+    clearances: ClearanceTables,
     follow_borders: BOOL,
     face: I64,
     weights: TriangleWeights,
@@ -104,14 +104,14 @@ def walk_agent(
     weights = _inside(weights[0] + 0.0, weights[1] + 0.0)
     c, s, left = project_to_face(axis1, axis2, wish[0], wish[1], wish[2], 1.0, 0.0)
     heading_c, heading_s, _ = project_to_face(axis1, axis2, heading[0], heading[1], heading[2], c, s)
-    high = _compute_search_margin(near.distance_noise, size)
-    if not get_clearance(near, face, weights) <= left + high:
+    high = _compute_search_margin(clearances.distance_noise, size)
+    if not get_clearance(clearances, face, weights) <= left + high:
         high = -np.inf  # the complete path needs no search
     walker, progress = FaceWalker(face, weights, side, (c, s), (heading_c, heading_s)), WalkProgress(left, 0.0, 0)
     if height != 0 and left > 0:
         stop = WalkStop(OVERHANG_EVENT, 0, 0.0, 0)
     else:
-        walker, progress, stop = walk_stretches(surface, near, high, False, follow_borders, walker, progress)
+        walker, progress, stop = walk_stretches(surface, clearances, high, False, follow_borders, walker, progress)
         if stop.followed_borders > 0:
             height = 0.0
     return AgentWalk(high, height, walker, progress, stop)
@@ -140,15 +140,15 @@ def compact_waiting(
 @kernel
 def walk_all(
     surface: SurfaceTables,
-    near: ClearanceTables,
+    clearances: ClearanceTables,
     footings: FootingArrays,
     body: Array1[F64],
     vectors: tuple[Array2[F64], Array2[F64], Array2[F64]],
     float_rows: Array2[F64],
     integer_rows: Array2[I64],
     statuses: Array1[U8],
-    placed: FootingArrays,
-    moved: PoseArrays,
+    end_footings: FootingArrays,
+    poses: PoseArrays,
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
@@ -158,7 +158,7 @@ def walk_all(
     - `vectors`: wish, heading and up (3, n); a wish that is not finite counts as zero
     - `statuses`: written for each agent: whether it has been moved (FINISHED_STATUS) or waits (WAITING_STATUS)
     - `float_rows`, `integer_rows` (.., n): the waiting agents, from column `begin` on
-    - `placed`, `moved`: the results
+    - `end_footings`, `poses`: the results
 
     Returns `begin`, how many agents wait, and how many are left out (0 in this function)."""
     mesh, face, b1s, b2s, overs = footings
@@ -171,20 +171,20 @@ def walk_all(
             statuses[i] = FINISHED_STATUS
             step, look, above_it = get_column(wish, i), get_column(heading, i), get_column(up, i)
             if mesh[i] < 0 or face[i] < 0 or not np.isfinite(b1s[i] + b2s[i] + overs[i]):
-                placed.mesh[i], placed.face[i], moved.travelled[i] = -1, -1, 0.0
-                placed.b1[i], placed.b2[i], placed.over[i] = 0.0, 0.0, 0.0
-                _store_pose(moved, i, AgentPose((0.0, 0.0, 0.0), above_it, look, look))
+                end_footings.mesh[i], end_footings.face[i], poses.travelled[i] = -1, -1, 0.0
+                end_footings.b1[i], end_footings.b2[i], end_footings.over[i] = 0.0, 0.0, 0.0
+                _store_pose(poses, i, AgentPose((0.0, 0.0, 0.0), above_it, look, look))
                 continue
             f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
-            walk = walk_agent(surface, near, False, f, weights, overs[i], body[i], step, look, above_it)
+            walk = walk_agent(surface, clearances, False, f, weights, overs[i], body[i], step, look, above_it)
             if walk.stop.event:
                 statuses[i] = WAITING_STATUS
                 store_waiting(float_rows, integer_rows, i, body[i], walk)
                 continue
             # No edge leads to another mesh.
-            store_footing(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.height, walk.walker)
-            moved.travelled[i] = walk.progress.travelled
-            _store_pose(moved, i, compute_final_pose(surface.table, walk.walker, walk.height))
+            store_footing(end_footings, i, mesh[i], walk.walker.face - first[mesh[i]], walk.height, walk.walker)
+            poses.travelled[i] = walk.progress.travelled
+            _store_pose(poses, i, compute_final_pose(surface.table, walk.walker, walk.height))
     waiting, left = compact_waiting(statuses, float_rows, integer_rows, begin, end)
     return begin, waiting, left
 
@@ -192,15 +192,15 @@ def walk_all(
 @kernel
 def continue_walks(
     surface: SurfaceTables,
-    near: ClearanceTables,
+    clearances: ClearanceTables,
     piece_tables: PieceTables,
     stop_at_borders: BOOL,
     float_rows: Strided2[F64],
     integer_rows: Strided2[I64],
     statuses: Array1[U8],
-    placed: FootingArrays,
-    moved: PoseArrays,
-    blocked: Array1[BOOL],
+    footings: FootingArrays,
+    poses: PoseArrays,
+    is_blocked: Array1[BOOL],
     begin: I64,
     end: I64,
 ) -> None:
@@ -214,7 +214,7 @@ def continue_walks(
     for k in range(begin, end):
         i = integer_rows[AGENT_ROW, k]
         size = float_rows[BODY_SIZE_ROW, k]
-        high = _compute_search_margin(near.distance_noise, size) if integer_rows[IS_NEAR_ROW, k] != 0 else -np.inf
+        high = _compute_search_margin(clearances.distance_noise, size) if integer_rows[IS_NEAR_ROW, k] != 0 else -np.inf
         f, b1, b2, side, over = (
             integer_rows[FACE_ROW, k],
             float_rows[WEIGHT1_ROW, k],
@@ -278,7 +278,7 @@ def continue_walks(
                 else:
                     over = 0.0
                     integer_rows[IS_NEAR_ROW, k] = 1
-                    high = _compute_search_margin(near.distance_noise, size)
+                    high = _compute_search_margin(clearances.distance_noise, size)
             if to.face >= 0:
                 direction, heading = turn_to_face(table, walker, to.face, to.side)
                 walker = FaceWalker(to.face, to.weights, to.side, direction, heading)
@@ -289,31 +289,31 @@ def continue_walks(
                     left = 0.0
                     integer_rows[BLOCKED_ROW, k] = 1
             walker, progress, stop = walk_stretches(
-                surface, near, high, looked, False, walker, WalkProgress(left, distance, turn)
+                surface, clearances, high, looked, False, walker, WalkProgress(left, distance, turn)
             )
             left, distance, turn = progress
             event, edge, length, _ = stop
             looked = False
         statuses[i] = FINISHED_STATUS
         mesh = int(table[ROW_FLOATS * walker.face + MESH_OFFSET])
-        store_footing(placed, i, mesh, walker.face - first[mesh], over, walker)
-        moved.travelled[i], blocked[i] = distance, integer_rows[BLOCKED_ROW, k] != 0
-        _store_pose(moved, i, compute_final_pose(table, walker, over))
+        store_footing(footings, i, mesh, walker.face - first[mesh], over, walker)
+        poses.travelled[i], is_blocked[i] = distance, integer_rows[BLOCKED_ROW, k] != 0
+        _store_pose(poses, i, compute_final_pose(table, walker, over))
 
 
 @inlined
-def store_footing(placed: FootingArrays, i: I64, mesh: I64, face: I64, height: F64, walker: FaceWalker) -> None:
+def store_footing(footings: FootingArrays, i: I64, mesh: I64, face: I64, height: F64, walker: FaceWalker) -> None:
     """Write the footing of agent `i` after a walk: on a face of a mesh, `height` mm above the face on the agent's side."""
-    placed.mesh[i], placed.face[i], placed.over[i] = mesh, face, height * walker.side + 0.0
-    placed.b1[i], placed.b2[i] = walker.weights
+    footings.mesh[i], footings.face[i], footings.over[i] = mesh, face, height * walker.side + 0.0
+    footings.b1[i], footings.b2[i] = walker.weights
 
 
 @inlined
-def _store_pose(moved: PoseArrays, i: I64, pose: AgentPose) -> None:
-    store_column(moved.place, i, pose.place)
-    store_column(moved.up, i, pose.up)
-    store_column(moved.heading, i, pose.heading)
-    store_column(moved.direction, i, pose.direction)
+def _store_pose(poses: PoseArrays, i: I64, pose: AgentPose) -> None:
+    store_column(poses.place, i, pose.place)
+    store_column(poses.up, i, pose.up)
+    store_column(poses.heading, i, pose.heading)
+    store_column(poses.direction, i, pose.direction)
 
 
 @inlined
@@ -349,14 +349,14 @@ def store_waiting(float_rows: Array2[F64], integer_rows: Array2[I64], i: I64, bo
 
 
 @inlined
-def _climb_border(height: F64, level: F64, remaining: F64, distance: F64) -> tuple[F64, F64, F64]:
+def _climb_border(height: F64, level: F64, remaining_length: F64, distance: F64) -> tuple[F64, F64, F64]:
     """Move up or down over a border to a level (mm above the current face), limited by the distance left.
 
     Returns the new height, and the distance left and travelled."""
     most = level - height
-    climb = min(abs(most), remaining)
+    climb = min(abs(most), remaining_length)
     to = level if climb >= abs(most) else height + (-climb if most < 0 else climb)
-    return to, remaining - climb, distance + climb
+    return to, remaining_length - climb, distance + climb
 
 
 @inlined

@@ -32,9 +32,9 @@ class WaitingAgents:
     left_out_count: int
 
     @staticmethod
-    def merge_parts(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> WaitingAgents:
+    def merge_parts(parts: list[tuple[int, int, int]], float_rows: Floats, integer_rows: NDArray[np.int64]) -> WaitingAgents:
         """Merge the results of kernels that ran the loop in parts."""
-        own = parallel.join_parts(parts, reals, wholes)
+        own = parallel.join_parts(parts, float_rows, integer_rows)
         return WaitingAgents(own[0], own[1], sum([left for _, _, left in parts]))
 
 
@@ -121,27 +121,40 @@ class CrowdWalk:
 
     def continue_waiting(
         self,
-        waiting: WaitingAgents,
+        waiting_agents: WaitingAgents,
         statuses: NDArray[np.uint8],
-        placed: walkers.FootingArrays,
-        moved: walkers.PoseArrays,
-        blocked: NDArray[np.bool_],
+        footings: walkers.FootingArrays,
+        poses: walkers.PoseArrays,
+        is_blocked: NDArray[np.bool_],
         threads: int,
         stop_at_borders: bool = False,
     ) -> NDArray[np.int64]:
-        """Move waiting agents to footings `placed` and poses `moved`, and mark those that are `blocked`; return their rows."""
-        reals, wholes = waiting.float_rows, waiting.integer_rows
+        """Move waiting agents to footings `footings` and poses `poses`, and mark those that are `is_blocked`; return their
+        rows."""
+        reals, wholes = waiting_agents.float_rows, waiting_agents.integer_rows
         rows: NDArray[np.int64] = wholes[loop.AGENT_ROW]
         if not rows.size:
             return rows
         table, boxes, scale = self.walk.table, self.boxes, self.scale
-        sides, cuts = walkers.SideGroups(table.piece, table.way), walkers.CutTables(table.cuts.first, table.cuts.cutting_faces)
+        sides, cuts = (
+            walkers.SideGroups(table.piece, table.side_groups),
+            walkers.CutTables(table.cuts.first, table.cuts.cutting_faces),
+        )
         count = wholes.shape[1]
         parts = parallel.count_parts(count, threads, _WAITING_PER_THREAD)
         buffer = np.empty(parts * boxes.triangle_order.size, np.int64)
         known = walkers.PieceTables(sides, cuts, boxes.to_box_tree(), scale.get_length_tolerances(), buffer, parts, count)
         further = partial(
-            loop.continue_walks, *self.build_tables(), known, stop_at_borders, reals, wholes, statuses, placed, moved, blocked
+            loop.continue_walks,
+            *self.build_tables(),
+            known,
+            stop_at_borders,
+            reals,
+            wholes,
+            statuses,
+            footings,
+            poses,
+            is_blocked,
         )
         parallel.run_in_parts(further, count, threads, _WAITING_PER_THREAD)
         return rows

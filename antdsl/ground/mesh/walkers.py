@@ -80,7 +80,7 @@ class FaceWalker(NamedTuple):
 class WalkProgress(NamedTuple):
     """The distances that an agent has left and has travelled (mm), and the number of edges it has crossed."""
 
-    remaining: F64
+    remaining_length: F64
     travelled: F64
     crossings: I64
 

@@ -23,14 +23,14 @@ _PAIRS_PER_CHUNK = 1 << 15  # pairs of a node and a triangle per chunk, so that 
 _NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
 
-def compute_node_distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: float) -> Distances:
-    """Return the distances (voxels) of the nodes of bricks `near`, float32[len(near) * 4096]; FAR_DISTANCE for nodes beyond
-    `band`.
+def compute_node_distances(shape: tuple[int, int, int], near_bricks: Index, corners: Floats, band: float) -> Distances:
+    """Return the distances (voxels) of the nodes of bricks `near_bricks`, float32[len(near) * 4096]; FAR_DISTANCE for nodes
+    beyond `band`.
 
     `corners` float64[n,3,3] are the triangles in voxels. The distance of a node next to a triangle is measured to that triangle.
     From these nodes outwards, layer by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid
     Simulation for Computer Graphics, 2015, section 4.2)."""
-    field = _DistanceField(shape, near, corners)
+    field = _DistanceField(shape, near_bricks, corners)
     for nodes, triangle in iterate_nodes_near(corners):
         field.measure_distances(nodes, triangle, False)
     front = field.pop_nearer_nodes()
@@ -86,16 +86,21 @@ def iterate_nodes_near(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
             yield nodes, which[t[which_line]]
 
 
-def _select_projected_inside(flat: Floats, t: Index, u: Index, v: Index) -> Index:
+def _select_projected_inside(projected_points: Floats, t: Index, u: Index, v: Index) -> Index:
     """Return the indices of the points that are over their triangle (k, 3, 2), or near its outline."""
     inside = np.ones(t.size, bool)
     turn = np.sign(
-        (flat[:, 1, 0] - flat[:, 0, 0]) * (flat[:, 2, 1] - flat[:, 0, 1])
-        - (flat[:, 1, 1] - flat[:, 0, 1]) * (flat[:, 2, 0] - flat[:, 0, 0])
+        (projected_points[:, 1, 0] - projected_points[:, 0, 0]) * (projected_points[:, 2, 1] - projected_points[:, 0, 1])
+        - (projected_points[:, 1, 1] - projected_points[:, 0, 1]) * (projected_points[:, 2, 0] - projected_points[:, 0, 0])
     )
     for i, j in ((0, 1), (1, 2), (2, 0)):
-        eu, ev = (flat[:, j, 0] - flat[:, i, 0]) * turn, (flat[:, j, 1] - flat[:, i, 1]) * turn
-        least = (eu * flat[:, i, 1] - ev * flat[:, i, 0]) - EXACT_DISTANCE_VOXELS * 1.001 * np.sqrt(eu * eu + ev * ev)
+        eu, ev = (
+            (projected_points[:, j, 0] - projected_points[:, i, 0]) * turn,
+            (projected_points[:, j, 1] - projected_points[:, i, 1]) * turn,
+        )
+        least = (eu * projected_points[:, i, 1] - ev * projected_points[:, i, 0]) - EXACT_DISTANCE_VOXELS * 1.001 * np.sqrt(
+            eu * eu + ev * ev
+        )
         inside &= eu.take(t) * v - ev.take(t) * u >= least.take(t)
     return np.flatnonzero(inside)
 
@@ -103,17 +108,17 @@ def _select_projected_inside(flat: Floats, t: Index, u: Index, v: Index) -> Inde
 class _DistanceField:
     """The nodes of some bricks: their distances, and the nearest triangle of each node."""
 
-    def __init__(self, shape: tuple[int, int, int], near: Index, corners: Floats) -> None:
+    def __init__(self, shape: tuple[int, int, int], near_bricks: Index, corners: Floats) -> None:
         self._shape = shape
-        self._near_bricks = near
+        self._near_bricks = near_bricks
         self._index_of_brick = np.full(
             math.prod(shape), -1, np.int32
         )  # index of each brick's nodes in the arrays, in units of 4096
-        self._index_of_brick[near] = np.arange(near.size)
+        self._index_of_brick[near_bricks] = np.arange(near_bricks.size)
         self._triangle_data = _compute_triangle_data(corners)
-        self._has_come_nearer = np.zeros(near.size * BRICK_NODES, bool)
-        self.distances: Distances = np.full(near.size * BRICK_NODES, FAR_DISTANCE, np.float32)
-        self.nearest_triangles = np.full(near.size * BRICK_NODES, -1, np.int32)
+        self._has_come_nearer = np.zeros(near_bricks.size * BRICK_NODES, bool)
+        self.distances: Distances = np.full(near_bricks.size * BRICK_NODES, FAR_DISTANCE, np.float32)
+        self.nearest_triangles = np.full(near_bricks.size * BRICK_NODES, -1, np.int32)
 
     def pop_nearer_nodes(self) -> Index:
         """Return the array positions of nodes that have become nearer since the last call."""

@@ -85,16 +85,16 @@ class Volume:
         distance, *gradient = trilinear.sample_with_gradients(self.bricks, *_split_columns(points))
         return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
 
-    def compute_upright_normals(self, points: Floats, otherwise: Floats) -> Floats:
+    def compute_upright_normals(self, points: Floats, default_normals: Floats) -> Floats:
         """Return unit normals float64[n,3] out of the solid that vary smoothly along the surface. Bodies are oriented by these
         normals.
 
-        Where the field is flat, the result is `otherwise` ([3] or [n,3])."""
+        Where the field is flat, the result is `default_normals` ([3] or [n,3])."""
         slope = trilinear.sample_smooth_gradients(self.bricks, *_split_columns(points))
         size = np.sqrt((slope[0] * slope[0] + slope[1] * slope[1]) + slope[2] * slope[2])
         clear = size > 1e-3
         unit = np.stack([s / np.where(clear, size, 1.0) for s in slope], axis=1)
-        return np.where(clear[:, None], unit, np.asarray(otherwise, np.float64))
+        return np.where(clear[:, None], unit, np.asarray(default_normals, np.float64))
 
     def project_to_surface(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.SurfacePoints:
         """Return points on the surface near points [n,3], with normals that point out of the solid.

@@ -93,16 +93,16 @@ def _find_near_bricks(bricks: BrickGrid, corners: Floats) -> Index:
     return np.flatnonzero(grid)
 
 
-def _fill_distances(bricks: BrickGrid, shell: TriangleShell, near: Index, corners: Floats) -> None:
+def _fill_distances(bricks: BrickGrid, shell: TriangleShell, near_bricks: Index, corners: Floats) -> None:
     """Write the distances of the bricks near the surface, and the signs of all bricks."""
-    flags, inside = compute_brick_signs(shell, bricks.shape, near)
-    away = compute_node_distances(bricks.shape, near, corners, _OUTER_BAND_VOXELS).reshape(-1, BRICK_NODES)
+    flags, inside = compute_brick_signs(shell, bricks.shape, near_bricks)
+    away = compute_node_distances(bricks.shape, near_bricks, corners, _OUTER_BAND_VOXELS).reshape(-1, BRICK_NODES)
     np.minimum(away, np.float32(_OUTER_BAND_VOXELS), out=away)
     np.negative(away, out=away, where=inside)
     np.maximum(away, np.float32(-_INNER_BAND_VOXELS), out=away)
     mixed_bricks = np.flatnonzero((away != away[:, :1]).any(axis=1))
     bricks.table[:] = np.where(flags, SOLID_SLOT, AIR_SLOT)
-    bricks.table[near[mixed_bricks]] = np.arange(2, 2 + mixed_bricks.size)
+    bricks.table[near_bricks[mixed_bricks]] = np.arange(2, 2 + mixed_bricks.size)
     bricks.values = np.empty((2 + mixed_bricks.size) * BRICK_NODES, np.float32)
     pool = bricks.values.reshape(-1, BRICK_NODES)
     np.multiply(away[mixed_bricks], np.float32(bricks.voxel), out=pool[2:])
@@ -121,10 +121,10 @@ class TriangleShell:
 
 
 def compute_brick_signs(
-    shell: TriangleShell, shape: tuple[int, int, int], near: Index
+    shell: TriangleShell, shape: tuple[int, int, int], near_bricks: Index
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return whether the first node of each brick is inside, and whether each node of the bricks `near` (ascending) is inside,
-    bool[len(near), 4096].
+    """Return whether the first node of each brick is inside, and whether each node of the bricks `near_bricks` (ascending) is
+    inside, bool[len(near), 4096].
 
     A node is inside if its winding number is not 0, or is odd if faces have inconsistent winding."""
     x, y, z, windings = _find_line_crossings(shell)
@@ -135,9 +135,9 @@ def compute_brick_signs(
     windings = windings[order]
     ends = np.searchsorted(slab[order], np.arange(shape[0] + 1))
     flags = np.zeros(shape, bool)
-    inside = np.zeros((near.size, BRICK_NODES), bool)
+    inside = np.zeros((near_bricks.size, BRICK_NODES), bool)
     per_slab = shape[1] * shape[2]
-    parts = np.searchsorted(near, np.arange(shape[0] + 1) * per_slab)
+    parts = np.searchsorted(near_bricks, np.arange(shape[0] + 1) * per_slab)
     count = np.zeros(BRICK_SIDE_NODES * nodes[1] * nodes[2], np.int16)
     for s in range(shape[0]):
         count[:] = 0
@@ -147,7 +147,7 @@ def compute_brick_signs(
             BRICK_SIDE_NODES, shape[1], BRICK_SIDE_NODES, shape[2], BRICK_SIDE_NODES
         )
         flags[s] = within[0, :, 0, :, 0]
-        chosen = near[parts[s] : parts[s + 1]] - s * per_slab
+        chosen = near_bricks[parts[s] : parts[s + 1]] - s * per_slab
         inside[parts[s] : parts[s + 1]] = within[:, chosen // shape[2], :, chosen % shape[2], :].reshape(chosen.size, BRICK_NODES)
     return flags.ravel(), inside
 

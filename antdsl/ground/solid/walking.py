@@ -88,15 +88,15 @@ def walk_all(
     normal_reaches: Array1[F64],
     results: Array3[F64],
     distances: Array1[F64],
-    blocked: Array1[BOOL],
-    lost: Array1[BOOL],
+    is_blocked: Array1[BOOL],
+    is_lost: Array1[BOOL],
 ) -> None:
     """Move all agents. Inputs (3, n): positions, steps, headings and up vectors.
 
     - `tolerances`: the tolerance to the surface (mm)
     - `normal_reaches`: the radius over which normals are measured (voxels)
     - `results` (4, 3, n): position, up, heading and direction
-    - `distances`, `blocked`, `lost`: the travelled distances, and the flags"""
+    - `distances`, `is_blocked`, `is_lost`: the travelled distances, and the flags"""
     table, values = bricks[:2]
     grid = bricks[2:]
     for i in range(distances.size):
@@ -110,7 +110,9 @@ def walk_all(
             wish = (0.0, 0.0, 0.0)
         normal = _normalise_or_fallback(compute_smooth_gradient(table, values, grid, SMOOTH_NORMAL_REACH, start), old_up)
         wish = _rotate_between(wish, old_up, normal, head)
-        p, n, direction, distances[i], blocked[i], lost[i] = _walk_agent(table, values, grid, start, normal, wish, tolerances[i])
+        p, n, direction, distances[i], is_blocked[i], is_lost[i] = _walk_agent(
+            table, values, grid, start, normal, wish, tolerances[i]
+        )
         slope = compute_smooth_gradient(table, values, grid, normal_reaches[i], p)
         stance_up = _normalise_or_fallback(slope, n) if dot(slope, slope) > MIN_SMOOTH_GRADIENT * MIN_SMOOTH_GRADIENT else n
         head, _ = _project_tangent(_rotate_between(head, old_up, stance_up, head), stance_up)

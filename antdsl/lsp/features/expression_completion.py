@@ -102,7 +102,7 @@ def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueT
     for variable, set_name, first in re.findall(r"\(\s*(\w+)\s+in\s+(\w+)(?:\(\s*([a-z_]\w*))?", request.context.line):
         type: ValueType | None
         if set_name == "neighbours":
-            type = ValueType(TypeKind.AGENT, of=request.species)
+            type = ValueType(TypeKind.AGENT, referent=request.species)
         elif set_name in ("feelers", "ray"):
             type = ValueType(TypeKind.HIT)
         else:
@@ -111,12 +111,14 @@ def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueT
     return known_names
 
 
-def _find_type(request: CompletionRequest, name: str, local: Mapping[str, tuple[str, ValueType | None]]) -> ValueType | None:
+def _find_type(
+    request: CompletionRequest, name: str, local_names: Mapping[str, tuple[str, ValueType | None]]
+) -> ValueType | None:
     """Return the type of a name from the last check, or from the last check without errors if that one has none."""
-    if name in local:
-        return local[name][1]
+    if name in local_names:
+        return local_names[name][1]
     if name == "self" and request.species:
-        return ValueType(TypeKind.AGENT, of=request.species)
+        return ValueType(TypeKind.AGENT, referent=request.species)
     check_result, path = request.workspace.check_document(request.document.path), request.document.path
     for program in (check_result.program if check_result is not None else None, request.workspace.find_last_good_program(path)):
         species = program.species.get(request.species or "") if program is not None else None
@@ -124,8 +126,8 @@ def _find_type(request: CompletionRequest, name: str, local: Mapping[str, tuple[
         if known_type is not None and known_type.kind is not TypeKind.BAD:
             return known_type
     if name in request.names.species:
-        return ValueType(TypeKind.SPECIES, of=name)
-    return ValueType(TypeKind.ITEMS, of=name) if name in request.names.things else None
+        return ValueType(TypeKind.SPECIES, referent=name)
+    return ValueType(TypeKind.ITEMS, referent=name) if name in request.names.things else None
 
 
 def propose_members(request: CompletionRequest) -> Iterator[CompletionItem]:
@@ -150,7 +152,7 @@ def propose_members(request: CompletionRequest) -> Iterator[CompletionItem]:
     owner = _find_type(request, word, local)
     if owner is None:
         return
-    owner_name = owner.of or ""
+    owner_name = owner.referent or ""
     if owner.kind in (TypeKind.ITEM, TypeKind.ITEMS):
         thing = request.names.things.get(owner_name)
         for attribute in thing.attributes if thing is not None else ():

@@ -77,7 +77,7 @@ def _make_frame_hint(node: nodes.Quantity, fps: Fraction | None) -> InlayHint | 
     exact = Fraction(str(node.value)) * Fraction(str(measure.factor)) * rate
     count = ceil(exact)
     frame_text = f"{count} frame{'' if count == 1 else 's'}"
-    where = f"at {float(rate):g} fps" if fps is not None else "at 24 fps, as no scene says otherwise"
+    where = f"at {float(rate):g} fps" if fps is not None else "at 24 fps, because no scene sets another rate"
     return InlayHint(
         node.span,
         False,

@@ -151,7 +151,11 @@ def find_references(
             locations.setdefault((other.path, other.start(occurrence.span)), NameLocation(other, occurrence.span))
     return sorted(
         locations.values(),
-        key=lambda each: (each.document.path != document.path, each.document.path, each.document.start(each.span)),
+        key=lambda occurrence: (
+            occurrence.document.path != document.path,
+            occurrence.document.path,
+            occurrence.document.start(occurrence.span),
+        ),
     )
 
 

@@ -39,22 +39,24 @@ class ArithmeticEmitter(Vectors[Number]):
     @property
     def is_always_reached(self) -> bool:
         """Return whether the current code certainly runs for at least one iteration."""
-        return self.mask is None or self.mask.known is not None or self.mask is self.reached_mask
+        return self.mask is None or self.mask.literal_value is not None or self.mask is self.reached_mask
 
     def active_mask(self) -> Number | None:
         """Return a condition: whether the current code runs for at least one iteration. None if it always does."""
         return None if self.mask is None or self.is_always_reached else self.any_lane(self.mask)
 
-    def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
-        return Number(kind, name, known, lanes)
+    def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> Number:
+        return Number(kind, name, literal_value, lanes)
 
     def convert(self, value: Number, kind: str) -> Number:
         """Convert a number as a NumPy cast does; floats saturate, and NaN becomes 0."""
         if value.kind == kind:
             return value
-        if value.known is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
-            literal = literal_number(float(value.known) if kind == DOUBLE else int(value.known))
-            return Number(kind, literal.name, literal.known if kind == DOUBLE else wrap_integer(int(value.known), kind))
+        if value.literal_value is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
+            literal = literal_number(float(value.literal_value) if kind == DOUBLE else int(value.literal_value))
+            return Number(
+                kind, literal.name, literal.literal_value if kind == DOUBLE else wrap_integer(int(value.literal_value), kind)
+            )
         source, target = value.base, LLVM_TYPE_BY_KIND[kind]
         if kind == TRUTH:
             zero = Number(value.kind, "zeroinitializer" if value.wide else "0" if source == "i64" else "0.0", lanes=value.lanes)
@@ -62,7 +64,7 @@ class ArithmeticEmitter(Vectors[Number]):
         if value.kind == TRUTH:
             return self.op("zext" if target == "i64" else "uitofp", kind, value)
         if source == target:
-            known = None if value.known is None else wrap_integer(int(value.known), kind)
+            known = None if value.literal_value is None else wrap_integer(int(value.literal_value), kind)
             return Number(kind, value.name, known, value.lanes)
         if source == "i64":
             return self.op("uitofp" if value.kind == UNSIGNED else "sitofp", kind, value)
@@ -88,9 +90,9 @@ class ArithmeticEmitter(Vectors[Number]):
         if len(kinds) == 1:
             return (a, b) if a.kind != TRUTH else (self.convert(a, INT), self.convert(b, INT))
         if kinds <= {INT, UNSIGNED, TRUTH}:
-            kind = UNSIGNED if UNSIGNED in kinds and (a.known is not None or b.known is not None) else INT
+            kind = UNSIGNED if UNSIGNED in kinds and (a.literal_value is not None or b.literal_value is not None) else INT
             if UNSIGNED in kinds and kind == INT:
-                self.fail(self.node, "a signed and an unsigned whole number")
+                self.fail(self.node, "the operands are a signed and an unsigned integer: convert one of them")
         else:
             kind = FLOAT if kinds == {FLOAT, TRUTH} else DOUBLE
         return self.convert(a, kind), self.convert(b, kind)
@@ -99,23 +101,26 @@ class ArithmeticEmitter(Vectors[Number]):
         """Return a literal as float32. Raises NotInSubset if float32 does not have this number."""
         if value.kind == FLOAT:
             return value
-        if value.known is None:
-            self.fail(self.node, "a float32 and a number of another type: convert one with `np.float64` or `np.float32`")
-        single = np.float32(value.known)
-        if float(single) != value.known and value.known == value.known:
-            self.fail(self.node, f"float32 has no {value.known}: write `np.float32({value.known})`")
+        if value.literal_value is None:
+            self.fail(
+                self.node,
+                "the operands are a float32 and a number of another type: convert one with `np.float64` or `np.float32`",
+            )
+        single = np.float32(value.literal_value)
+        if float(single) != value.literal_value and value.literal_value == value.literal_value:
+            self.fail(self.node, f"float32 cannot represent {value.literal_value}: write `np.float32({value.literal_value})`")
         literal = literal_number(single)
         return self.broadcast(literal) if value.wide else literal
 
     def to_kind(self, value: Number, kind: str) -> Number:
         """Convert a number to a kind. Raises NotInSubset for a literal that the kind would change."""
-        if value.kind == kind or value.known is None:
+        if value.kind == kind or value.literal_value is None:
             return self.convert(value, kind)
         if kind == FLOAT:
             return self._to_float32(value)
         converted_number = self.convert(value, kind) if value.kind != DOUBLE else None
-        if converted_number is None or converted_number.known not in (None, value.known):
-            self.fail(self.node, f"{value.known} is no number of type {kind}")
+        if converted_number is None or converted_number.literal_value not in (None, value.literal_value):
+            self.fail(self.node, f"{value.literal_value} is not a number of type {kind}")
         return converted_number
 
     def apply_operator(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
@@ -124,8 +129,8 @@ class ArithmeticEmitter(Vectors[Number]):
         folded = not (a.wide or b.wide)
         if (
             folded
-            and a.known is not None
-            and b.known is not None
+            and a.literal_value is not None
+            and b.literal_value is not None
             and word in _PYTHON_OPERATORS
             and DOUBLE not in (a.kind, b.kind)
         ):
@@ -138,7 +143,7 @@ class ArithmeticEmitter(Vectors[Number]):
         a, b = self.match_kinds(a, b)
         if a.kind in (DOUBLE, FLOAT):
             if word not in _FLOAT_OPCODES:
-                self.fail(node, "no such operation of floats")
+                self.fail(node, "floats do not have this operation")
             return self.op(_FLOAT_OPCODES[word], a.kind, a, b)
         if word in _SHIFT_OPERATORS:
             return self._apply_shift(node, word, a, b)
@@ -146,26 +151,26 @@ class ArithmeticEmitter(Vectors[Number]):
             result = self.op(_INTEGER_OPCODES[word], a.kind, a, b)
             return Number(result.kind, result.name, None, result.lanes, first)
         if word not in (ast.FloorDiv, ast.Mod):
-            self.fail(node, "no such operation of whole numbers")
+            self.fail(node, "integers do not have this operation")
         return self._divide(node, word is ast.Mod, a, b)
 
     def _fold_literals(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
         """Return the result of an operation on two integer literals, as an integer literal."""
         kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
         try:
-            value = _PYTHON_OPERATORS[word](int(a.known or 0), int(b.known or 0))
+            value = _PYTHON_OPERATORS[word](int(a.literal_value or 0), int(b.literal_value or 0))
         except (ZeroDivisionError, ValueError) as problem:
             self.fail(node, f"{problem}")
         if kind == INT and value not in _INT64_RANGE:
-            self.fail(node, f"{value} is no whole number of 64 bits: write `np.uint64(…)` of an operand for one without a sign")
+            self.fail(node, f"{value} does not fit into int64: convert an operand with `np.uint64(…)` if it is unsigned")
         return Number(kind, literal_number(wrap_integer(value, kind)).name, wrap_integer(value, kind))
 
     def _apply_shift(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
         """Return a shifted number. Shift counts are taken modulo 64."""
-        if b.known is None:
+        if b.literal_value is None:
             b = self.op("and", b.kind, b, self.match_lanes(literal_number(63), b)[0])
-        elif not 0 <= b.known < 64:
-            self.fail(node, "numbers are shifted by 0 to 63 bits")
+        elif not 0 <= b.literal_value < 64:
+            self.fail(node, "a shift count must be from 0 to 63")
         return self.op("shl" if word is ast.LShift else "lshr" if a.kind == UNSIGNED else "ashr", a.kind, a, b)
 
     def _divide(self, node: ast.AST, is_remainder: bool, a: Number, b: Number) -> Number:
@@ -173,20 +178,20 @@ class ArithmeticEmitter(Vectors[Number]):
 
         The checked build reports division by 0; other builds divide by 1 instead. They also divide by 1 for the least integer by
         -1, which wraps around."""
-        if b.known == 0:
+        if b.literal_value == 0:
             self.fail(node, "division by 0")
-        if b.known is None:
+        if b.literal_value is None:
             counts = None if b.wide else self.active_mask()
             checked = b if counts is None else self.select(counts, b, self.convert(literal_number(1), b.kind))
             self.do("divisor", checked, *([self.mask] if b.wide and self.mask is not None else []), node=node)
             without = self.compare("eq", b, literal_number(0))
-            if a.kind == INT and (a.known is None or a.known == _INT64_RANGE[0]):
+            if a.kind == INT and (a.literal_value is None or a.literal_value == _INT64_RANGE[0]):
                 both = self.logical_and(
                     self.compare("eq", b, literal_number(-1)), self.compare("eq", a, literal_number(_INT64_RANGE[0]))
                 )
                 without = self.op("or", TRUTH, *self.match_lanes(without, both))
             b = self.select(without, self.convert(literal_number(1), b.kind), b)
-        elif b.known == -1:
+        elif b.literal_value == -1:
             return self.negate(a) if not is_remainder else self.op("sub", a.kind, a, a)
         if a.kind == UNSIGNED:
             return self.op("urem" if is_remainder else "udiv", a.kind, a, b)
@@ -200,8 +205,8 @@ class ArithmeticEmitter(Vectors[Number]):
     def logical_and(self, a: Number, b: Number) -> Number:
         """Return whether both conditions hold."""
         for one, other in ((a, b), (b, a)):
-            if one.known is not None:
-                return other if one.known else literal_number(False)
+            if one.literal_value is not None:
+                return other if one.literal_value else literal_number(False)
         return self.op("and", TRUTH, *self.match_lanes(a, b))
 
     def _first_lane_sum(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
@@ -215,10 +220,10 @@ class ArithmeticEmitter(Vectors[Number]):
         )
 
     def negate(self, a: Number) -> Number:
-        if a.known is not None and not a.wide:
-            if a.kind == INT and a.known == _INT64_RANGE[0]:
-                self.fail(self.node, f"{-a.known} is no whole number of 64 bits")
-            return literal_number(-a.known)
+        if a.literal_value is not None and not a.wide:
+            if a.kind == INT and a.literal_value == _INT64_RANGE[0]:
+                self.fail(self.node, f"{-a.literal_value} does not fit into int64")
+            return literal_number(-a.literal_value)
         if a.kind in (DOUBLE, FLOAT):
             return self.op("fneg", a.kind, a)
         a = self.convert(a, INT)
@@ -226,8 +231,8 @@ class ArithmeticEmitter(Vectors[Number]):
 
     def compare(self, word: str, a: Number, b: Number) -> Number:
         """Return the condition of a comparison; `word` is its name, such as `lt`."""
-        if a.known is not None and b.known is not None and not (a.wide or b.wide):
-            x, y = a.known, b.known
+        if a.literal_value is not None and b.literal_value is not None and not (a.wide or b.wide):
+            x, y = a.literal_value, b.literal_value
             held = {"lt": x < y, "le": x <= y, "gt": x > y, "ge": x >= y, "eq": x == y, "ne": x != y}
             return literal_number(held[word])
         a, b = self.match_kinds(a, b)
@@ -236,14 +241,18 @@ class ArithmeticEmitter(Vectors[Number]):
         sign = "" if word in ("eq", "ne") else "u" if a.kind == UNSIGNED else "s"
         return self.op(f"{sign}{word}", TRUTH, a, b)
 
-    def select(self, condition: Number, then: Number, other: Number) -> Number:
-        """Return `then` in lanes where the condition holds, and `other` elsewhere."""
-        if condition.known is not None:
-            return then if condition.known else other
-        then, other = self.match_kinds(then, other) if then.kind != other.kind else self.match_lanes(then, other)
+    def select(self, condition: Number, true_value: Number, false_value: Number) -> Number:
+        """Return `true_value` in lanes where the condition holds, and `false_value` elsewhere."""
+        if condition.literal_value is not None:
+            return true_value if condition.literal_value else false_value
+        true_value, false_value = (
+            self.match_kinds(true_value, false_value)
+            if true_value.kind != false_value.kind
+            else self.match_lanes(true_value, false_value)
+        )
         if condition.wide:
-            then, other = self.broadcast(then), self.broadcast(other)
-        return self.op("select", then.kind, condition, then, other, lanes=then.lanes)
+            true_value, false_value = self.broadcast(true_value), self.broadcast(false_value)
+        return self.op("select", true_value.kind, condition, true_value, false_value, lanes=true_value.lanes)
 
 
 def wrap_integer(number: int, kind: str) -> int:

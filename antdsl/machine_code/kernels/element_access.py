@@ -21,9 +21,11 @@ class ElementAccess(ArithmeticEmitter):
 
     def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
         """Check that `count` indices from this one on are within an axis. Raises NotInSubset if an index is certainly outside."""
-        if index.known is not None and (index.known < 0 or (length.known is not None and index.known + count > length.known)):
-            self.fail(node, f"{index.known} is no index of an axis, or a negative one")
-        if index.known is None or length.known is None:
+        if index.literal_value is not None and (
+            index.literal_value < 0 or (length.literal_value is not None and index.literal_value + count > length.literal_value)
+        ):
+            self.fail(node, f"{index.literal_value} is negative or outside the axis")
+        if index.literal_value is None or length.literal_value is None:
             counts = None if index.wide else self.active_mask()
             if counts is not None:
                 index, length = self.select(counts, index, literal_number(0)), self.select(counts, length, literal_number(count))
@@ -37,7 +39,7 @@ class ElementAccess(ArithmeticEmitter):
         """Return the offset of an index from the first element, in elements."""
         for each in numbers:
             if each.base != "i64":
-                self.fail(node, "an index is a whole number that is not negative")
+                self.fail(node, "an index must be an integer of at least 0")
         for each, length in zip(numbers, array.lengths, strict=True):
             self.check_index(node, each, length)
         steps = array.steps
@@ -57,18 +59,18 @@ class ElementAccess(ArithmeticEmitter):
             total = self.op("mul", INT, total, each)
         return total
 
-    def load_element(self, array: Array, at: Number) -> Number:
-        """Load the element at an offset of `at` elements from the first one."""
-        scalar = array.of
-        if not at.wide:
-            element = self.op("load", scalar.loaded_kind, self._guarded_address(array, at))
-        elif at.first:
-            self._check_span(array, at.first)
-            element = self._load_lanes(array, scalar.loaded_kind, self._offset_address(array, at.first))
+    def load_element(self, array: Array, index: Number) -> Number:
+        """Load the element at an offset of `index` elements from the first one."""
+        scalar = array.element_type
+        if not index.wide:
+            element = self.op("load", scalar.loaded_kind, self._guarded_address(array, index))
+        elif index.first:
+            self._check_span(array, index.first)
+            element = self._load_lanes(array, scalar.loaded_kind, self._offset_address(array, index.first))
         else:
-            element = self._gather(array, at)
+            element = self._gather(array, index)
         if scalar.kind == TRUTH:
-            return self.op("ne", TRUTH, element, Number("i8", "zeroinitializer" if at.wide else "0", lanes=at.lanes))
+            return self.op("ne", TRUTH, element, Number("i8", "zeroinitializer" if index.wide else "0", lanes=index.lanes))
         if scalar.kind == INT and scalar.stored_type != "i64":
             return self.op("zext" if scalar.name.startswith("U") else "sext", INT, element)
         return element
@@ -77,29 +79,29 @@ class ElementAccess(ArithmeticEmitter):
         """Load consecutive elements, one for each iteration."""
         return self.op("load", kind, place, x=_element_alignment(array), lanes=LANE_COUNT)
 
-    def store_element(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
-        """Store `item` as the element at an offset of `at` elements from the first one."""
-        if (self.mask is not None) != at.wide:
-            self.fail(node, "what several turns would change at once belongs to none of them")
-        value = self.to_stored_kind(array.of, self.broadcast(item) if at.wide else item)
-        if not at.wide:
-            self.do("store", value, self._offset_address(array, at))
+    def store_element(self, node: ast.AST, array: Array, index: Number, item: Number) -> None:
+        """Store `item` as the element at an offset of `index` elements from the first one."""
+        if (self.mask is not None) != index.wide:
+            self.fail(node, "several iterations of the loop would write to this element at once")
+        value = self.to_stored_kind(array.element_type, self.broadcast(item) if index.wide else item)
+        if not index.wide:
+            self.do("store", value, self._offset_address(array, index))
             return
         mask = self.mask or ALL_LANES
-        if at.first:
-            self._check_span(array, at.first)
-            place = self._offset_address(array, at.first)
-            if mask.known is None:
+        if index.first:
+            self._check_span(array, index.first)
+            place = self._offset_address(array, index.first)
+            if mask.literal_value is None:
                 value = self.op("select", value.kind, mask, value, self._load_lanes(array, value.kind, place))
             self.do("store", value, place, x=_element_alignment(array))
             return
         for lane in range(LANE_COUNT):
             stored, next_block = "", ""
-            if mask.known is None:
+            if mask.literal_value is None:
                 stored, next_block = self.make_label("stored"), self.make_label("after")
                 self.branch(self.extract_lane(mask, lane), stored, next_block)
                 self.begin(stored)
-            place = self._offset_address(array, self.extract_lane(at, lane))
+            place = self._offset_address(array, self.extract_lane(index, lane))
             self.do("store", self.extract_lane(value, lane), place)
             if next_block:
                 self.jump(next_block)
@@ -115,52 +117,54 @@ class ElementAccess(ArithmeticEmitter):
     def row(self, node: ast.AST, array: Array, index: Number) -> Array:
         """Return the part of an array at an index of the first axis, with one axis less."""
         if index.wide:
-            self.fail(node, "all lanes use the same part of an array: its index cannot depend on the turn")
+            self.fail(node, "all lanes use the same part of an array: its index cannot depend on the iteration")
         self.check_index(node, index, array.lengths[0])
         step = literal_number(1) if array.steps is None else array.steps[0]
         for each in array.lengths[1:] if array.steps is None else ():
             step = self.apply_operator(node, ast.Mult(), step, each)
         address = self._offset_address(array, self.apply_operator(node, ast.Mult(), index, step))
-        return Array(array.of, address, array.lengths[1:], None if array.steps is None else array.steps[1:], array.origin)
+        return Array(
+            array.element_type, address, array.lengths[1:], None if array.steps is None else array.steps[1:], array.origin
+        )
 
-    def _offset_address(self, array: Array, at: Number) -> Number:
+    def _offset_address(self, array: Array, index: Number) -> Number:
         """Return the address of the element at an offset."""
-        return self._element_address(array, array.address, at)
+        return self._element_address(array, array.address, index)
 
-    def _element_address(self, array: Array, address: Number, at: Number | int) -> Number:
-        """Return the address of the element that is `at` elements after `address`."""
-        index = Number(INT, str(at)) if isinstance(at, int) else at
-        return self.op("element", "ptr", address, index, x=array.of.stored_type, lanes=index.lanes)
+    def _element_address(self, array: Array, address: Number, offset: Number | int) -> Number:
+        """Return the address of the element that is `offset` elements after `address`."""
+        index = Number(INT, str(offset)) if isinstance(offset, int) else offset
+        return self.op("element", "ptr", address, index, x=array.element_type.stored_type, lanes=index.lanes)
 
-    def _guarded_address(self, array: Array, at: Number) -> Number:
+    def _guarded_address(self, array: Array, index: Number) -> Number:
         """Return the address of an element at a loop-invariant index.
 
         If no iteration is active, the index may be out of range; the result is then the address of zeros. The index is compared
         with the array's length instead of being combined with the mask, so that LLVM can move the load out of loops."""
-        place = self._offset_address(array, at)
+        place = self._offset_address(array, index)
         if self.mask is None or self.is_always_reached:
             return place
         if array.steps is not None:
             counts = self.any_lane(self.mask)
         else:
-            counts = self.logical_and(self.compare("ge", at, literal_number(0)), self.compare("lt", at, self.count(array)))
-        return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
+            counts = self.logical_and(self.compare("ge", index, literal_number(0)), self.compare("lt", index, self.count(array)))
+        return place if counts.literal_value is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
 
-    def _lane_addresses(self, array: Array, at: Number) -> Number:
+    def _lane_addresses(self, array: Array, index: Number) -> Number:
         """Return the addresses of elements, one per lane. Inactive lanes get the address of zeros, which no code writes to."""
-        addresses = self._offset_address(array, at)
-        if self.mask is None or self.mask.known is not None:
+        addresses = self._offset_address(array, index)
+        if self.mask is None or self.mask.literal_value is not None:
             return addresses
         return self.op("select", "ptr", self.mask, addresses, self.broadcast(ZEROS_CONSTANT))
 
-    def load_consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
+    def load_consecutive(self, node: ast.AST, array: Array, index: Number, count: int) -> tuple[Number, ...]:
         """Return `count` consecutive elements of an array, converted to the kind that kernels compute with. `count` is a multiple
         of four."""
-        self.check_index(node, at, array.lengths[0], count)
-        if not at.wide:
-            offsets = [self.apply_operator(node, ast.Add(), at, literal_number(k)) for k in range(count)]
+        self.check_index(node, index, array.lengths[0], count)
+        if not index.wide:
+            offsets = [self.apply_operator(node, ast.Add(), index, literal_number(k)) for k in range(count)]
             return tuple(self.load_element(array, each) for each in offsets)
-        addresses = self._lane_addresses(array, at)
+        addresses = self._lane_addresses(array, index)
         lanes = [self.extract_lane(addresses, lane) for lane in range(LANE_COUNT)]
         return tuple(each for k in range(0, count, 4) for each in self._load_four(array, lanes, k))
 
@@ -169,7 +173,7 @@ class ElementAccess(ArithmeticEmitter):
         rows = []
         for lane in lanes:
             place = self._element_address(array, lane, offset)
-            rows.append(self.op("load", array.of.kind, place, x=_element_alignment(array), lanes=4))
+            rows.append(self.op("load", array.element_type.kind, place, x=_element_alignment(array), lanes=4))
         return self.transpose_rows(rows)
 
     def load3(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
@@ -183,7 +187,7 @@ class ElementAccess(ArithmeticEmitter):
         """Return the three elements of consecutive rows, one row per lane, from row `first` on."""
         place, parts = self._rows_address(array, first), []
         for k in range(3):
-            parts.append(self._load_lanes(array, array.of.kind, self._element_address(array, place, LANE_COUNT * k)))
+            parts.append(self._load_lanes(array, array.element_type.kind, self._element_address(array, place, LANE_COUNT * k)))
         columns = []
         for column in range(3):
             positions = range(column, 3 * LANE_COUNT, 3)
@@ -205,9 +209,9 @@ class ElementAccess(ArithmeticEmitter):
                 self.store_element(node, array, at, item)
             return
         self.check_index(node, row, array.lengths[0])
-        kind, mask = array.of.kind, self.mask or ALL_LANES
+        kind, mask = array.element_type.kind, self.mask or ALL_LANES
         values = [self.broadcast(self.convert(each, kind)) for each in items]
-        if mask.known is None:
+        if mask.literal_value is None:
             values = [self.select(mask, *each) for each in zip(values, self._load3_lanes(array, row.first), strict=True)]
         place = self._rows_address(array, row.first)
         for part in range(3):
@@ -221,20 +225,20 @@ class ElementAccess(ArithmeticEmitter):
         """Return the offsets of a row's elements from the first element of an array."""
         return [self.index_offset(node, array, [row, literal_number(k)]) for k in range(3)]
 
-    def prefetch(self, array: Array, at: Number) -> tuple[()]:
+    def prefetch(self, array: Array, index: Number) -> tuple[()]:
         """Prefetch the memory of an element."""
-        for lane in range(LANE_COUNT if at.wide else 1):
-            self.do("prefetch", self._offset_address(array, self.extract_lane(at, lane) if at.wide else at))
+        for lane in range(LANE_COUNT if index.wide else 1):
+            self.do("prefetch", self._offset_address(array, self.extract_lane(index, lane) if index.wide else index))
         return ()
 
-    def _gather(self, array: Array, at: Number) -> Number:
+    def _gather(self, array: Array, index: Number) -> Number:
         """Load the element at each lane's offset, one by one."""
-        addresses = self._lane_addresses(array, at)
+        addresses = self._lane_addresses(array, index)
         return self.combine_lanes(
-            self.op("load", array.of.loaded_kind, self.extract_lane(addresses, lane)) for lane in range(LANE_COUNT)
+            self.op("load", array.element_type.loaded_kind, self.extract_lane(addresses, lane)) for lane in range(LANE_COUNT)
         )
 
 
 def _element_alignment(array: Array) -> str:
     """Return the alignment of a load or store of several elements: the size of one element, not their total size."""
-    return f", align {array.of.dtype.itemsize}"
+    return f", align {array.element_type.dtype.itemsize}"

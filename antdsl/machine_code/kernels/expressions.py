@@ -58,7 +58,7 @@ class ExpressionEmitter(ElementAccess, ABC):
     def emit_condition(self, node: ast.expr) -> Number:
         """Write an expression, and return its number as a condition."""
         value = self.emit_number(node)
-        return literal_number(bool(value.known)) if value.known is not None else self.convert(value, TRUTH)
+        return literal_number(bool(value.literal_value)) if value.literal_value is not None else self.convert(value, TRUTH)
 
     def value(self, node: ast.expr) -> KernelItem:
         """Write an expression, and return its item. Raises NotInSubset for unsupported syntax."""
@@ -95,7 +95,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             return (self.value(node),)
         spread = self.value(node.value)
         if not isinstance(spread, tuple):
-            self.fail(node, "only tuples and records are spread by `*`")
+            self.fail(node, "`*` expands only tuples and records")
         return spread
 
     def _emit_unloaded(self, node: ast.expr) -> Any:
@@ -111,12 +111,12 @@ class ExpressionEmitter(ElementAccess, ABC):
     def _emit_unary(self, node: ast.expr, operator: ast.unaryop, operand: ast.expr) -> Number:
         if isinstance(operator, ast.Not):
             value = self.emit_condition(operand)
-            return literal_number(not value.known) if value.known is not None else self.invert(value)
+            return literal_number(not value.literal_value) if value.literal_value is not None else self.invert(value)
         value = self.emit_number(operand)
         if isinstance(operator, ast.USub):
             return self.negate(value)
         if isinstance(operator, ast.Invert):
-            return self.invert(self.convert(value, INT) if value.known is not None else value)
+            return self.invert(self.convert(value, INT) if value.literal_value is not None else value)
         self.fail(node, "no such operator")
 
     def _emit_comparison(self, parts: list[ast.expr], operators: list[ast.cmpop]) -> Number:
@@ -133,9 +133,9 @@ class ExpressionEmitter(ElementAccess, ABC):
     def _emit_boolean(self, is_and: bool, parts: list[ast.expr]) -> Number:
         """Return `and` (with `is_and`) or `or` of conditions. As in Python, later ones are evaluated only if needed."""
         first = self.emit_condition(parts[0])
-        if len(parts) == 1 or (first.known is not None and bool(first.known) != is_and):
+        if len(parts) == 1 or (first.literal_value is not None and bool(first.literal_value) != is_and):
             return first
-        if first.known is not None:
+        if first.literal_value is not None:
             return self._emit_boolean(is_and, parts[1:])
         if self.mask is not None:
             return self._emit_boolean_lanes(first, is_and, parts[1:])
@@ -148,20 +148,20 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.begin(end)
         return self.load(place, TRUTH)
 
-    def _emit_conditional(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> KernelItem:
-        """Write `then if test else other`, which evaluates one of both."""
+    def _emit_conditional(self, node: ast.expr, test: ast.expr, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
+        """Write `true_expr if test else false_expr`, which evaluates one of both."""
         condition = self.emit_condition(test)
-        if condition.known is not None:
-            return self.value(then if condition.known else other)
+        if condition.literal_value is not None:
+            return self.value(true_expr if condition.literal_value else false_expr)
         if condition.wide:
-            return self._emit_conditional_lanes(node, condition, then, other)
+            return self._emit_conditional_lanes(node, condition, true_expr, false_expr)
         yes, no, end = self.make_label("yes"), self.make_label("no"), self.make_label("chosen")
         self.branch(condition, yes, no)
         self.begin(yes)
-        first = self.value(then)
+        first = self.value(true_expr)
         after_first = self.current_block
         self.begin(no)
-        second = self.value(other)
+        second = self.value(false_expr)
         pairs = list(zip(flatten_item(first), flatten_item(second), strict=True))
         kinds = [a.kind if a.kind == b.kind else self._common_kind(a, b) for a, b in pairs]
         lanes = [max(a.lanes, b.lanes) for a, b in pairs]
@@ -176,7 +176,7 @@ class ExpressionEmitter(ElementAccess, ABC):
 
         def again(item: KernelItem) -> KernelItem:
             if isinstance(item, Array):
-                self.fail(node, "arrays cannot be chosen between")
+                self.fail(node, "a condition cannot choose between arrays")
             return rebuild_like(item, map(again, item)) if isinstance(item, tuple) else next(loaded)
 
         return again(first)
@@ -216,28 +216,28 @@ class ExpressionEmitter(ElementAccess, ABC):
             return self.logical_and(first, rest)
         return self.op("or", TRUTH, *self.match_lanes(first, rest))
 
-    def _emit_conditional_lanes(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> KernelItem:
-        """Write `then if condition else other` with a condition for each lane, which evaluates both."""
+    def _emit_conditional_lanes(self, node: ast.expr, condition: Number, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
+        """Write `true_expr if condition else false_expr` with a condition for each lane, which evaluates both."""
         with self.restrict_lanes(condition):
-            first = self.value(then)
+            first = self.value(true_expr)
         with self.restrict_lanes(self.invert(condition)):
-            second = self.value(other)
+            second = self.value(false_expr)
 
         def chosen(a: KernelItem, b: KernelItem) -> KernelItem:
             if isinstance(a, tuple):
                 return rebuild_like(a, (chosen(x, y) for x, y in zip(a, b, strict=True)))
             if isinstance(a, Array):
-                self.fail(node, "arrays cannot be chosen between")
+                self.fail(node, "a condition cannot choose between arrays")
             kind = a.kind if a.kind == b.kind else self._common_kind(a, b)
             return self.select(condition, self.convert(a, kind), self.convert(b, kind))
 
         return chosen(first, second)
 
-    def _emit_attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> KernelItem:
+    def _emit_attribute(self, node: ast.expr, owner: ast.expr, attribute: str) -> KernelItem:
         """Return an attribute of a module, a field of a record, or the `shape` or `size` of an array."""
-        if isinstance(of, ast.Name) and isinstance(self.module_names.get(of.id), ModuleType):
-            return literal_number(getattr(self.module_names[of.id], attribute))
-        value = self._emit_unloaded(of)
+        if isinstance(owner, ast.Name) and isinstance(self.module_names.get(owner.id), ModuleType):
+            return literal_number(getattr(self.module_names[owner.id], attribute))
+        value = self._emit_unloaded(owner)
         if attribute in getattr(value, "_fields", ()):
             return getattr(value, attribute)
         if isinstance(value, Array) and attribute == "shape":
@@ -255,28 +255,28 @@ class ExpressionEmitter(ElementAccess, ABC):
             self.fail(node, "an array needs one index for each axis")
         return self.index_offset(node, array, [self.emit_number(part) for part in parts])
 
-    def _emit_index(self, node: ast.expr, of: KernelItem, index: ast.expr) -> KernelItem:
+    def _emit_index(self, node: ast.expr, container: KernelItem, index: ast.expr) -> KernelItem:
         """Return an element or slice of a tuple, or an element or row of an array."""
-        if isinstance(of, tuple) and isinstance(index, ast.Slice):
-            return of[slice(*(self._constant_index(node, end) for end in (index.lower, index.upper, index.step)))]
-        if isinstance(of, tuple):
+        if isinstance(container, tuple) and isinstance(index, ast.Slice):
+            return container[slice(*(self._constant_index(node, end) for end in (index.lower, index.upper, index.step)))]
+        if isinstance(container, tuple):
             at = self.emit_number(index)
-            if at.known is None:
-                self.fail(node, "a tuple's index stands in the text")
-            return of[int(at.known)]
-        if not isinstance(of, Array):
+            if at.literal_value is None:
+                self.fail(node, "the index of a tuple must be a literal")
+            return container[int(at.literal_value)]
+        if not isinstance(container, Array):
             self.fail(node, "only arrays and tuples have elements")
-        if not isinstance(index, ast.Tuple) and len(of.lengths) > 1:
-            return self.row(node, of, self.emit_number(index))
-        return self.load_element(of, self.compute_offset(node, of, index))
+        if not isinstance(index, ast.Tuple) and len(container.lengths) > 1:
+            return self.row(node, container, self.emit_number(index))
+        return self.load_element(container, self.compute_offset(node, container, index))
 
     def _constant_index(self, node: ast.AST, number: ast.expr | None) -> int | None:
         """Return the integer literal of a tuple index; None if it is absent."""
         if number is None:
             return None
-        known = self.emit_number(number).known
+        known = self.emit_number(number).literal_value
         if not isinstance(known, int):
-            self.fail(node, "these must be whole numbers that are written in the source")
+            self.fail(node, "these must be literal integers")
         return known
 
     def _emit_call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> KernelItem:
@@ -285,15 +285,15 @@ class ExpressionEmitter(ElementAccess, ABC):
         if is_record(known):
             return self._build_record(node, known)
         if node.keywords:
-            self.fail(node, "only the fields of records are given by name")
+            self.fail(node, "only records take arguments by name")
         if known is len:
             value = self.value(arguments[0])
             return value.lengths[0] if isinstance(value, Array) else literal_number(len(value))
         if known is allocate_scratch:
             count, dtype = self.emit_number(arguments[0]), self.resolve_name(node, arguments[1])
-            if count.known is None or not isinstance(dtype, ScalarType):
-                self.fail(node, "scratch(COUNT, TYPE) with a count of the text")
-            return Array(dtype, self.allocate(int(count.known), dtype.stored_type), (count,))
+            if count.literal_value is None or not isinstance(dtype, ScalarType):
+                self.fail(node, "COUNT of scratch(COUNT, TYPE) must be a literal")
+            return Array(dtype, self.allocate(int(count.literal_value), dtype.stored_type), (count,))
         inputs = [self.value(each) for each in arguments]
         if known in (load_consecutive, prefetch, load3, store3):
             return self._load_elements(node, known, inputs)
@@ -322,7 +322,7 @@ class ExpressionEmitter(ElementAccess, ABC):
     def _replace_fields(self, node: ast.Call, item: KernelItem) -> KernelItem:
         """Return a copy of a record with new values of some fields."""
         if not hasattr(item, "_fields") or node.args:
-            self.fail(node, "`_replace` belongs to records, and is given fields by name")
+            self.fail(node, "`_replace` is a function of records, and takes fields by name")
         fields: dict[str, KernelItem] = {}
         self._add_keyword_fields(node, type(item), fields)
         return self._build_checked_record(node, type(item), {**item._asdict(), **fields})
@@ -349,32 +349,32 @@ class ExpressionEmitter(ElementAccess, ABC):
         if type_ is Any:
             return item
         if isinstance(type_, ScalarType) and isinstance(item, Number):
-            if item.known is None and item.kind != type_.kind:
-                self.fail(node, f"`{name}` is {type_.kind}, and is given {item.kind}")
+            if item.literal_value is None and item.kind != type_.kind:
+                self.fail(node, f"`{name}` is {type_.kind}, but gets {item.kind}")
             return self.to_kind(item, type_.kind)
         if isinstance(type_, ArrayType) and isinstance(item, Array):
             strided = item.steps is not None
-            if (type_.axes, type_.is_strided) == (len(item.lengths), strided) and type_.of in (item.of, Any):
+            if (type_.axes, type_.is_strided) == (len(item.lengths), strided) and type_.of in (item.element_type, Any):
                 return item
         elif isinstance(type_, tuple) and type(item) is type(type_) and len(item) == len(type_):
             return rebuild_like(item, (self.fit_to_type(node, name, a, b) for a, b in zip(item, type_, strict=True)))
-        self.fail(node, f"`{name}` is given a value of another type")
+        self.fail(node, f"`{name}` gets a value of another type")
 
-    def _load_elements(self, node: ast.Call, known: Any, inputs: list[KernelItem]) -> KernelItem:
+    def _load_elements(self, node: ast.Call, literal_value: Any, inputs: list[KernelItem]) -> KernelItem:
         """Return several elements of an array, read at once."""
         if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
             self.fail(node, "this needs an array and an index")
         array, at, *others = inputs
-        if known is prefetch:
+        if literal_value is prefetch:
             return self.prefetch(array, at)
-        if known is load_consecutive:
-            count = others[0].known
+        if literal_value is load_consecutive:
+            count = others[0].literal_value
             if not isinstance(count, int) or count % 4 or not 0 < count <= MAX_CONSECUTIVE_ELEMENTS:
-                self.fail(node, f"this must be a multiple of 4 up to {MAX_CONSECUTIVE_ELEMENTS} that is written in the source")
+                self.fail(node, f"this must be a multiple of 4 up to {MAX_CONSECUTIVE_ELEMENTS} as a literal")
             return self.load_consecutive(node, array, at, count)
-        if len(array.lengths) != 2 or array.steps is not None or array.of.kind not in (DOUBLE, FLOAT):
+        if len(array.lengths) != 2 or array.steps is not None or array.element_type.kind not in (DOUBLE, FLOAT):
             self.fail(node, "this must be a contiguous array (n, 3) of floats")
-        if known is load3:
+        if literal_value is load3:
             return self.load3(node, array, at)
         self.store3(node, array, at, others[0])
         self.unit.written_arrays.add(array.origin)

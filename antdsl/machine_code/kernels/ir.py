@@ -95,7 +95,7 @@ class IrBuilder(ABC, Generic[Value]):
         return f"%{stem}{self._name_count}"
 
     @abstractmethod
-    def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Value:
+    def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> Value:
         """Return a number with this name in the text."""
 
     def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Value:
@@ -114,9 +114,9 @@ class IrBuilder(ABC, Generic[Value]):
         """Add a stack slot for a number, and return its address."""
         return self._add_stack_slot("a", llvm_type(kind, lanes))
 
-    def allocate(self, count: int, stored: str) -> Number:
+    def allocate(self, count: int, stored_type: str) -> Number:
         """Add a stack slot for `count` numbers, and return its address."""
-        return self._add_stack_slot("s", f"[{count} x {stored}], align 64")
+        return self._add_stack_slot("s", f"[{count} x {stored_type}], align 64")
 
     def _add_stack_slot(self, stem: str, type: str) -> Number:
         output = Number("ptr", self.name(stem))
@@ -144,13 +144,13 @@ class IrBuilder(ABC, Generic[Value]):
     def jump(self, label: str) -> None:
         self.do("jump", x=(label,))
 
-    def branch(self, condition: Number, then: str, other: str) -> None:
-        self.do("branch", condition, x=(then, other))
+    def branch(self, condition: Number, true_label: str, false_label: str) -> None:
+        self.do("branch", condition, x=(true_label, false_label))
 
-    def fail(self, node: ast.AST, why: str) -> NoReturn:
+    def fail(self, node: ast.AST, reason: str) -> NoReturn:
         """Raise NotInSubset with the location of a node."""
         line = getattr(node, "lineno", self.line)
-        raise NotInSubset(f"{self.file}, line {line}, `{self.function_name}`: {why}")
+        raise NotInSubset(f"{self.file}, line {line}, `{self.function_name}`: {reason}")
 
 
 def verify_functions(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
@@ -166,8 +166,8 @@ def verify_functions(functions: Sequence[IrFunction], others: Mapping[str, IrFun
 class _Verifier:
     """Verifies one function. `known`: the functions that it may call, by name."""
 
-    def __init__(self, function: IrFunction, known: Mapping[str, IrFunction]) -> None:
-        self.function, self.known = function, known
+    def __init__(self, function: IrFunction, literal_value: Mapping[str, IrFunction]) -> None:
+        self.function, self.known = function, literal_value
         self.types = {each.name: each.type for each in function.arguments}
         self.slots = {each.result.name: each.immediate for each in function.slots if each.result is not None}
         self.labels = {each.label for each in function.blocks}
@@ -183,52 +183,56 @@ class _Verifier:
                     self.fail(each, f"block {block.label} does not end with its only branch")
                 self.check_instruction(each)
 
-    def fail(self, each: Instruction, why: str) -> NoReturn:
-        raise InvalidCode(f"{self.function.file}, line {each.line}, {self.function.name}: {why} ({each})")
+    def fail(self, instruction: Instruction, reason: str) -> NoReturn:
+        raise InvalidCode(f"{self.function.file}, line {instruction.line}, {self.function.name}: {reason} ({instruction})")
 
-    def check_instruction(self, each: Instruction) -> None:
+    def check_instruction(self, instruction: Instruction) -> None:
         """Check the operands and the result of an instruction."""
-        op, result, operands, *_ = each
+        op, result, operands, *_ = instruction
         known, types = self.types, tuple([operand.type for operand in operands])
         for operand in operands:
             name = operand.name
             if known.get(name) != operand.type and name[0] in "%@":
-                self.fail(each, f"{name} is {known.get(name, 'not known')}, not {operand.type}")
+                self.fail(instruction, f"{name} is {known.get(name, 'not known')}, not {operand.type}")
         gives = "" if result is None else result.type
         if not _matches_operation(op, types, gives):
-            self.fail(each, "types do not fit the operation")
+            self.fail(instruction, "the operation does not support these types")
         if op in _VARIADIC_OPERATIONS:
-            self._check_extra_rules(each, types, gives)
+            self._check_extra_rules(instruction, types, gives)
         if result is not None:
             if result.name in known:
-                self.fail(each, "the name is given twice")
+                self.fail(instruction, "the name is defined twice")
             known[result.name] = gives
 
-    def _check_extra_rules(self, each: Instruction, types: tuple[str, ...], gives: str) -> None:
+    def _check_extra_rules(self, instruction: Instruction, types: tuple[str, ...], result_type: str) -> None:
         """Check the rules of an instruction that concern more than types."""
-        op, _, operands, extra, _ = each
+        op, _, operands, extra, _ = instruction
         if op in ("load", "store"):
             slot = self.slots.get(operands[-1].name)
-            if slot is not None and slot[0] != "[" and slot != (gives or types[0]):
-                self.fail(each, f"the place is {slot}")
+            if slot is not None and slot[0] != "[" and slot != (result_type or types[0]):
+                self.fail(instruction, f"the place is {slot}")
         elif op == "call":
-            if not self._check_call(extra, types, gives or "void"):
-                self.fail(each, "a call of another type than the function")
+            if not self._check_call(extra, types, result_type or "void"):
+                self.fail(instruction, "the types of the call differ from those of the function")
         elif op == "return":
             if self.function.result != (types[0] if types else "void"):
-                self.fail(each, f"gives back {types}, not {self.function.result}")
+                self.fail(instruction, f"gives back {types}, not {self.function.result}")
         elif not self.labels.issuperset(extra):
-            self.fail(each, "no such block")
+            self.fail(instruction, "no such block")
 
-    def _check_call(self, name: str, types: tuple[str, ...], gives: str) -> bool:
+    def _check_call(self, name: str, types: tuple[str, ...], result_type: str) -> bool:
         function = self.known.get(name)
-        return function is not None and (tuple(one.type for one in function.arguments), function.result) == (types, gives)
+        return function is not None and (tuple(one.type for one in function.arguments), function.result) == (types, result_type)
 
 
 @cache
 def _matches_operation(op: str, types: tuple[str, ...], result: str) -> bool:
     """Return whether the types of operands and result match an operation."""
-    takes, gives, lanewise = OPERATION_BY_NAME[op].operand_types, OPERATION_BY_NAME[op].gives, OPERATION_BY_NAME[op].is_lanewise
+    takes, gives, lanewise = (
+        OPERATION_BY_NAME[op].operand_types,
+        OPERATION_BY_NAME[op].result_type,
+        OPERATION_BY_NAME[op].is_lanewise,
+    )
     parts = [split_type(each) for each in types]
     bases = [base for _, base in parts]
     lanes = parts[0][0] if parts else 1

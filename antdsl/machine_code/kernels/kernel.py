@@ -182,7 +182,7 @@ def _build_entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: L
     arguments = ", ".join(each.typed for item in inputs for each in flatten_item(item))
     results = list(flatten_item(result))
     if len(results) > RESULT_WORDS:
-        raise TypeError(f"{kernel.__name__} gives back more than {RESULT_WORDS} numbers")
+        raise TypeError(f"{kernel.__name__} returns more than {RESULT_WORDS} numbers")
     code = kernel.part.function.__code__
     line_table = "" if tables is None else tables.begin_function(kernel.__name__, code.co_filename, code.co_firstlineno)
     call = f"call {result_type(result)} {name}({arguments})" + ("" if tables is None else tables.format_location(0))
@@ -241,7 +241,7 @@ def _read_argument(type: Any, words: Iterator[int], body: list[str], numbers: It
     if isinstance(type, ScalarType):
         return read(type.kind)
     if not isinstance(type, ArrayType):
-        raise TypeError("an argument of a kernel has a type of `kernels`")
+        raise TypeError("annotate each argument of a kernel with a type of `kernels`")
     origin = next(numbers)
     place = read("ptr")
     lengths = tuple(read(INT) for _ in range(type.axes))

@@ -26,17 +26,19 @@ _RESULT_KINDS = {"double": REAL_KIND, "float": REAL_KIND, "i64": INTEGER_KIND, "
 class KernelDescription:
     """The signature of a kernel's text.
 
-    - `gives`: the kinds of its results
+    - `result_kinds`: the kinds of its results
     - `has_several_results`: whether the kernel returns a tuple
     - `written_arrays`: the numbers of the arrays that the kernel writes to"""
 
-    gives: tuple[str, ...]
+    result_kinds: tuple[str, ...]
     has_several_results: bool
     written_arrays: tuple[int, ...]
 
     def text(self) -> str:
         """Return the description as one line of text without quotes."""
-        return ";".join((",".join(self.gives), str(int(self.has_several_results)), ",".join(map(str, self.written_arrays))))
+        return ";".join(
+            (",".join(self.result_kinds), str(int(self.has_several_results)), ",".join(map(str, self.written_arrays)))
+        )
 
     @classmethod
     def from_text(cls, text: str) -> KernelDescription:
@@ -51,7 +53,7 @@ def make_caller(
     """Return a function that calls a kernel with its arguments. `types` are the types of the kernel's annotations."""
     specs = list(_argument_specs(types, description.written_arrays))
     words = RESULT_WORDS + sum(_word_count(each) for each in specs)
-    result_kinds, several = list(description.gives), description.has_several_results
+    result_kinds, several = list(description.result_kinds), description.has_several_results
     plain_call = _make_python_caller(name, code.function(name), types, specs, words, result_kinds, several)
     if several and len(result_kinds) == 1:
         return plain_call
@@ -74,11 +76,11 @@ def make_parallel_caller(
     specs = list(_argument_specs(types, description.written_arrays))
     words = RESULT_WORDS + sum(_word_count(each) for each in specs)
     if any(not isinstance(each, ScalarType) or each.kind != INT for each in types[-2:]) or (
-        description.has_several_results and len(description.gives) == 1
+        description.has_several_results and len(description.result_kinds) == 1
     ):
         return None
     range_specs = [ArgumentSpec((len(types) + k,), words + k, INTEGER_KIND) for k in range(2)]
-    kinds = [TRUTH_KIND if each == "i1" else _RESULT_KINDS[each] for each in description.gives]
+    kinds = [TRUTH_KIND if each == "i1" else _RESULT_KINDS[each] for each in description.result_kinds]
 
     def alone(*arguments: Any) -> list[Any]:
         return [single_call(*arguments[:-2])]
@@ -92,9 +94,9 @@ def _argument_specs(types: Sequence[Any], written_arrays: Sequence[int]) -> Iter
     """Yield the arguments that a kernel expects and their positions in the table; a tuple comes before its elements."""
     place, arrays = RESULT_WORDS, 0
 
-    def each_of(many: Sequence[Any], path: tuple[int, ...]) -> Iterator[ArgumentSpec]:
+    def each_of(types: Sequence[Any], path: tuple[int, ...]) -> Iterator[ArgumentSpec]:
         nonlocal place, arrays
-        for index, type in enumerate(many):
+        for index, type in enumerate(types):
             at = (*path, index)
             if isinstance(type, ArrayType):
                 spec = ArgumentSpec(at, place, 0, type.of.dtype, type.axes, type.is_strided, arrays in written_arrays)
@@ -118,7 +120,13 @@ def _word_count(spec: ArgumentSpec) -> int:
 
 
 def _make_python_caller(
-    name: str, function: Any, types: Sequence[Any], specs: list[ArgumentSpec], words: int, result_kinds: list[str], several: bool
+    name: str,
+    function: Any,
+    types: Sequence[Any],
+    specs: list[ArgumentSpec],
+    words: int,
+    result_kinds: list[str],
+    has_several_results: bool,
 ) -> Callable[..., Any]:
     """Return the function that `make_caller` describes, implemented in Python instead of machine code."""
     word_specs = [each for each in specs if each.count is None]
@@ -143,7 +151,7 @@ def _make_python_caller(
         values: tuple[Any, ...] = results.unpack_from(buffer)
         if truths:
             values = tuple(bool(value) if k in truths else value for k, value in enumerate(values))
-        return values if several else values[0]
+        return values if has_several_results else values[0]
 
     return run
 
@@ -176,7 +184,7 @@ def _describe_array(name: str, spec: ArgumentSpec, array: Any) -> tuple[int, ...
         return (array_address(array), *shape)
     size, (one, two) = dtype.itemsize, array.strides
     if (one % size or two % size) and array.size:
-        raise ValueError(f"{name} wants whole elements from one index to the next")
+        raise ValueError(f"{name} needs strides that are multiples of the element size")
     if array.flags.c_contiguous:
         place = array_address(array)
     else:

@@ -129,11 +129,11 @@ def _emit_float_from_bits(w: StatementWriter, a: Number) -> Number:
     return w.op("bitcast", DOUBLE, w.convert(a, INT))
 
 
-def _make_narrowing(bits: int, signed: bool) -> Callable[..., Number]:
+def _make_narrowing(bits: int, is_signed: bool) -> Callable[..., Number]:
     """Return a function that converts a number to an integer of fewer bits and back, as a cast does."""
 
     def write(w: StatementWriter, a: Number) -> Number:
-        return w.op("sext" if signed else "zext", INT, w.op("trunc", f"i{bits}", w.convert(a, INT)))
+        return w.op("sext" if is_signed else "zext", INT, w.op("trunc", f"i{bits}", w.convert(a, INT)))
 
     return write
 

@@ -34,13 +34,13 @@ class Operation(NamedTuple):
     """One operation of kernels and plans.
 
     - `operand_types`: a class of types for each operand; `=` is the type of the first operand, `n` any number, `v` any type
-    - `gives`: the class of types of the result; `2` is the type of the second operand
+    - `result_type`: the class of types of the result; `2` is the type of the second operand
     - `text`: the text in LLVM's language, with the operands, the result `r` and the immediate `x` as format fields
     - `meaning`: a function of NumPy scalars; if it is None, the interpreter implements the operation
     - `extra_types`: types after those of the operands in the declaration of an LLVM function"""
 
     operand_types: str
-    gives: str
+    result_type: str
     text: str
     meaning: Callable[..., Any] | None = None
     is_lanewise: bool = True
@@ -79,11 +79,11 @@ def _remainder_truncating(a: Any, b: Any) -> Any:
     return wrap_to_dtype(abs(x) % abs(y) * (-1 if x < 0 else 1), a.dtype)
 
 
-def _make_saturating_cast(signed: bool) -> Callable[[Any, Any], Any]:
+def _make_saturating_cast(is_signed: bool) -> Callable[[Any, Any], Any]:
     """Return the meaning of a cast from float to integer that truncates and saturates; NaN becomes 0."""
 
     def cast(a: Any, dtype: Any) -> Any:
-        bounds, number = np.iinfo(dtype if signed else f"u{np.dtype(dtype).itemsize}"), float(a)
+        bounds, number = np.iinfo(dtype if is_signed else f"u{np.dtype(dtype).itemsize}"), float(a)
         least, most = int(bounds.min), int(bounds.max)
         if math.isnan(number):
             return wrap_to_dtype(0, dtype)
@@ -111,38 +111,41 @@ def _cast_unsigned(a: Any, dtype: Any) -> Any:
     return (a if a.dtype == np.bool_ else a.view(f"u{a.dtype.itemsize}")).astype(dtype)
 
 
-def _make_binary_operations(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _make_binary_operations(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return operations of two operands with LLVM's names."""
-    return {name: Operation(takes, "=", name + " {0.typed}, {1.name}", meaning) for name, meaning in meanings.items()}
+    return {name: Operation(operand_types, "=", name + " {0.typed}, {1.name}", meaning) for name, meaning in meanings.items()}
 
 
 def _make_comparisons(
-    takes: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]
+    operand_types: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]
 ) -> dict[str, Operation]:
     """Return the comparisons. `prefix` starts their names in the table; `word` and `sign` form LLVM's names."""
     return {
-        f"{prefix}{name}": Operation(takes, "b", f"{word} {sign}{name}" + " {0.typed}, {1.name}", meaning)
+        f"{prefix}{name}": Operation(operand_types, "b", f"{word} {sign}{name}" + " {0.typed}, {1.name}", meaning)
         for name, meaning in meanings.items()
     }
 
 
-def _make_casts(takes: str, gives: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _make_casts(operand_types: str, result_type: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the casts. Their meanings are functions of a number and the result type."""
-    return {name: Operation(takes, gives, name + " {0.typed} to {r.type}", meaning) for name, meaning in meanings.items()}
+    return {
+        name: Operation(operand_types, result_type, name + " {0.typed} to {r.type}", meaning)
+        for name, meaning in meanings.items()
+    }
 
 
-def _make_functions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _make_functions(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the operations that call an LLVM function of the same name."""
-    arguments = ", ".join(f"{{{k}.typed}}" for k in range(len(takes)))
+    arguments = ", ".join(f"{{{k}.typed}}" for k in range(len(operand_types)))
     text = "call {r.type} @llvm.NAME.{0.suffix}(" + arguments + ")"
-    return {name: Operation(takes, "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
+    return {name: Operation(operand_types, "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
 
 
-def _make_reductions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _make_reductions(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the reductions of all lanes to one number. The meanings are functions of two numbers."""
     text = "call {r.type} @llvm.vector.reduce.NAME.{0.suffix}({0.typed})"
     return {
-        f"reduce.{name}": Operation(takes, takes, text.replace("NAME", name), meaning, is_lanewise=False)
+        f"reduce.{name}": Operation(operand_types, operand_types, text.replace("NAME", name), meaning, is_lanewise=False)
         for name, meaning in meanings.items()
     }
 

@@ -10,14 +10,14 @@ from types import GenericAlias
 from typing import Any
 
 
-def is_record(named: Any) -> bool:
+def is_record(candidate: Any) -> bool:
     """Return whether an object is the class of a record."""
-    return isinstance(named, type) and issubclass(named, tuple) and hasattr(named, "_fields")
+    return isinstance(candidate, type) and issubclass(candidate, tuple) and hasattr(candidate, "_fields")
 
 
-def rebuild_like(like: Any, parts: Iterable[Any]) -> Any:
-    """Return `parts` as a tuple, or as a record of the class of `like` if that is a record."""
-    kind = type(like)
+def rebuild_like(model: Any, parts: Iterable[Any]) -> Any:
+    """Return `parts` as a tuple, or as a record of the class of `model` if that is a record."""
+    kind = type(model)
     return tuple(parts) if kind is tuple else kind._make(parts)
 
 
@@ -61,11 +61,11 @@ def _resolve_type_node(node: ast.expr | None, module_names: dict[str, Any]) -> A
         of = [_resolve_type_node(each, module_names) for each in inner]
         base = _resolve_type_node(node.value, module_names)
         return tuple(of) if base is tuple else base[of[0]]
-    raise TypeError(f"`{'nothing' if node is None else ast.unparse(node)}` is no type of `kernels`")
+    raise TypeError(f"`{'nothing' if node is None else ast.unparse(node)}` is not a type of `kernels`")
 
 
-def _expand_records(named: Any) -> Any:
+def _expand_records(annotation: Any) -> Any:
     """Return the type that a name stands for: a record is expanded, also within `tuple[..]`."""
-    if isinstance(named, GenericAlias):
-        return tuple(_expand_records(each) for each in named.__args__)
-    return field_types(named) if is_record(named) else named
+    if isinstance(annotation, GenericAlias):
+        return tuple(_expand_records(each) for each in annotation.__args__)
+    return field_types(annotation) if is_record(annotation) else annotation

@@ -43,25 +43,25 @@ def render_functions(
 
 
 def render_function(
-    function: IrFunction, declared: dict[str, str], checks: CheckRenderer | None = None, tables: LineTables | None = None
+    function: IrFunction, declarations: dict[str, str], checks: CheckRenderer | None = None, tables: LineTables | None = None
 ) -> str:
-    """Return the text of a function. Add the LLVM functions that it calls, and the tables that it reads, to `declared`."""
+    """Return the text of a function. Add the LLVM functions that it calls, and the tables that it reads, to `declarations`."""
     arguments = ", ".join(each.typed for each in function.arguments)
     metadata = ""
     if tables is not None:
         first = min((each.line for block in function.blocks for each in block.body if each.line), default=1)
         metadata = tables.begin_function(function.name[1:], function.file, first)
     head = f"define internal {function.result} {function.name}({arguments}) {function.attribute}{metadata} {{"
-    lines = [head, "entry:", *(_render_instruction(each, declared) for each in function.slots)]
+    lines = [head, "entry:", *(_render_instruction(each, declarations) for each in function.slots)]
     for k, block in enumerate(function.blocks):
         if k:
             lines.append(f"{block.label}:")
         for each in block.body:
             if each.op not in CHECK_MESSAGES:
                 lines.append(
-                    _render_instruction(each, declared)
+                    _render_instruction(each, declarations)
                     if tables is None
-                    else _render_instruction(each, declared) + tables.format_location(each.line)
+                    else _render_instruction(each, declarations) + tables.format_location(each.line)
                 )
             elif checks is not None:
                 lines += checks.lines(function, each)
@@ -70,9 +70,9 @@ def render_function(
     return "\n".join([*lines, "}"])
 
 
-def _render_instruction(each: Instruction, declared: dict[str, str]) -> str:
-    """Return the text of an instruction. Add the LLVM function or table that it uses to `declared`."""
-    op, result, operands, extra, _ = each
+def _render_instruction(instruction: Instruction, declarations: dict[str, str]) -> str:
+    """Return the text of an instruction. Add the LLVM function or table that it uses to `declarations`."""
+    op, result, operands, extra, _ = instruction
     if op in ("jump", "branch"):  # not cached, because lines with unique labels would fill the cache
         return "  " + OPERATION_BY_NAME[op].text.format(*operands, x=extra)
     text, called = _operation_pattern(
@@ -80,22 +80,22 @@ def _render_instruction(each: Instruction, declared: dict[str, str]) -> str:
     )
     names = tuple([operand.name for operand in operands])
     if called is not None:
-        declared.setdefault(*called)
+        declarations.setdefault(*called)
     elif op == "element" and names[0] in _CONSTANT_TABLES:
-        declared[names[0]] = _CONSTANT_TABLES[names[0]]
+        declarations[names[0]] = _CONSTANT_TABLES[names[0]]
     return "  " + text % names if result is None else f"  {result.name} = {text % names}"
 
 
 @cache
-def _operation_pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
+def _operation_pattern(op: str, types: tuple[str, ...], result_type: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
     """Return the text of an operation on these types, with `%s` for each operand. Return also the LLVM function that it calls,
     and its declaration, or None."""
     operation = OPERATION_BY_NAME[op]
     operands = [Number(base, "%s", None, lanes) for lanes, base in map(split_type, types)]
-    lanes, base = split_type(gives)
+    lanes, base = split_type(result_type)
     everything = ", ".join(operand.typed for operand in operands) or ("void" if op == "return" else "")
     text = operation.text.format(*operands, r=Number(base, "", None, lanes), x=extra, all=everything)
     if "@llvm" not in text:
         return text, None
     name = text[text.index("@") : text.index("(")]
-    return text, (name, f"declare {gives} {name}({', '.join(types)}{operation.extra_types})")
+    return text, (name, f"declare {result_type} {name}({', '.join(types)}{operation.extra_types})")

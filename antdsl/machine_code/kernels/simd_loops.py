@@ -29,11 +29,11 @@ _EXIT_STATEMENTS = (ast.Break, ast.Continue, ast.Return)
 class LoopMasks:
     """The stack slots of two masks of a loop or function.
 
-    - `remaining`: the iterations that have not left it
-    - `now`: the iterations that run the code that follows"""
+    - `remaining_mask`: the iterations that have not left it
+    - `active_mask`: the iterations that run the code that follows"""
 
-    remaining: Number
-    now: Number
+    remaining_mask: Number
+    active_mask: Number
 
 
 class SimdWriter(StatementWriter):
@@ -53,8 +53,8 @@ class SimdWriter(StatementWriter):
         """Begin a loop or a function for the active lanes, and return its masks."""
         assert self.mask is not None
         turns = LoopMasks(self.allocate_slot(TRUTH, LANE_COUNT), self.allocate_slot(TRUTH, LANE_COUNT))
-        self.store_number(turns.remaining, self.mask)
-        self.store_number(turns.now, self.mask)
+        self.store_number(turns.remaining_mask, self.mask)
+        self.store_number(turns.active_mask, self.mask)
         self.loop_masks.append(turns)
         return turns
 
@@ -84,9 +84,9 @@ class SimdWriter(StatementWriter):
             super().set_variable(node, variable, value)
             return
         if not variable.wide:
-            self.fail(node, "what several turns would change at once belongs to none of them")
+            self.fail(node, "several iterations of the loop would assign this at once")
         value = self.broadcast(value)
-        if self.mask.known is None and variable.slot_address not in self.unwritten_slots:
+        if self.mask.literal_value is None and variable.slot_address not in self.unwritten_slots:
             value = self.select(self.mask, value, self.load(variable.slot_address, variable.kind, LANE_COUNT))
         self.unwritten_slots.discard(variable.slot_address)
         self.store_number(variable.slot_address, value)
@@ -96,40 +96,40 @@ class SimdWriter(StatementWriter):
     def _write_where(self, mask: Number, write: Callable[[], None]) -> None:
         """Write code that runs if a mask holds for at least one iteration, with this mask."""
         outer_mask, reached, then, end = self.mask, self.reached_mask, self.make_label("then"), self.make_label("done")
-        if mask.known is None:
+        if mask.literal_value is None:
             self.branch(self.any_lane(mask), then, end)
             self.begin(then)
         self.mask = self.reached_mask = mask
         write()
         self.mask, self.reached_mask, self.is_reachable = outer_mask, reached, True
-        if mask.known is None:
+        if mask.literal_value is None:
             self.jump(end)
             self.begin(end)
 
-    def write_if(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
+    def write_if(self, test: ast.expr, true_body: list[ast.stmt], false_body: list[ast.stmt]) -> None:
         if self.mask is None:
-            super().write_if(test, then, other)
+            super().write_if(test, true_body, false_body)
             return
         condition = self.emit_condition(test)
-        if condition.known is not None:
-            self.write_block(then if condition.known else other)
+        if condition.literal_value is not None:
+            self.write_block(true_body if condition.literal_value else false_body)
             return
         fresh = set(self.unwritten_slots)
         condition = self.broadcast(condition)
         outer_mask = self.mask
-        self._write_where(self.logical_and(outer_mask, condition), lambda: self.write_block(then))
+        self._write_where(self.logical_and(outer_mask, condition), lambda: self.write_block(true_body))
         new_places = self.unwritten_slots - fresh
         self.unwritten_slots &= fresh
-        if other:
-            self._write_where(self.logical_and(outer_mask, self.invert(condition)), lambda: self.write_block(other))
+        if false_body:
+            self._write_where(self.logical_and(outer_mask, self.invert(condition)), lambda: self.write_block(false_body))
         self.unwritten_slots -= new_places
-        self._write_remaining([*then, *other])
+        self._write_remaining([*true_body, *false_body])
 
     def _write_remaining(self, body: list[ast.stmt]) -> None:
         """Remove from the mask the iterations that `body` has ended by `break`, `continue` or `return`."""
         if _has_exits(body):
             assert self.mask is not None
-            self.mask = self.logical_and(self.mask, self.load(self.loop_masks[-1].now, TRUTH, LANE_COUNT))
+            self.mask = self.logical_and(self.mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))
 
     def _clear_mask(self, place: Number) -> None:
         """Remove the active iterations from the mask in a stack slot."""
@@ -142,9 +142,9 @@ class SimdWriter(StatementWriter):
         if self.mask is None:
             super().exit_loop(loop)
             return
-        self._clear_mask(self.loop_masks[-1].now)
+        self._clear_mask(self.loop_masks[-1].active_mask)
         if loop:
-            self._clear_mask(self.loop_masks[-1].remaining)
+            self._clear_mask(self.loop_masks[-1].remaining_mask)
         self.is_reachable = False
 
     def write_while(self, test: ast.expr, body: list[ast.stmt]) -> None:
@@ -155,10 +155,10 @@ class SimdWriter(StatementWriter):
         head, inner, end = self.make_label("while"), self.make_label("body"), self.make_label("end")
         self.jump(head)
         self.begin(head)
-        self.mask = self.load(turns.remaining, TRUTH, LANE_COUNT)
+        self.mask = self.load(turns.remaining_mask, TRUTH, LANE_COUNT)
         active_mask = self.logical_and(self.mask, self.broadcast(self.emit_condition(test)))
-        self.store_number(turns.remaining, active_mask)
-        self.store_number(turns.now, active_mask)
+        self.store_number(turns.remaining_mask, active_mask)
+        self.store_number(turns.active_mask, active_mask)
         self.branch(self.any_lane(active_mask), inner, end)
         self.begin(inner)
         reached = self.reached_mask
@@ -174,7 +174,7 @@ class SimdWriter(StatementWriter):
         self.loop_masks.pop()
         self.mask, self.is_reachable = outer_mask, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
-            self.mask = self.logical_and(outer_mask, self.load(self.loop_masks[-1].now, TRUTH, LANE_COUNT))
+            self.mask = self.logical_and(outer_mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))
 
     def write_range_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
@@ -198,11 +198,11 @@ class SimdWriter(StatementWriter):
         self.begin(head)
         at = self.load(number, INT, lanes)
         active_mask = self.logical_and(
-            self.load(turns.remaining, TRUTH, LANE_COUNT), self.compare("lt" if step > 0 else "gt", at, end)
+            self.load(turns.remaining_mask, TRUTH, LANE_COUNT), self.compare("lt" if step > 0 else "gt", at, end)
         )
         active_mask = self.broadcast(active_mask)
-        self.store_number(turns.remaining, active_mask)
-        self.store_number(turns.now, active_mask)
+        self.store_number(turns.remaining_mask, active_mask)
+        self.store_number(turns.active_mask, active_mask)
         self.branch(self.any_lane(active_mask), inner, exit_label)
         self.begin(inner)
         reached = self.reached_mask
@@ -249,8 +249,8 @@ class SimdWriter(StatementWriter):
         outer_mask, turns = self.mask, self._begin_masks()
         for item in items:
             if left:
-                self.mask = self.load(turns.remaining, TRUTH, LANE_COUNT)
-                self.store_number(turns.now, self.mask)
+                self.mask = self.load(turns.remaining_mask, TRUTH, LANE_COUNT)
+                self.store_number(turns.active_mask, self.mask)
             self.bind_target(node, target, item)
             self.write_block(body)
             self.is_reachable = True
@@ -269,8 +269,8 @@ class SimdWriter(StatementWriter):
         for variable, each in zip(self.result_variables, flatten_item(item), strict=True):
             self.set_variable(node, variable, each)
         for turns in self.loop_masks:
-            self._clear_mask(turns.now)
-            self._clear_mask(turns.remaining)
+            self._clear_mask(turns.active_mask)
+            self._clear_mask(turns.remaining_mask)
 
     def _broadcast_item(self, item: KernelItem) -> KernelItem:
         """Return an item with its numbers broadcast to all lanes."""
@@ -315,7 +315,7 @@ class SimdWriter(StatementWriter):
     def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
         part = getattr(function, "part", None)
         if part is None:
-            self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
+            self.fail(node, f"`{ast.unparse(node.func)}` is not a function of kernels")
         types = part.types()
         for each, item in zip(part.source()[1].args.args, inputs, strict=False):
             self.fit_to_type(node, each.arg, item, types.get(each.arg, Any))

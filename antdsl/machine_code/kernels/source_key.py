@@ -75,14 +75,14 @@ def _cached_file_digest(path: str, modified_ns: int, size: int) -> str:
     return blake2b(read_size_limited(path, _MAX_SOURCE_BYTES), digest_size=16).hexdigest()
 
 
-def _describe_function(part: Any, parts: list[str], known: dict[int, int]) -> None:
+def _describe_function(part: Any, parts: list[str], literal_value: dict[int, int]) -> None:
     """Append the description of a function that kernels use, and of the values of its names. A function that is already described
     is given by its number."""
     function: FunctionType = part.function
-    if id(function) in known:
-        parts.append(f"function {known[id(function)]}")
+    if id(function) in literal_value:
+        parts.append(f"function {literal_value[id(function)]}")
         return
-    known[id(function)] = len(known)
+    literal_value[id(function)] = len(literal_value)
     code, world = function.__code__, function.__globals__
     place = f"{function.__module__} {function.__qualname__} {code.co_firstlineno} {part.attribute}"
     parts.append(f"{place} {_file_digest(code.co_filename)}")
@@ -90,7 +90,7 @@ def _describe_function(part: Any, parts: list[str], known: dict[int, int]) -> No
     for name in names:
         if name in world:
             parts.append(name)
-            _describe_value(world[name], names, parts, known)
+            _describe_value(world[name], names, parts, literal_value)
 
 
 def _code_names(code: CodeType) -> Iterator[str]:
@@ -102,11 +102,11 @@ def _code_names(code: CodeType) -> Iterator[str]:
             yield from _code_names(each)
 
 
-def _describe_value(value: Any, names: list[str], parts: list[str], known: dict[int, int]) -> None:
+def _describe_value(value: Any, names: list[str], parts: list[str], literal_value: dict[int, int]) -> None:
     """Append the description of a value that kernels use. Raises _UnknownSource if it has none."""
     part = None if is_record(value) else getattr(value, "part", None)
     if part is not None:
-        _describe_function(part, parts, known)
+        _describe_function(part, parts, literal_value)
     elif isinstance(value, ModuleType):
         parts.append(f"module {value.__name__}")
         has = vars(value)  # NumPy takes long to say that it has not
@@ -114,13 +114,13 @@ def _describe_value(value: Any, names: list[str], parts: list[str], known: dict[
             inner = has.get(name)
             if inner is not None and not isinstance(inner, ModuleType):
                 parts.append(name)
-                _describe_value(inner, [], parts, known)
+                _describe_value(inner, [], parts, literal_value)
     elif is_record(value):
         parts.append(f"record {value.__module__} {_describe_type(field_types(value))}")
     elif isinstance(value, tuple):
         parts.append(f"{type(value).__qualname__} {len(value)}")
         for each in value:
-            _describe_value(each, names, parts, known)
+            _describe_value(each, names, parts, literal_value)
     elif value is None or isinstance(value, bool | int | float | str | np.generic | ScalarType | ArrayType):
         parts.append(f"{type(value).__name__} {value!r}")
     elif isinstance(value, GenericAlias):

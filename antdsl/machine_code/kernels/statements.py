@@ -55,7 +55,7 @@ class StatementWriter(ExpressionEmitter):
         if name not in self.variables:
             if name in self.module_names:
                 return self._literal_item(self.module_names[name])
-            self.fail(self.definition, f"`{name}` is not known where it is read")
+            self.fail(self.definition, f"`{name}` has no value where it is read")
         return self.variables[name]
 
     def _literal_item(self, value: Any) -> KernelItem:
@@ -96,14 +96,14 @@ class StatementWriter(ExpressionEmitter):
                 self._assign_into(node, name, one, other)
         elif isinstance(destination, StackVariable) and isinstance(item, Number):
             if item.kind != destination.kind and not (
-                item.known is not None or item.kind == TRUTH or (item.kind, destination.kind) == (INT, DOUBLE)
+                item.literal_value is not None or item.kind == TRUTH or (item.kind, destination.kind) == (INT, DOUBLE)
             ):
-                self.fail(node, f"`{name}` is {destination.kind}, and is given {item.kind}")
+                self.fail(node, f"`{name}` is {destination.kind}, but gets {item.kind}")
             if destination.kind in (INT, UNSIGNED, TRUTH) and item.kind in (DOUBLE, FLOAT):
-                self.fail(node, f"`{name}` is a whole number, and is given a float")
+                self.fail(node, f"`{name}` is an integer, but gets a float")
             self.set_variable(node, destination, self.to_kind(item, destination.kind))
         elif not (isinstance(destination, Array) and item == destination):
-            self.fail(node, f"`{name}` is given a value of another type")
+            self.fail(node, f"`{name}` gets a value of another type")
 
     def set_variable(self, node: ast.AST, variable: StackVariable, value: Number) -> None:
         """Assign another value to a variable."""
@@ -126,24 +126,24 @@ class StatementWriter(ExpressionEmitter):
             case ast.Subscript(value=of, slice=index):
                 array = self.value(of)
                 if not isinstance(array, Array) or not isinstance(item, Number):
-                    self.fail(node, "only numbers are put into arrays")
+                    self.fail(node, "arrays store only numbers")
                 self._store_item(node, array, self.compute_offset(node, array, index), item)
             case _:
-                self.fail(node, "cannot be assigned to")
+                self.fail(node, "this cannot be assigned to")
 
-    def _store_item(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
+    def _store_item(self, node: ast.AST, array: Array, index: Number, item: Number) -> None:
         """Store a number as an element of an array, and record that the kernel writes to the array."""
         self.unit.written_arrays.add(array.origin)
-        self.store_element(node, array, at, item)
+        self.store_element(node, array, index, item)
 
     def _fill_array(self, node: ast.AST, array: KernelItem, item: KernelItem) -> None:
         """Write `a[:] = number`."""
         if not isinstance(array, Array) or array.steps is not None or not isinstance(item, Number):
-            self.fail(node, "`a[:] = number` of an array in one piece")
+            self.fail(node, "`a[:] = number` needs a contiguous array and a number")
         if self.mask is not None:
-            self.fail(node, "an array is filled by one turn")
+            self.fail(node, "several iterations of the loop would fill the array at once")
         count = self.count(array)
-        flat_array = Array(array.of, array.address, (count,), None, array.origin)
+        flat_array = Array(array.element_type, array.address, (count,), None, array.origin)
         with_number = ast.Name(id="~k")
         self._write_counted_loop(
             "~k", literal_number(0), count, 1, lambda: self._store_item(node, flat_array, self.emit_number(with_number), item)
@@ -179,7 +179,7 @@ class StatementWriter(ExpressionEmitter):
             case ast.AugAssign(target=ast.Subscript(value=of, slice=index), op=operator, value=value):
                 array = self.value(of)
                 if not isinstance(array, Array):
-                    self.fail(node, "only an array's elements change")
+                    self.fail(node, "only elements of arrays can be changed")
                 old_value = self._emit_index(augmented_target(node), array, index)
                 new_value = self.apply_operator(node, operator, old_value, self.emit_number(value))
                 self._store_item(node, array, self.compute_offset(node, array, index), new_value)
@@ -207,23 +207,23 @@ class StatementWriter(ExpressionEmitter):
         old_value = self.emit_number(name)
         self.assign(node, name.id, self.apply_operator(node, operator, old_value, self.emit_number(value)))
 
-    def write_if(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
+    def write_if(self, test: ast.expr, true_body: list[ast.stmt], false_body: list[ast.stmt]) -> None:
         """Write an `if`; with a literal condition, only one branch."""
         condition = self.emit_condition(test)
-        if condition.known is not None:
-            self.write_block(then if condition.known else other)
+        if condition.literal_value is not None:
+            self.write_block(true_body if condition.literal_value else false_body)
             return
         yes, no, end = self.make_label("then"), self.make_label("else"), self.make_label("done")
-        self.branch(condition, yes, no if other else end)
+        self.branch(condition, yes, no if false_body else end)
         self.begin(yes)
-        self.write_block(then)
+        self.write_block(true_body)
         reached = self.is_reachable
         if self.is_reachable:
             self.jump(end)
         self.is_reachable = True
-        if other:
+        if false_body:
             self.begin(no)
-            self.write_block(other)
+            self.write_block(false_body)
             if self.is_reachable:
                 self.jump(end)
             self.is_reachable = self.is_reachable or reached
@@ -254,13 +254,13 @@ class StatementWriter(ExpressionEmitter):
         if isinstance(iterable, ast.Call):
             known, numbers = self.resolve_name(iterable, iterable.func), [self.emit_number(each) for each in iterable.args]
             if known not in (range, simd_range) or not isinstance(target, ast.Name):
-                self.fail(node, "`for` goes over `range`, `simd_range` or a tuple")
-            step = int(numbers[2].known or 0) if len(numbers) == 3 else 1
+                self.fail(node, "`for` iterates over `range`, `simd_range` or a tuple")
+            step = int(numbers[2].literal_value or 0) if len(numbers) == 3 else 1
             if step == 0:
-                self.fail(node, "a step is a number of the text, and not 0")
+                self.fail(node, "the step must be a literal other than 0")
             begin, end = (literal_number(0), numbers[0]) if len(numbers) == 1 else numbers[:2]
-            if begin.known is not None and end.known is not None:
-                turns = range(int(begin.known), int(end.known), step)
+            if begin.literal_value is not None and end.literal_value is not None:
+                turns = range(int(begin.literal_value), int(end.literal_value), step)
                 if len(turns) <= _MAX_UNROLLED_ITERATIONS:
                     self.write_unrolled_loop(node, target, [literal_number(k) for k in turns], body)
                     return
@@ -274,7 +274,7 @@ class StatementWriter(ExpressionEmitter):
             self.write_unrolled_loop(node, target, list(items), body)
             return
         if not isinstance(items, Array) or len(items.lengths) != 1:
-            self.fail(node, "`for` goes over `range`, `simd_range`, a tuple or an array with one axis")
+            self.fail(node, "`for` iterates over `range`, `simd_range`, a tuple or an array with one axis")
         at = f"~{self.make_label('at')}"
 
         def turn() -> None:
@@ -346,7 +346,7 @@ class StatementWriter(ExpressionEmitter):
         if self.has_return and type_key(item) != type_key(self.result):
             item = self.match_item(node, item, self.result)
         if has_arrays(item):
-            self.fail(node, "arrays cannot be given back")
+            self.fail(node, "a kernel cannot return arrays")
         self.result, self.has_return, self.is_reachable = item if not self.has_return else self.result, True, False
         self.emit_return(item)
 
@@ -365,9 +365,9 @@ class StatementWriter(ExpressionEmitter):
         """Convert an item to the type of another result of the function."""
         if isinstance(item, tuple) and type(item) is type(other) and len(item) == len(other):
             return rebuild_like(item, (self.match_item(node, a, b) for a, b in zip(item, other, strict=True)))
-        if isinstance(item, Number) and isinstance(other, Number) and (item.known is not None or item.kind == other.kind):
+        if isinstance(item, Number) and isinstance(other, Number) and (item.literal_value is not None or item.kind == other.kind):
             return self.to_kind(item, other.kind)
-        self.fail(node, "gives back another type than before")
+        self.fail(node, "returns another type than an earlier `return`")
 
 
 @lru_cache(maxsize=512)

@@ -58,8 +58,8 @@ if TYPE_CHECKING:
 
 else:
 
-    def _scalar(name: str, dtype: Any, stored: str, kind: str) -> ScalarType:
-        return ScalarType(name, np.dtype(dtype), stored, kind)
+    def _scalar(name: str, dtype: Any, stored_kind: str, kind: str) -> ScalarType:
+        return ScalarType(name, np.dtype(dtype), stored_kind, kind)
 
     F64, F32 = _scalar("F64", np.float64, "double", DOUBLE), _scalar("F32", np.float32, "float", FLOAT)
     I64, I32 = _scalar("I64", np.int64, "i64", INT), _scalar("I32", np.int32, "i32", INT)
@@ -71,7 +71,7 @@ else:
         def __init__(self, axes: int, strided: bool = False) -> None:
             self.axes, self.is_strided = axes, strided
 
-        def __getitem__(self, of: ScalarType) -> ArrayType:
-            return ArrayType(self.axes, of, self.is_strided)
+        def __getitem__(self, element_type: ScalarType) -> ArrayType:
+            return ArrayType(self.axes, element_type, self.is_strided)
 
     Array1, Array2, Array3, Strided2 = _Axes(1), _Axes(2), _Axes(3), _Axes(2, True)

@@ -20,7 +20,7 @@ class Number:
     """A number in a function's text.
 
     - `kind`, `name`: its kind, and its name in the text
-    - `known`: its value if it is a literal, else None
+    - `literal_value`: its value if it is a literal, else None
     - `lanes`: its number of lanes
     - `first`: the number in the first lane, if each lane has one more than the lane before; else None
     - `type`: its type in LLVM's language
@@ -29,7 +29,7 @@ class Number:
 
     kind: str
     name: str
-    known: int | float | bool | None = None
+    literal_value: int | float | bool | None = None
     lanes: int = 1
     first: Number | None = None
     type: str = field(init=False, repr=False, compare=False)
@@ -70,7 +70,7 @@ def llvm_type(kind: str, lanes: int = 1) -> str:
 class Array:
     """An array: its address, the lengths of its axes, and the step along each axis in elements (None if contiguous)."""
 
-    of: ScalarType
+    element_type: ScalarType
     address: Number
     lengths: tuple[Number, ...]
     steps: tuple[Number, ...] | None = None
@@ -93,7 +93,7 @@ def literal_number(value: Any) -> Number:
         return Number(FLOAT, format_literal(value, F32))
     if kind == "bool":  # of NumPy
         return Number(TRUTH, "true" if value else "false", bool(value))
-    raise TypeError(f"{value!r} is no number of a kernel")
+    raise TypeError(f"{value!r} is not a number of a kernel")
 
 
 def flatten_item(item: KernelItem) -> Iterator[Number]:
@@ -120,7 +120,7 @@ def type_key(item: KernelItem) -> str:
         record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
         return f"{record}({','.join(type_key(each) for each in item)})"
     if isinstance(item, Array):
-        return f"[{item.of.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
+        return f"[{item.element_type.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
     return f"{item.kind}{item.lanes}" if item.wide else str(item.kind)
 
 
@@ -132,5 +132,5 @@ def rename_item(item: KernelItem, names: Iterator[str]) -> KernelItem:
         address = Number("ptr", next(names))
         lengths = tuple(Number(INT, next(names)) for _ in item.lengths)
         steps = None if item.steps is None else tuple(Number(INT, next(names)) for _ in item.steps)
-        return Array(item.of, address, lengths, steps, item.origin)
+        return Array(item.element_type, address, lengths, steps, item.origin)
     return Number(item.kind, next(names), lanes=item.lanes)

@@ -17,7 +17,7 @@ class Vectors(IrBuilder[Value]):
         if value.wide:
             return value
         if value.name[0] not in "%@":
-            return self.named_number(value.kind, f"splat ({value.typed})", LANE_COUNT, value.known)
+            return self.named_number(value.kind, f"splat ({value.typed})", LANE_COUNT, value.literal_value)
         none = Number(value.kind, "poison", lanes=LANE_COUNT)
         first = self.op("insertelement", value.kind, none, value, x=0)
         return self.op("shufflevector", value.kind, first, none, x=f"<{LANE_COUNT} x i32> zeroinitializer")
@@ -26,14 +26,14 @@ class Vectors(IrBuilder[Value]):
         """Return the number in one lane."""
         return self.op("extractelement", value.kind, value, x=lane, lanes=1)
 
-    def combine_lanes(self, values: Iterable[Value], lanes: int = LANE_COUNT, onto: Value | None = None) -> Value:
-        """Return a vector with these single numbers in its first lanes. The remaining lanes come from `onto`, or are undefined if
-        it is None."""
+    def combine_lanes(self, values: Iterable[Value], lanes: int = LANE_COUNT, base_vector: Value | None = None) -> Value:
+        """Return a vector with these single numbers in its first lanes. The remaining lanes come from `base_vector`, or are
+        undefined if it is None."""
         for lane, value in enumerate(values):
-            previous = self.named_number(value.kind, "poison", lanes) if onto is None else onto
-            onto = self.op("insertelement", value.kind, previous, value, x=lane)
-        assert onto is not None
-        return onto
+            previous = self.named_number(value.kind, "poison", lanes) if base_vector is None else base_vector
+            base_vector = self.op("insertelement", value.kind, previous, value, x=lane)
+        assert base_vector is not None
+        return base_vector
 
     def shuffle(self, a: Number, b: Number, order: Sequence[int]) -> Value:
         """Return a vector of the lanes of `a`, then `b`, at the indices `order`."""

@@ -167,10 +167,10 @@ class HashTable:
         self._chunks: Int64Array = np.zeros((0, 3), np.int64)
         self.rebind(columns, [None] * len(columns))
 
-    def rebind(self, columns: Sequence[NDArray[Any]], previous: Sequence[NDArray[Any] | None]) -> bool:
-        """Replace the arrays of the columns if the new arrays have the same layout; return whether they have. `previous`: the
-        arrays to replace."""
-        for k, (column, other) in enumerate(zip(columns, previous, strict=True)):
+    def rebind(self, columns: Sequence[NDArray[Any]], previous_columns: Sequence[NDArray[Any] | None]) -> bool:
+        """Replace the arrays of the columns if the new arrays have the same layout; return whether they have.
+        `previous_columns`: the arrays to replace."""
+        for k, (column, other) in enumerate(zip(columns, previous_columns, strict=True)):
             if column is other:
                 continue
             form, piece = self._column_forms[k], column.flags.c_contiguous  # always true for a single row

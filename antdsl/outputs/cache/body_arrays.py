@@ -32,13 +32,15 @@ class StoredBodies:
     arrays: Arrays
 
     @staticmethod
-    def from_definitions(definitions: Mapping[str, Definition], named: Mapping[str, Mapping[str, float]]) -> StoredBodies:
-        """Build from definitions by body key. `named`: by species, the words and files that the scene names, with their
-        weights."""
+    def from_definitions(
+        definitions: Mapping[str, Definition], weights_by_species: Mapping[str, Mapping[str, float]]
+    ) -> StoredBodies:
+        """Build from definitions by body key. `weights_by_species`: by species, the words and files that the scene names, with
+        their weights."""
         numbers: dict[int, int] = {}
         entries: list[BodyEntry] = []
         arrays: dict[str, NDArray[Any]] = {}
-        texts = {body_key(of, k, len(ws)): text for of, ws in named.items() for k, text in enumerate(ws)}
+        texts = {body_key(of, k, len(ws)): text for of, ws in weights_by_species.items() for k, text in enumerate(ws)}
         for key, body in sorted(definitions.items()):
             number = numbers.setdefault(id(body), len(numbers))
             if number == len(entries):
@@ -50,7 +52,7 @@ class StoredBodies:
                 WornBodyEntry(body=text[-500:], definition=index.get(body_key(of, k, len(weights))), weight=weight)
                 for k, (text, weight) in enumerate(weights.items())
             )
-            for of, weights in named.items()
+            for of, weights in weights_by_species.items()
         }
         return StoredBodies(tuple(entries), worn, arrays)
 

@@ -122,11 +122,11 @@ def _find_unfinished_files(folder: Path) -> list[Path]:
     return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART_SUFFIX}")]
 
 
-def clear_folder(folder: Path, last_retained: int | None = None, damaged: Container[int] = ()) -> None:
+def clear_folder(folder: Path, last_retained: int | None = None, damaged_frames: Container[int] = ()) -> None:
     """Remove the frames, checkpoints and hashes of an earlier run, and no other files.
 
     `last_retained`: remove only files of frames after this one; None removes all.
-    `damaged`: frames with a checkpoint that is also removed.
+    `damaged_frames`: frames with a checkpoint that is also removed.
     Hashes are removed first. If the removal is interrupted, a file without a hash is ignored."""
     remaining_lines = (
         {}
@@ -138,7 +138,7 @@ def clear_folder(folder: Path, last_retained: int | None = None, damaged: Contai
         if last_retained is None or number > last_retained:
             make_frame_path(folder, number).unlink(missing_ok=True)
     for number in list_numbered_files(folder, make_checkpoint_path)[0]:
-        if last_retained is None or number > last_retained or number in damaged:
+        if last_retained is None or number > last_retained or number in damaged_frames:
             make_checkpoint_path(folder, number).unlink(missing_ok=True)
     edit_arrays = [path for path in folder.glob("edits.*.npz") if EDIT_ARRAYS_PATTERN.fullmatch(path.name)]
     for part in (*_find_unfinished_files(folder), *(edit_arrays if last_retained is None else ())):
@@ -261,9 +261,9 @@ class CacheWriter:
         self,
         world: World,
         static: Arrays,
-        maker: FrameMaker,
+        frame_maker: FrameMaker,
         retained_lines: Mapping[int, HashLine],
-        damaged: Container[int] = (),
+        damaged_frames: Container[int] = (),
         greatest_error: float | None = 0.0,
     ) -> None:
         """Write the files that apply to the complete run. Raises FolderLocked if another run has written since `retained_lines`
@@ -271,18 +271,18 @@ class CacheWriter:
 
         Frames and checkpoints up to the last line of `retained_lines` stay. Other frames of an earlier run are removed first.
 
-        `damaged`: frames with a checkpoint that is also removed.
+        `damaged_frames`: frames with a checkpoint that is also removed.
         `greatest_error`: the greatest surface error of the frames that stay; None if unknown."""
         last = max(retained_lines, default=None)
         lines = {} if last is None else read_lines(self.folder / HASHES_FILE_NAME)
         if retained_lines != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
             raise FolderLocked(f"another run has written to `{self.folder}` since this one read it")
-        clear_folder(self.folder, last, damaged)
+        clear_folder(self.folder, last, damaged_frames)
         file = make_npz_file(static)
         write_atomically(self.folder / STATIC_FILE_NAME, file.parts)
         world.dug_balls = {}
-        world.emissions = [] if "emit" in maker.events else None
-        self._maker, self._greatest_error = maker, greatest_error
+        world.emissions = [] if "emit" in frame_maker.events else None
+        self._maker, self._greatest_error = frame_maker, greatest_error
         self._file_writer, self._worker = CacheFileWriter(self.folder), BackgroundWorker(self._report)
         self._worker.submit(partial(self._write_manifest, hash_static_file(file)))
 

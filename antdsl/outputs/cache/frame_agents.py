@@ -13,11 +13,11 @@ from antdsl.program.tables.columns import FRAME_COLUMNS
 Arrays = Mapping[str, NDArray[Any]]
 LongArray = NDArray[np.int64]
 ALWAYS_SAVED_ARRAYS = frozenset(
-    each.name for each in FRAME_COLUMNS if each.of == "species" and each.save_mode == "always"
+    each.name for each in FRAME_COLUMNS if each.row_kind == "species" and each.save_mode == "always"
 )  # these exist also without `output`
 
 IDENTITY_ARRAYS = frozenset(("id", "species"))
-_SUBJECT_BY_ARRAY_PREFIX = {each.name.partition(".")[0]: each.of for each in FRAME_COLUMNS}  # by the first word of a name
+_SUBJECT_BY_ARRAY_PREFIX = {each.name.partition(".")[0]: each.row_kind for each in FRAME_COLUMNS}  # by the first word of a name
 
 
 def find_array_subject(name: str) -> str | None:

@@ -174,7 +174,7 @@ def write_feet(
     ranks: Array1[I32],
     scale: F64,
     positions_out: Array2[F32],
-    down: Array2[U8],
+    is_on_ground: Array2[U8],
     rise_out: Array1[F32],
     tilt: Array2[F32],
     begin: I64,
@@ -184,7 +184,7 @@ def write_feet(
     (.., n).
 
     `positions_out`: x, y, z of each leg's foot, in scene units.
-    `down`: 1 for feet on the ground (`swing` is -1), else 0.
+    `is_on_ground`: 1 for feet on the ground (`swing` is -1), else 0.
     `rise_out`: the height of the trunk above its rest height, in scene units.
     `tilt`: the rotation of the trunk as unit quaternions x, y, z, w."""
     for low in range(begin, end, _BLOCK):
@@ -195,7 +195,7 @@ def write_feet(
                 positions_out[k, 3 * leg] = np.float32((foot_positions[0, leg, i] + 0.0) * scale)
                 positions_out[k, 3 * leg + 1] = np.float32((foot_positions[1, leg, i] + 0.0) * scale)
                 positions_out[k, 3 * leg + 2] = np.float32((foot_positions[2, leg, i] + 0.0) * scale)
-                down[k, leg] = 1 if swing[leg, i] == np.float32(-1.0) else 0
+                is_on_ground[k, leg] = 1 if swing[leg, i] == np.float32(-1.0) else 0
         for i in simd_range(low, high):
             rank = ranks[i]
             rise_out[rank] = rise[i] * np.float32(scale)

@@ -148,7 +148,7 @@ def _find_nonzero_cells(values: NDArray[np.float64]) -> tuple[NDArray[np.int32],
 
 def _list_plain_numbers(program: Program) -> set[str]:
     """Return the names of the numbers that at least one species has once per agent."""
-    return {a.name for species in program.species.values() for a in species.attributes if a.each is None}
+    return {a.name for species in program.species.values() for a in species.attributes if a.pair_species is None}
 
 
 def make_static_arrays(world: World, setting: WorldSetting) -> Arrays:

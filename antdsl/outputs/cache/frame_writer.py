@@ -79,8 +79,8 @@ class CacheFileWriter:
         self._lines_file.close()
 
 
-def _measure_elapsed(what: str, since: float) -> Measures:
-    return {"seconds": {what: time.perf_counter() - since}}
+def _measure_elapsed(label: str, start_time: float) -> Measures:
+    return {"seconds": {label: time.perf_counter() - start_time}}
 
 
 class BackgroundWorker:

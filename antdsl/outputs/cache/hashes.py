@@ -71,7 +71,7 @@ def read_lines(path: Path) -> dict[int, HashLine]:
     """Return the complete lines, by frame. The result is empty if no line can be read."""
     lines: dict[int, HashLine] = {}
     try:
-        text = read_size_limited(path, _MAX_FILE_BYTES, follow=False).decode("utf-8", "replace")
+        text = read_size_limited(path, _MAX_FILE_BYTES, follows_links=False).decode("utf-8", "replace")
     except OSError:
         return lines
     for line in text.split("\n")[:-1]:
@@ -106,28 +106,30 @@ def find_checkpoint_damage(path: Path, frame: int, line: HashLine | None) -> str
     )
 
 
-def find_static_damage(path: Path, expected: str) -> str | None:
-    """Return a message on damage to `static.npz`, or None if it matches the hash `expected` of the manifest."""
-    return _find_hash_problem(path, _STATIC_PREFIX, expected)
+def find_static_damage(path: Path, expected_hash: str) -> str | None:
+    """Return a message on damage to `static.npz`, or None if it matches the hash `expected_hash` of the manifest."""
+    return _find_hash_problem(path, _STATIC_PREFIX, expected_hash)
 
 
-def _find_hash_problem(path: Path, prefix: bytes, expected: str) -> str | None:
+def _find_hash_problem(path: Path, prefix: bytes, expected_hash: str) -> str | None:
     """Return how a file differs from its hash, or None.
 
-    `expected`: the result of `_hash_headers` for `prefix` and the file's headers. In older caches: the hash of `prefix` and all
-    bytes of the file. Empty if there is no hash."""
+    `expected_hash`: the result of `_hash_headers` for `prefix` and the file's headers. In older caches: the hash of `prefix` and
+    all bytes of the file. Empty if there is no hash."""
     try:
-        handle = open_regular_file(path, follow=False)
+        handle = open_regular_file(path, follows_links=False)
     except FileNotFoundError:
         return f"`{path}` does not exist"
     except OSError as error:
         return f"`{path}` cannot be read: {(error.strerror or str(error)).lower()}"
     try:
-        if not expected:
+        if not expected_hash:
             return f"`{path}` has no hash in `{HASHES_FILE_NAME}`"
         held = read_blocks(handle, MAX_FILE_BYTES)
         actual = (
-            _hash_headers(prefix, read_headers(held)) if expected.startswith(_HEADER_METHOD_PREFIX) else _hash_bytes(prefix, held)
+            _hash_headers(prefix, read_headers(held))
+            if expected_hash.startswith(_HEADER_METHOD_PREFIX)
+            else _hash_bytes(prefix, held)
         )
     except NotStored:
         actual = ""
@@ -135,7 +137,7 @@ def _find_hash_problem(path: Path, prefix: bytes, expected: str) -> str | None:
         return f"`{path}` cannot be read: {(error.strerror or str(error)).lower()}"
     finally:
         os.close(handle)
-    return None if actual == expected else f"`{path}` differs from what was written"
+    return None if actual == expected_hash else f"`{path}` differs from what was written"
 
 
 _STATIC_PREFIX = b"static "
@@ -154,10 +156,10 @@ def _make_feet_prefix(feet: str) -> bytes:
     return f"{feet} ".encode() if feet else b""
 
 
-def _make_feet_input(expected: str, feet: str) -> bytes:
-    """Return the part of a frame's hash input that covers the feet. It is empty if `expected` is a hash of all bytes of the
+def _make_feet_input(expected_hash: str, feet: str) -> bytes:
+    """Return the part of a frame's hash input that covers the feet. It is empty if `expected_hash` is a hash of all bytes of the
     file."""
-    return _make_feet_prefix(feet) if expected.startswith(_HEADER_METHOD_PREFIX) else b""
+    return _make_feet_prefix(feet) if expected_hash.startswith(_HEADER_METHOD_PREFIX) else b""
 
 
 def _hash_headers(prefix: bytes, headers: Iterable[bytes]) -> str:

@@ -368,7 +368,7 @@ def read_manifest(folder: Path) -> Manifest:
     """Return the manifest of a cache's folder. Raises ManifestError with the reason if there is none."""
     path = folder / MANIFEST_FILE_NAME
     try:
-        text = read_size_limited(path, _MAX_MANIFEST_BYTES, follow=False).decode()
+        text = read_size_limited(path, _MAX_MANIFEST_BYTES, follows_links=False).decode()
     except FileTooLarge:
         raise ManifestError(f"`{path}` is too large for a manifest") from None
     except (OSError, UnicodeDecodeError):

@@ -89,7 +89,7 @@ def read_npz(path: Path, names: Container[str] | None = None) -> dict[str, NDArr
 
     Raises ArrayFileError for any other file, and OSError for a file that cannot be opened. Links are not followed."""
     try:
-        with open_size_limited(path, MAX_FILE_BYTES, follow=False) as file:
+        with open_size_limited(path, MAX_FILE_BYTES, follows_links=False) as file:
             return read_archive(file, os.fstat(file.fileno()).st_size, names)
     except FileTooLarge as error:
         raise ArrayFileError(f"has {error.size:,} bytes, more than the limit of {error.cap:,}") from None

@@ -147,7 +147,7 @@ def _split_name(name: str) -> tuple[str, str]:
     return (first, "" if last.isupper() and len(last) > 1 else last) if dot else ("", name)
 
 
-_BETWEEN_BY_FIELD = {_split_name(column.frame_name): column.between for column in FRAME_COLUMNS if column.between}
+_BETWEEN_BY_FIELD = {_split_name(column.frame_name): column.interpolation for column in FRAME_COLUMNS if column.interpolation}
 
 
 def find_interpolation(name: str) -> str:

@@ -26,7 +26,7 @@ from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportFormat:
-    """An export to files with some `endings`.
+    """An export to files with some `extensions`.
 
     `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return
     messages about omissions and changes.
@@ -36,7 +36,7 @@ class ExportFormat:
     `forbidden_strings`: strings that file names must not contain, because they have a special meaning for the export's
     libraries."""
 
-    endings: tuple[str, ...]
+    extensions: tuple[str, ...]
     forms: Mapping[str, Callable[..., Sequence[str] | None]]
     per_frame_forms: frozenset[str] = frozenset()
     coloured_forms: frozenset[str] = frozenset()
@@ -89,7 +89,7 @@ ALTERNATIVE_ADVICE = {
 
 def find_export(path: Path) -> ExportFormat | None:
     """Return the export for the ending of a path, in any case; None if there is none."""
-    return next((export for export in EXPORT_FORMATS if path.suffix.lower() in export.endings), None)
+    return next((export for export in EXPORT_FORMATS if path.suffix.lower() in export.extensions), None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,32 +119,32 @@ def _iterate_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, 
         previous, known_pairs = arrays, set(_list_contact_pairs(arrays))
 
 
-def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[EventRows]:
+def _compare_frames(gallery: Gallery, previous_arrays: Arrays, arrays: Arrays) -> Iterator[EventRows]:
     """Yield the events that follow from a comparison of two consecutive frames: births, deaths, state changes and footfalls."""
-    was, now = make_agent_keys(previous), make_agent_keys(arrays)
+    was, now = make_agent_keys(previous_arrays), make_agent_keys(arrays)
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
     yield _make_events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
-    yield _make_events("death", previous, np.flatnonzero(~np.isin(was, now)))
-    if "state" in arrays and "state" in previous:
-        changed = np.sort(right[previous["state"][left] != arrays["state"][right]])
+    yield _make_events("death", previous_arrays, np.flatnonzero(~np.isin(was, now)))
+    if "state" in arrays and "state" in previous_arrays:
+        changed = np.sort(right[previous_arrays["state"][left] != arrays["state"][right]])
         yield _make_events("state", arrays, changed, np.asarray(arrays["state"], np.int64)[changed])
     for number in range(len(gallery.manifest.species)):
         for which, key in enumerate(gallery.bodies.keys(number)):
-            yield from _footfalls(gallery, (number, which, key), previous, arrays)
+            yield from _footfalls(gallery, (number, which, key), previous_arrays, arrays)
 
 
-def _footfalls(gallery: Gallery, body: tuple[int, int, str], previous: Arrays, arrays: Arrays) -> Iterator[EventRows]:
+def _footfalls(gallery: Gallery, body: tuple[int, int, str], previous_arrays: Arrays, arrays: Arrays) -> Iterator[EventRows]:
     """Yield the feet that land between two frames, of agents with a body: its species, its index there, and its key."""
     number, which, key = body
-    down = [each.get(f"feet.{key}.down") for each in (previous, arrays)]
+    down = [each.get(f"feet.{key}.down") for each in (previous_arrays, arrays)]
     positions = arrays.get(f"feet.{key}.P")
     if down[0] is None or down[1] is None or positions is None:
         return
     rows = []
-    for each in (previous, arrays):
+    for each in (previous_arrays, arrays):
         own = find_species_rows(each, number)
         rows.append(own[gallery.bodies.numbers(number, get_agent_ids(each)[own]) == which])
-    was, now = (make_agent_keys(each)[own] for each, own in zip((previous, arrays), rows, strict=True))
+    was, now = (make_agent_keys(each)[own] for each, own in zip((previous_arrays, arrays), rows, strict=True))
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
     agent, leg = np.nonzero((down[0][left] == 0) & (down[1][right] != 0))
     row = right[agent]
@@ -155,7 +155,7 @@ def _make_events(
     kind: str,
     arrays: Arrays,
     rows: NDArray[np.intp],
-    what: NDArray[Any] | None = None,
+    event_details: NDArray[Any] | None = None,
     positions: NDArray[np.float64] | None = None,
 ) -> EventRows:
     """Return events of the agents in some rows of a frame. `N` is the agents' up.
@@ -164,7 +164,7 @@ def _make_events(
     none = np.full(len(rows), -1, np.int64)
     up = rotate_vectors(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_DEFAULT_UP, (len(rows), 1)))
     where = np.asarray(arrays["P"], np.float64)[rows] if positions is None else positions
-    details = none if what is None else np.asarray(what, np.int64)
+    details = none if event_details is None else np.asarray(event_details, np.int64)
     species, ids = get_species_numbers(arrays)[rows], get_agent_ids(arrays)[rows]
     return EventRows(kind, species, ids, where, up, details, none, none, np.zeros(len(rows)))
 

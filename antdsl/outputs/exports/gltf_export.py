@@ -156,7 +156,7 @@ class _BodyCollector:
             binding.deformer for body in self.bodies.values() for worn in body.outfits for binding in worn.bindings
         }  # fmt: skip
         if any("dualquat" in name for name in deformers):
-            messages.append("dual quaternion skinning is linear there: glTF has no other")
+            messages.append("dual quaternion skinning becomes linear: glTF has only linear skinning")
         return messages
 
 
@@ -227,10 +227,12 @@ class _AgentWriter:
                     rows = self._rows.list_keys(agent, max(int(steps[k][agent]), 1))
                     self._stage.write_weights(node, self._arrays["frame"][rows], weights[k][rows])
 
-    def _write_joints(self, agent: int, one: int) -> list[int]:
+    def _write_joints(self, agent: int, agent_id: int) -> list[int]:
         """Write the nodes of an agent and its joints, with their keys, and return their numbers."""
-        stage, name = self._stage, f"{self._species}_{one}"
-        nodes = [stage.add_agent(name, {"id": one, "species": self._species, **self._states.describe(self._species, one)})]
+        stage, name = self._stage, f"{self._species}_{agent_id}"
+        nodes = [
+            stage.add_agent(name, {"id": agent_id, "species": self._species, **self._states.describe(self._species, agent_id)})
+        ]
         rig = self._definition.rig
         for joint, parent in zip(rig.names, rig.parents.tolist(), strict=True):
             nodes.append(stage.add_joint(nodes[parent + 1], joint))
@@ -248,28 +250,30 @@ class _AgentWriter:
                     stage.write_value(node, path, values[first])
         return nodes
 
-    def _write_shape(self, worn: _WornShape, agent: int, one: int, nodes: list[int]) -> int | None:
+    def _write_shape(self, worn_shape: _WornShape, agent: int, agent_id: int, nodes: list[int]) -> int | None:
         """Write the node of a shape that an agent wears in some frames, and return its number. None: it never wears it."""
-        stage, binding, rig = self._stage, worn.binding, self._definition.rig
+        stage, binding, rig = self._stage, worn_shape.binding, self._definition.rig
         rows = np.arange(*self._rows.starts[agent : agent + 2].tolist())
-        frames = self._arrays["frame"][rows[np.isin(self._arrays["outfit"][rows], worn.outfits)]]
+        frames = self._arrays["frame"][rows[np.isin(self._arrays["outfit"][rows], worn_shape.outfits)]]
         if not len(frames):
             return None
-        colour = self._colours[one]
-        if colour not in worn.meshes:
-            worn.meshes[colour] = worn.parts.mesh(binding.shape, _write_materials(stage, worn.body, binding.shape, colour))
-        name, followed = f"{self._species}_{one}_{binding.shape}", dict(zip(rig.names, nodes[1:], strict=True))
+        colour = self._colours[agent_id]
+        if colour not in worn_shape.meshes:
+            worn_shape.meshes[colour] = worn_shape.parts.mesh(
+                binding.shape, _write_materials(stage, worn_shape.body, binding.shape, colour)
+            )
+        name, followed = f"{self._species}_{agent_id}_{binding.shape}", dict(zip(rig.names, nodes[1:], strict=True))
         is_always_worn = len(frames) == len(rows)
-        if not worn.is_skinned:
-            node = stage.add_body(followed.get(binding.transform, nodes[0]), name, worn.meshes[colour], None)
+        if not worn_shape.is_skinned:
+            node = stage.add_body(followed.get(binding.transform, nodes[0]), name, worn_shape.meshes[colour], None)
             if not is_always_worn:
                 stage.write_presence(node, frames)
             return node
         if not is_always_worn:  # points follow nodes at the joints: their scale hides the shape
-            for joint in worn.parts.followed_joints:
+            for joint in worn_shape.parts.followed_joints:
                 followed[joint] = stage.add_joint(followed[joint], f"{joint}_{binding.shape}")
                 stage.write_presence(followed[joint], frames)
-        return stage.add_body(None, name, worn.meshes[colour], worn.parts.add_skin(followed, nodes[0]))
+        return stage.add_body(None, name, worn_shape.meshes[colour], worn_shape.parts.add_skin(followed, nodes[0]))
 
 
 def _list_shapes(writer: GltfWriter, outfits: list[PosedBody]) -> Iterable[_WornShape]:

@@ -263,17 +263,17 @@ class GltfStage:
         self.write_keys(node, "rotation", np.arange(len(camera_frames)), np.array(turns))
 
 
-def _fit_rigid(first: Floats, later: Floats) -> tuple[Floats, Floats, float]:
-    """Return the rotation (x y z w) and the translation that best map the points `first` to `later`, and the largest error
+def _fit_rigid(first: Floats, second: Floats) -> tuple[Floats, Floats, float]:
+    """Return the rotation (x y z w) and the translation that best map the points `first` to `second`, and the largest error
     (Kabsch, 1976)."""
-    if np.array_equal(first, later):
+    if np.array_equal(first, second):
         return np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 0.0
-    a, b = first.mean(axis=0), later.mean(axis=0)
-    u, _, vt = np.linalg.svd((first - a).T @ (later - b))
+    a, b = first.mean(axis=0), second.mean(axis=0)
+    u, _, vt = np.linalg.svd((first - a).T @ (second - b))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
     turn = vt.T @ flip @ u.T
     move = b - turn @ a
-    return matrix_to_quaternion(turn), move, float(np.abs(first @ turn.T + move - later).max(initial=0.0))
+    return matrix_to_quaternion(turn), move, float(np.abs(first @ turn.T + move - second).max(initial=0.0))
 
 
 def _normalise(normals: NDArray[np.float32]) -> Floats:

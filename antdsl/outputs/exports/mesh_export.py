@@ -81,16 +81,18 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     return notes
 
 
-def _add_usd_mesh(out: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
+def _add_usd_mesh(stage_output: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
     species, _, number = part.name.rpartition("_")
-    import_pxr_module("UsdGeom").Xform.Define(out.stage, f"{ROOT_PATH}/{to_identifier(species)}")
-    usd_mesh = add_mesh(out.stage, f"{ROOT_PATH}/{to_identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
+    import_pxr_module("UsdGeom").Xform.Define(stage_output.stage, f"{ROOT_PATH}/{to_identifier(species)}")
+    usd_mesh = add_mesh(
+        stage_output.stage, f"{ROOT_PATH}/{to_identifier(species)}/agent_{number}", part.points, part.faces, part.normals
+    )
     assert part.colours is not None
     usd_mesh.CreateDisplayColorPrimvar("vertex").Set(to_vector_array(decode_srgb(part.colours)))
     attributes = (usd_mesh.GetPointsAttr(), usd_mesh.GetExtentAttr(), usd_mesh.GetNormalsAttr())
     for attribute in attributes:
         attribute.Clear()
-    return tuple(out.add_samples(attribute, to_vector_array, np.float32) for attribute in attributes)
+    return tuple(stage_output.add_samples(attribute, to_vector_array, np.float32) for attribute in attributes)
 
 
 def _find_common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, set[int]], list[str]]:
@@ -126,7 +128,7 @@ def _pose_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int
             )
         for a in range(0, len(rows), _AGENTS_PER_BATCH):
             parts += _pose_batch(key[0], crowd, rows[a : a + _AGENTS_PER_BATCH])
-    return (part for _, _, part in sorted(parts, key=lambda each: each[:2]))
+    return (part for _, _, part in sorted(parts, key=lambda part: part[:2]))
 
 
 def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, MeshPart]]:
@@ -136,7 +138,7 @@ def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[
     orient = np.asarray(crowd.orient, np.float64)[rows]
     placed = rotate_vectors(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
     across = rotate_vectors(orient, normals.astype(np.float64))
-    own, tint = encode_srgb(worn.compute_colours(take_rows(crowd.driven, rows))) / 255.0, worn.tint_weights[:, None]
+    own, tint = encode_srgb(worn.compute_colours(take_rows(crowd.driven_pose, rows))) / 255.0, worn.tint_weights[:, None]
     parts = []
     for k, row in enumerate(rows.tolist()):
         number, colours = int(crowd.ids[row]), own[k % len(own)] * (1 - tint) + tint * crowd.colour[row]

@@ -115,10 +115,10 @@ def compute_placements(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
 def make_pose_arrays(crowd: Crowd) -> dict[str, NDArray[Any]]:
     """Return, by name, the ids of a crowd's agents, their placement matrices, the transforms of their joints, and their
     channels."""
-    poses = crowd.compute_poses(local=True)
-    assert poses.local is not None and crowd.ids is not None
+    poses = crowd.compute_poses(needs_local=True)
+    assert poses.local_transforms is not None and crowd.ids is not None
     return {
         "id": np.asarray(crowd.ids, np.int64), "place": compute_placements(crowd, crowd.body.definition),
-        "world": to_square_matrices(poses.world), "local": to_square_matrices(poses.local),
+        "world": to_square_matrices(poses.world_transforms), "local": to_square_matrices(poses.local_transforms),
         "channels": np.ascontiguousarray(poses.channels),
     }  # fmt: skip

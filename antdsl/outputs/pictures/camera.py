@@ -73,12 +73,12 @@ def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, f
     x."""
     eye = np.asarray(camera.at, np.float64)
     right, top, ahead = compute_view_axes(eye, np.asarray(camera.look_at, np.float64), np.asarray(camera.up or up, np.float64))
-    if camera.wide is not None:
-        across = camera.wide / 2
+    if camera.parallel_width is not None:
+        across = camera.parallel_width / 2
     else:
         across = tan(radians(min(max(camera.fov, 1.0), 170.0)) / 2) if camera.fov is not None else 18.0 / max(camera.focal, 1.0)
     half = (across, across * height / width)
-    return CameraView(eye, right, top, ahead, half, width, height, camera.wide is not None)
+    return CameraView(eye, right, top, ahead, half, width, height, camera.parallel_width is not None)
 
 
 def to_tuple(values: Array) -> tuple[float, float, float]:

@@ -36,7 +36,7 @@ def make_top_camera(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
     wide = 1.04 * max(float(np.ptp(across)), aspect * float(np.ptp(along)), 1e-6)
     middle = right * (across.min() + across.max()) / 2 + north * (along.min() + along.max()) / 2
     at = middle + up * (high.max() + 0.5 * wide)
-    return Camera(to_tuple(at), to_tuple(at - up), up=to_tuple(north), wide=wide)
+    return Camera(to_tuple(at), to_tuple(at - up), up=to_tuple(north), parallel_width=wide)
 
 
 def make_fitted_camera(points: Array, up: Array, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
@@ -139,7 +139,7 @@ def find_agent_view(
             return None
         rows = np.flatnonzero(np.asarray(crowd.ids) == agent)
     else:
-        crowd = max((each for each in crowds if each.species == crowds[0].species), key=lambda each: len(each.position))
+        crowd = max((each for each in crowds if each.species == crowds[0].species), key=lambda crowd: len(crowd.position))
         rows = _find_crowded_rows(crowd)
     rays, upright = make_ray_scene(picture), np.asarray(picture.up, np.float64)
     best: tuple[float, AgentView] | None = None

@@ -38,10 +38,10 @@ class AgentPathLines:
     """Positions of n agents over consecutive frames.
 
     `positions` (n, frames, 3): NaN where an agent is missing.
-    `now`: the index of the picture's own frame."""
+    `current_index`: the index of the picture's own frame."""
 
     positions: Array
-    now: int
+    current_index: int
 
 
 @cache
@@ -59,8 +59,8 @@ class Crowd:
     `colour` (n, 3): display values 0..1, of vertices without a material or with the material `state`.
     `is_marked` (n,): whether small bodies show `colour` on all parts, since it means something. None: all do.
     `body`: the body (by default an ant). `body_key`: its key among the bodies of all species; empty means the species' name.
-    `plays`: the clips that each machine plays.
-    `driven`: channels and looks that states set.
+    `machine_clips`: the clips that each machine plays.
+    `driven_pose`: channels and looks that states set.
     `feet`: positions of the feet; None if unknown.
     `next_crowd`: the same agents, row by row, in the next frame, for motion blur.
     `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends), `paths`: needed only if they are displayed."""
@@ -75,24 +75,26 @@ class Crowd:
     feelers: Array | None = None
     paths: AgentPathLines | None = None
     body: PosedBody = field(default_factory=_load_default_body)
-    plays: tuple[MachineClips, ...] = ()
+    machine_clips: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
-    driven: DrivenPose = NO_DRIVEN_POSE
+    driven_pose: DrivenPose = NO_DRIVEN_POSE
     next_crowd: "Crowd | None" = None
     body_key: str = ""
     is_marked: NDArray[np.bool_] | None = None
 
-    def compute_poses(self, local: bool = False) -> Poses:
+    def compute_poses(self, needs_local: bool = False) -> Poses:
         """Return transforms and channels of all agents in the space of their body."""
         count = len(self.position)
-        return self.body.compute_poses(self.plays, count, self.select_feet(np.arange(count)), driven=self.driven, local=local)
+        return self.body.compute_poses(
+            self.machine_clips, count, self.select_feet(np.arange(count)), driven_pose=self.driven_pose, needs_local=needs_local
+        )
 
     def pose_vertices(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return vertices and unit normals float32[n, v, 3] of some agents, in body lengths along the axes of their body.
 
         `body`: the crowd's body, or its `fine` or `coarse` form."""
         return body.pose_vertices(
-            take_rows(self.plays, rows), len(rows), self.select_feet(rows), driven=take_rows(self.driven, rows)
+            take_rows(self.machine_clips, rows), len(rows), self.select_feet(rows), driven_pose=take_rows(self.driven_pose, rows)
         )
 
     def select_feet(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
@@ -103,9 +105,9 @@ class Crowd:
             *(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale))
         )
 
-    def select_rows(self, selected: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
+    def select_rows(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
         """Return the crowd with only the chosen agents. Feelers are dropped, since their rows are not agents."""
-        return take_rows(replace(self, feelers=None), selected)
+        return take_rows(replace(self, feelers=None), rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,14 +164,14 @@ class Camera:
 
     `focal`: focal length in mm.
     `fov`: angle of view across the width in degrees; if set, it overrides `focal`.
-    `wide`: if set, rays are parallel, and the picture is this wide in world units."""
+    `parallel_width`: if set, rays are parallel, and the picture is this wide in world units."""
 
     at: tuple[float, float, float]
     look_at: tuple[float, float, float]
     focal: float = 35.0
     fov: float | None = None
     up: tuple[float, float, float] | None = None
-    wide: float | None = None
+    parallel_width: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

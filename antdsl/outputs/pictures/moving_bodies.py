@@ -129,15 +129,15 @@ class SceneActors:
 def make_actors(
     picture: Picture,
     view: CameraView,
-    least: float = 0.0,
+    min_body_pixels: float = 0.0,
     ground: StaticSetting | None = None,
     blur: float = 0.0,
-    enlarged: float = 3.0,
+    max_enlargement: float = 3.0,
 ) -> SceneActors:
     """Return the moving part of `picture`, without invisible agents.
 
     Large agents in `view` use close-up bodies, and agents of a few pixels use few triangles.
-    `least`: shorter bodies are enlarged to this length in pixels, by a factor of at most `enlarged`.
+    `min_body_pixels`: shorter bodies are enlarged to this length in pixels, by a factor of at most `max_enlargement`.
     `ground`: loose soil is fitted to it.
     `blur`: the share of a frame for which the shutter is open."""
     parts: list[BodyMesh] = []
@@ -145,7 +145,7 @@ def make_actors(
     longest = 0.0
     for crowd in picture.crowds:
         if len(crowd.position):
-            parts += _pose_crowd(crowd, view, least, enlarged)
+            parts += _pose_crowd(crowd, view, min_body_pixels, max_enlargement)
             longest = max(longest, float(np.max(crowd.scale)))
     for item in picture.items:
         if item.shape != "none" and item.remaining_share > 0 and item.radius > 0:
@@ -230,9 +230,9 @@ def _find_covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[
     is_ahead = (ahead > 0).any(axis=1)
     few = is_ahead & ((high_ - low).max(axis=1) < _TINY_BODY_PIXELS)
 
-    def covered(which: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
-        first = np.clip(np.floor(low[which] - margin), 0, (wide, high)).astype(np.int64)
-        last = np.clip(np.ceil(high_[which] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
+    def covered(rows: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
+        first = np.clip(np.floor(low[rows] - margin), 0, (wide, high)).astype(np.int64)
+        last = np.clip(np.ceil(high_[rows] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
         return _fill_rectangles(first, last, wide, high).reshape(-1)
 
     return covered(np.asarray(is_ahead), 2.0), covered(np.asarray(few), 0.0)
@@ -248,7 +248,7 @@ def _fill_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], column_c
     return np.asarray(count.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
 
 
-def _pose_crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -> list[BodyMesh]:
+def _pose_crowd(crowd: Crowd, view: CameraView, min_body_pixels: float, max_enlargement: float) -> list[BodyMesh]:
     """Return the posed bodies of a crowd: close-up, normal and distant bodies by their size in the picture."""
     scale = np.asarray(crowd.scale, np.float64)
     finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
@@ -262,7 +262,7 @@ def _pose_crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -
     large = np.flatnonzero(is_visible & (pixels >= CLOSE_BODY_PIXELS))
     most = min(MAX_CLOSE_BODIES, MAX_CLOSE_TRIANGLES // max(1, len(crowd.body.fine.faces))) if len(large) else 0
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
-    sizes = np.minimum(np.maximum(scale, least * view.compute_pixel_size(near)), enlarged * scale)
+    sizes = np.minimum(np.maximum(scale, min_body_pixels * view.compute_pixel_size(near)), max_enlargement * scale)
     tiny = is_visible & (sizes < DISTANT_BODY_PIXELS * view.compute_pixel_size(near))
     far = np.setdiff1d(np.flatnonzero(is_visible & ~tiny), close)
     # On a body a few pixels long, parts with their own colours would hide the agent's colour.
@@ -290,7 +290,7 @@ def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: A
     bright = decode_srgb(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint_weights[None, :, None]
     tint = tint + (1 - tint) * (0.6 * plain[rows].astype(np.float32))[:, None, None]
-    colour = bright * tint + body.compute_colours(take_rows(crowd.driven, rows)) * (1 - tint)
+    colour = bright * tint + body.compute_colours(take_rows(crowd.driven_pose, rows)) * (1 - tint)
     place = np.asarray(crowd.position, np.float64)[rows]
     return _make_part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)
 
@@ -301,7 +301,7 @@ def _make_rotations(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:
 
 
 def _make_part(
-    local: Floats,
+    local_vertices: Floats,
     positions: Array,
     next_frame: tuple[Floats, Array] | None,
     faces: NDArray[np.int32],
@@ -310,11 +310,11 @@ def _make_part(
     gloss: float,
 ) -> BodyMesh:
     """Return a `BodyMesh` of bodies that share `faces`, with one gloss for all vertices."""
-    bodies, own = local.shape[:2]
+    bodies, own = local_vertices.shape[:2]
     every = (faces[None] + (np.arange(bodies, dtype=np.int32) * own)[:, None, None]).reshape(-1, 3)
     shine = np.full(bodies * own, gloss, np.float32)
     return BodyMesh(
-        local, positions, next_frame, every, normal.reshape(-1, 3), np.ascontiguousarray(colour).reshape(-1, 3), shine
+        local_vertices, positions, next_frame, every, normal.reshape(-1, 3), np.ascontiguousarray(colour).reshape(-1, 3), shine
     )
 
 

@@ -86,11 +86,11 @@ def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) ->
     return np.asarray(inside & near)
 
 
-def _draw_lines(draw: ImageDraw.ImageDraw, view: CameraView, ends: Array, colour: tuple[int, int, int]) -> None:
+def _draw_lines(draw: ImageDraw.ImageDraw, view: CameraView, end_points: Array, colour: tuple[int, int, int]) -> None:
     """Draw lines with end points (n, 2, 3). Lines with an end that is not in front of the camera are left out."""
-    if not len(ends):
+    if not len(end_points):
         return
-    pixels, ahead = view.project(ends.reshape(-1, 3))
+    pixels, ahead = view.project(end_points.reshape(-1, 3))
     pairs = pixels.reshape(-1, 4)
     is_drawn = (ahead.reshape(-1, 2) > 0).all(axis=1) & (np.abs(pairs) < 1e5).all(axis=1)
     width = 2 if view.height >= 900 else 1
@@ -111,10 +111,14 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: CameraView, paths: AgentPathLin
     pixels[is_visible] = view.project(points[is_visible])[0]
     visible_steps, flat = is_visible.reshape(count, frames), pixels.reshape(count, frames, 2)
     width = 3 if view.height >= 900 else 2
-    order = [*range(paths.now), *reversed(range(paths.now, frames - 1))]  # from each end towards the agent
+    order = [*range(paths.current_index), *reversed(range(paths.current_index, frames - 1))]  # from each end towards the agent
     for k in order:
-        ahead = k >= paths.now
-        share = (k + 1 - paths.now) / max(frames - 1 - paths.now, 1) if ahead else (paths.now - k) / max(paths.now, 1)
+        ahead = k >= paths.current_index
+        share = (
+            (k + 1 - paths.current_index) / max(frames - 1 - paths.current_index, 1)
+            if ahead
+            else (paths.current_index - k) / max(paths.current_index, 1)
+        )
         shade = np.ceil((1.0 - share) * _PATH_ALPHA_STEPS) / _PATH_ALPHA_STEPS
         alpha = round(_PATH_ALPHA_RANGE[0] + (_PATH_ALPHA_RANGE[1] - _PATH_ALPHA_RANGE[0]) * float(shade))
         both = visible_steps[:, k] & visible_steps[:, k + 1]

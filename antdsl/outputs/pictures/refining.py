@@ -39,17 +39,17 @@ class FirstPass:
     moving_pixels: NDArray[np.bool_]
 
 
-def sample_centres(still: StaticStage, lighting: PictureLighting, dyes: FieldColours) -> FirstPass:
+def sample_centres(static_stage: StaticStage, lighting: PictureLighting, dyes: FieldColours) -> FirstPass:
     """Return the first pass: the light of all pixels, sampled at their centres."""
-    samples, cast, threads = still.centre_samples, lighting.actors, lighting.threads
-    visible, opened = np.ones(len(samples), np.float32), still.open_share
+    samples, cast, threads = static_stage.centre_samples, lighting.actors, lighting.threads
+    visible, opened = np.ones(len(samples), np.float32), static_stage.open_share
     if cast.contact_reach > 0:
         reach = 1.1 * cast.contact_reach
         shadowed, around = cast.find_shadable_points(
             samples.point, lighting.sun, (SUN_HALF_ANGLE_TANGENT * cast.soft_edge_reach, reach)
         )
         visible = compute_visible_share(
-            still.grid,
+            static_stage.grid,
             samples.sun_cosine,
             lighting.sun,
             cast.rays[:: 1 + (len(cast.rays) > 4)],
@@ -57,24 +57,26 @@ def sample_centres(still: StaticStage, lighting: PictureLighting, dyes: FieldCol
             threads,
             shadowed,
         )
-        contact = compute_open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS_PER_PIXEL, threads, around)
+        contact = compute_open_share(
+            static_stage.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS_PER_PIXEL, threads, around
+        )
         opened = opened * contact
     albedo = dyes.colour_samples(samples)
     behind = np.empty_like(samples.direction)
 
-    lamp_light = _compute_lamp_light(still, lighting)
+    lamp_light = _compute_lamp_light(static_stage, lighting)
 
-    def fill(own: slice) -> None:
-        lamps = None if lamp_light is None else lamp_light[own]
-        lit = compute_static_light(lighting, samples, own, albedo[own], visible[own], opened[own], lamps)
-        behind[own] = apply_tone_curve(lit)
+    def fill(chunk: slice) -> None:
+        lamps = None if lamp_light is None else lamp_light[chunk]
+        lit = compute_static_light(lighting, samples, chunk, albedo[chunk], visible[chunk], opened[chunk], lamps)
+        behind[chunk] = apply_tone_curve(lit)
 
     run_each(fill, split_rows(len(samples)), threads)
     light = behind.copy()
     front, swept = np.zeros(len(samples), np.bool_), cast.tiny_body_pixels.copy()
     near = np.flatnonzero(cast.near_pixels)
     every = [
-        find_moving_hits(still, lighting, near, samples.distance[near], (0.5, 0.5), time_index)
+        find_moving_hits(static_stage, lighting, near, samples.distance[near], (0.5, 0.5), time_index)
         for time_index in range(len(cast.rays))
     ]
     hit_rows, hits = every[len(every) // 2]
@@ -83,7 +85,7 @@ def sample_centres(still: StaticStage, lighting: PictureLighting, dyes: FieldCol
     if len(every) > 1:
         for other, _ in every:
             swept[near[other]] = True
-    start, direction = still.view.make_rays(rows)
+    start, direction = static_stage.view.make_rays(rows)
     place = np.broadcast_to(start, direction.shape).astype(np.float32)
     for own in split_rows(len(rows)):
         part = _select_hits(hits, own)
@@ -92,24 +94,24 @@ def sample_centres(still: StaticStage, lighting: PictureLighting, dyes: FieldCol
     return FirstPass(light, behind, opened, front, swept)
 
 
-def _compute_lamp_light(still: StaticStage, lighting: PictureLighting) -> Floats | None:
+def _compute_lamp_light(static_stage: StaticStage, lighting: PictureLighting) -> Floats | None:
     """Return the light (h · w, 3) of lamps at the pixels' surfaces, with soft shadows; None without lamps."""
     if not lighting.lamps:
         return None
-    samples, light = still.centre_samples, np.zeros_like(still.centre_samples.direction)
+    samples, light = static_stage.centre_samples, np.zeros_like(static_stage.centre_samples.direction)
     middle = lighting.actors.lamp_occluders[len(lighting.actors.rays) // 2]
     for lamp in lighting.lamps:
         own = lamp.compute_light(samples.point, samples.normal)
         facing = own.max(axis=1, initial=0) - np.float32(1e-4)
         for rays in (lighting.ground, middle):
-            own *= compute_visible_share(still.grid, facing, lamp, [rays], 1.0, lighting.threads)[:, None]
+            own *= compute_visible_share(static_stage.grid, facing, lamp, [rays], 1.0, lighting.threads)[:, None]
         light += own
     light[~np.isfinite(samples.distance)] = 0
     return light
 
 
 def find_moving_hits(
-    still: StaticStage,
+    static_stage: StaticStage,
     lighting: PictureLighting,
     pixels: Rows,
     max_distances: Floats,
@@ -119,7 +121,7 @@ def find_moving_hits(
     """Return the rows of the rays that hit a moving body nearer than `max_distances` at one shutter time, and these hits.
 
     `position_in_pixel`: the position of the rays in their pixels."""
-    start, direction = still.view.make_rays(pixels, *position_in_pixel)
+    start, direction = static_stage.view.make_rays(pixels, *position_in_pixel)
     hits = lighting.actors.rays[time_index].find_first_hits(start, direction, lighting.threads)
     rows = np.flatnonzero(hits.t < max_distances)
     return rows, _select_hits(hits, rows)
@@ -130,11 +132,11 @@ def _select_hits(hits: PictureHits, rows: Rows | slice) -> PictureHits:
 
 
 def refine_pixels(
-    still: StaticStage, lighting: PictureLighting, dyes: FieldColours, first: FirstPass, max_samples: int
+    static_stage: StaticStage, lighting: PictureLighting, dyes: FieldColours, first: FirstPass, max_samples: int
 ) -> Floats:
     """Return display-linear light (h · w, 3). Pixels with edges or motion are means of several samples, at most `max_samples`."""
     light = first.light.copy()
-    pixels = _find_unsettled_pixels(still, first)
+    pixels = _find_unsettled_pixels(static_stage, first)
     if max_samples == 1 or not len(pixels):
         return light
     moments = len(lighting.actors.rays)
@@ -143,17 +145,17 @@ def refine_pixels(
     )
     count = max(count, min(moments, max_samples))
     spots = lighting.sun.sample_disc(count)
-    at_edge = still.grid.is_edge[pixels]
+    at_edge = static_stage.grid.is_edge[pixels]
     edges, others = np.flatnonzero(at_edge), np.flatnonzero(~at_edge)
     total = np.zeros((len(pixels), 3), np.float32)
     # Shutter times have a different order than positions in the pixel.
     order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
     for number, time_index in enumerate(order.tolist()):
-        one = _EdgeSample(still, lighting, compute_pixel_offset(number, count), time_index, spots[number], number, count)
-        total[edges] += one.compute_light(dyes, first, still.sample_edges(number, count, lighting.threads))
+        one = _EdgeSample(static_stage, lighting, compute_pixel_offset(number, count), time_index, spots[number], number, count)
+        total[edges] += one.compute_light(dyes, first, static_stage.sample_edges(number, count, lighting.threads))
         # Where the surface continues, the static light of the pixel's centre is used.
         total[others] += one.add_moving_light(
-            pixels[others], still.centre_samples.distance[pixels[others]], first.background_light[pixels[others]]
+            pixels[others], static_stage.centre_samples.distance[pixels[others]], first.background_light[pixels[others]]
         )
     light[pixels] = total / count
     return light
@@ -202,10 +204,10 @@ class _EdgeSample:
         return light
 
 
-def _find_unsettled_pixels(still: StaticStage, first: FirstPass) -> Rows:
+def _find_unsettled_pixels(static_stage: StaticStage, first: FirstPass) -> Rows:
     """Return the pixels that need more samples: where surfaces meet or a body moves, and where a body differs from its
     neighbours."""
-    high, wide = still.view.height, still.view.width
+    high, wide = static_stage.view.height, static_stage.view.width
     unsettled = first.moving_pixels.copy().reshape(high, wide)
     front = first.covered_pixels.reshape(high, wide)
     brightness = np.sqrt(first.light @ np.array([0.3, 0.6, 0.1], np.float32)).reshape(high, wide)
@@ -216,5 +218,5 @@ def _find_unsettled_pixels(still: StaticStage, first: FirstPass) -> Rows:
         step |= front[one_side] != front[other_side]
         unsettled[one_side] |= step
         unsettled[other_side] |= step
-    unsettled.reshape(-1)[still.edge_pixels] = True
+    unsettled.reshape(-1)[static_stage.edge_pixels] = True
     return np.flatnonzero(unsettled)

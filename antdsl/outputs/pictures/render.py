@@ -53,8 +53,8 @@ class Renderer:
         *,
         samples: int = 2,
         threads: int = 1,
-        least: float = 7.0,
-        enlarged: float = 3.0,
+        min_body_pixels: float = 7.0,
+        max_enlargement: float = 3.0,
         marks: float = 0.0,
         blur: float = 0.0,
     ) -> None:
@@ -63,7 +63,13 @@ class Renderer:
         if not 0 <= blur <= 1:
             raise ValueError("the shutter must be open for 0 to 1 of a frame")
         self.width, self.height, self.samples = width, height, samples
-        self.threads, self.least, self.enlarged, self.marks, self.blur = max(1, threads), least, enlarged, marks, blur
+        self.threads, self.least, self.enlarged, self.marks, self.blur = (
+            max(1, threads),
+            min_body_pixels,
+            max_enlargement,
+            marks,
+            blur,
+        )
         self._cached_settings: list[tuple[tuple[int, ...], StaticSetting, tuple[object, ...]]] = []
         self._cached_stages: dict[tuple[object, ...], _CameraCache] = {}
 

@@ -74,11 +74,11 @@ def compute_static_light(
     return light
 
 
-def compute_headlamp_light(facing: Floats, direct: Floats, open_share: Floats) -> Floats:
+def compute_headlamp_light(facing: Floats, direct_light: Floats, open_share: Floats) -> Floats:
     """Return the light (n, 3) of a lamp next to the camera, at points without light from the sun or the sky.
 
     It makes tunnels and chambers visible."""
-    dark = np.clip(1.15 - 1.5 * open_share, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
+    dark = np.clip(1.15 - 1.5 * open_share, 0, 1) * np.clip(1 - 3 * direct_light, 0, 1)
     return np.asarray(HEADLAMP_LIGHT * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 

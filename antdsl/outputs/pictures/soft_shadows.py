@@ -120,20 +120,20 @@ def _find_occluded(
 ) -> NDArray[np.bool_]:
     occluded = np.zeros(len(pixels), np.bool_)
 
-    def fill(own: slice) -> None:
-        own_pixels = pixels[own]
+    def fill(chunk: slice) -> None:
+        own_pixels = pixels[chunk]
         start = grid.point[own_pixels] + grid.normal[own_pixels] * np.float32(grid.ray_offset)
-        occluded[own] = occluder.find_occluded(start, directions[own], max_distance, threads)
+        occluded[chunk] = occluder.find_occluded(start, directions[chunk], max_distance, threads)
 
     run_each(fill, split_rows(len(pixels)), threads)
     return occluded
 
 
-def _find_partly_hidden(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_partly_hidden(is_hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether each pixel (h, w) has both hidden and visible pixels nearby."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    values = hidden.astype(np.uint8)
+    values = is_hidden.astype(np.uint8)
     size = 2 * _SHADOW_EDGE_PIXELS + 1
     return np.asarray(maximum_filter(values, size) != minimum_filter(values, size))
 
@@ -213,23 +213,29 @@ def compute_open_share(
 
 
 def _sample_open_share(
-    grid: PixelGrid, pixels: NDArray[np.int64], pick: NDArray[np.int64], rays: PictureRays, reach: float, count: int, threads: int
+    grid: PixelGrid,
+    pixels: NDArray[np.int64],
+    ray_picks: NDArray[np.int64],
+    rays: PictureRays,
+    reach: float,
+    count: int,
+    threads: int,
 ) -> Floats:
     directions = _make_hemisphere_directions(count)
     opened = np.empty(len(pixels), np.float32)
 
-    def fill(own: slice) -> None:
-        own_pixels = pixels[own]
+    def fill(chunk: slice) -> None:
+        own_pixels = pixels[chunk]
         normal = grid.normal[own_pixels]
         start = grid.point[own_pixels] + normal * np.float32(grid.ray_offset)
         side, other = _make_tangent_axes(normal)
         occlusion = np.zeros(len(own_pixels), np.float32)
         for ray in range(count):
-            aim = directions[ray * 16 + pick[own]]
+            aim = directions[ray * 16 + ray_picks[chunk]]
             towards = side * aim[:, :1] + other * aim[:, 1:2] + normal * aim[:, 2:3]
             length = reach * ((ray + 0.6) / count) ** 1.5  # near objects shade more than distant ones
             occlusion += rays.find_occluded(start, towards, length, threads)
-        opened[own] = 1 - occlusion / count
+        opened[chunk] = 1 - occlusion / count
 
     run_each(fill, split_rows(len(pixels)), threads)
     return opened
@@ -253,8 +259,8 @@ def _fill_open_share(
     targets = targets[grid.is_near_edge(targets, 2)]
     lonely: list[NDArray[np.int64]] = []
 
-    def fill(own: slice) -> None:
-        pixels = targets[own]
+    def fill(chunk: slice) -> None:
+        pixels = targets[chunk]
         row, column = np.divmod(pixels, wide)
         point, normal = grid.point[pixels], grid.normal[pixels]
         allowed = 2 * _compute_plane_tolerance(grid, point)
@@ -279,12 +285,12 @@ def _fill_open_share(
     return full
 
 
-def _upsample_values(small: Floats, row_count: int, column_count: int) -> Floats:
+def _upsample_values(coarse_values: Floats, row_count: int, column_count: int) -> Floats:
     """Return values (h · w,), interpolated linearly from those of every second pixel."""
-    rows = np.empty((2 * small.shape[0], small.shape[1]), np.float32)
-    rows[::2] = small
-    rows[1::2] = (small + np.concatenate([small[1:], small[-1:]])) / 2
-    full = np.empty((len(rows), 2 * small.shape[1]), np.float32)
+    rows = np.empty((2 * coarse_values.shape[0], coarse_values.shape[1]), np.float32)
+    rows[::2] = coarse_values
+    rows[1::2] = (coarse_values + np.concatenate([coarse_values[1:], coarse_values[-1:]])) / 2
+    full = np.empty((len(rows), 2 * coarse_values.shape[1]), np.float32)
     full[:, ::2] = rows
     full[:, 1::2] = (rows + np.concatenate([rows[:, 1:], rows[:, -1:]], axis=1)) / 2
     return np.ascontiguousarray(full[:row_count, :column_count]).reshape(-1)

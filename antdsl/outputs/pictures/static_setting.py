@@ -197,16 +197,16 @@ def scatter_pebbles(
     return join_meshes(meshes) if meshes else None
 
 
-def _draw_pebbles(area: Array, away: Array, size_class: int) -> tuple[NDArray[np.int64], Array]:
+def _draw_pebbles(area: Array, camera_distances: Array, size_class: int) -> tuple[NDArray[np.int64], Array]:
     """Return the triangles of the pebbles of a size class near the camera, and five random numbers for each pebble.
 
-    `area`: of each triangle, 0 if it has no pebbles. `away`: distances of the triangles from the camera."""
+    `area`: of each triangle, 0 if it has no pebbles. `camera_distances`: distances of the triangles from the camera."""
     radius, own = 2.0**size_class, np.arange(len(area))
     patch, rest = _draw_random_numbers(own, np.full(len(area), _MAX_PEBBLES_PER_FACE), size_class)[:, :2].T
     mean = area * (_PEBBLES_PER_SQUARE_RADIUS / radius**2) * (0.35 + 1.3 * patch**2)
     count = np.minimum(mean + rest, _MAX_PEBBLES_PER_FACE).astype(np.int64)
-    near = np.flatnonzero((away < _PEBBLE_RANGE_PER_RADIUS * radius) & (count > 0))
-    near = near[np.argsort(away[near], kind="stable")]
+    near = np.flatnonzero((camera_distances < _PEBBLE_RANGE_PER_RADIUS * radius) & (count > 0))
+    near = near[np.argsort(camera_distances[near], kind="stable")]
     near = near[: int(np.searchsorted(np.cumsum(count[near]), _MAX_PEBBLES))]
     face = np.repeat(near, count[near])
     rank = np.arange(len(face)) - np.repeat(np.cumsum(count[near]) - count[near], count[near])

@@ -139,12 +139,12 @@ def _sample_position(
     far, light, upness, facing = (np.zeros(n, np.float32) for _ in range(4))
     kind = np.zeros(n, np.uint8)
 
-    def fill(own: slice) -> None:
-        start, towards = view.make_rays(pixels[own], *pixel_position)
+    def fill(chunk: slice) -> None:
+        start, towards = view.make_rays(pixels[chunk], *pixel_position)
         hits = setting.rays.find_first_hits(start, towards, threads)
-        direction[own], far[own] = towards, hits.t
+        direction[chunk], far[chunk] = towards, hits.t
         hit_rows = np.flatnonzero(hits.face >= 0)
-        first = own.start + hit_rows
+        first = chunk.start + hit_rows
         begin = start if start.ndim == 1 else start[hit_rows]
         where: Floats = begin.astype(np.float32) + hits.t[hit_rows, None] * towards[hit_rows]
         look, smooth = _make_surface_materials(setting, view, hits, towards[hit_rows], where, hit_rows, scales)

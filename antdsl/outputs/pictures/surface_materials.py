@@ -153,99 +153,99 @@ def _add_sand(
         albedo[rows] += (_BASALT_COLOUR - albedo[rows]) * (0.5 * dark)[:, None]
 
 
-def _mix_colours(first: Floats, second: Floats, share: Floats) -> Floats:
-    mixed: Floats = first + (second - first) * np.clip(share, 0.0, 1.0)[:, None]
+def _mix_colours(first_colour: Floats, second_colour: Floats, share: Floats) -> Floats:
+    mixed: Floats = first_colour + (second_colour - first_colour) * np.clip(share, 0.0, 1.0)[:, None]
     return mixed
 
 
-def _colour_ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
-    colour = _mix_colours(SOIL_COLOUR, _DRY_SOIL_COLOUR, 0.5 + 0.9 * large)
-    colour = _mix_colours(colour, _MOSS_COLOUR, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
+def _colour_ground(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    colour = _mix_colours(SOIL_COLOUR, _DRY_SOIL_COLOUR, 0.5 + 0.9 * noise)
+    colour = _mix_colours(colour, _MOSS_COLOUR, (0.55 * patch - 0.75 * noise - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
     return _mix_colours(colour, _ROCK_COLOUR, (0.86 - upness + 0.10 * patch) * 4.0)
 
 
-def _colour_stone(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
-    tone = np.clip(1.0 + 1.2 * large, 0.0, 2.0)
+def _colour_stone(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    tone = np.clip(1.0 + 1.2 * noise, 0.0, 2.0)
     first = _mix_colours(_STONE_COLOURS[0], _STONE_COLOURS[1], 1 - tone)
     return _mix_colours(first, _STONE_COLOURS[2], tone - 1) * (1 + 0.12 * patch)[:, None]
 
 
-def _colour_boulder(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_boulder(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     bands = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 60)) + 3 * patch)
     colour = _BOULDER_COLOUR * (1 + 0.07 * bands + 0.08 * patch)[:, None]
-    return _mix_colours(colour, _LICHEN_COLOUR, (patch + 0.5 * large - 0.35) * 1.8 * np.clip(upness, 0, 1))
+    return _mix_colours(colour, _LICHEN_COLOUR, (patch + 0.5 * noise - 0.35) * 1.8 * np.clip(upness, 0, 1))
 
 
-def _colour_hill(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
-    return _HILL_COLOUR * (1 + 0.14 * patch + 0.10 * large)[:, None]
+def _colour_hill(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return _HILL_COLOUR * (1 + 0.14 * patch + 0.10 * noise)[:, None]
 
 
-def _colour_table(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_table(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     return np.broadcast_to(_TABLE_COLOUR, points.shape)
 
 
-def _colour_edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
-    layers = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 70)) + 2.2 * patch + 3 * large)
+def _colour_edge(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    layers = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 70)) + 2.2 * patch + 3 * noise)
     colour: Floats = _EARTH_COLOUR * (1 + 0.16 * layers + 0.10 * patch)[:, None]
     return colour
 
 
-def _colour_grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_grain(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     tone, _ = compute_value_noise(points, scales.grain * 0.9, 9)
     return _mix_colours(_mix_colours(SOIL_COLOUR, _ROCK_COLOUR, 0.45 - 1.4 * tone), _DRY_SOIL_COLOUR * 1.1, 1.6 * tone)
 
 
-def _colour_figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
-    return _mix_colours(_CLAY_COLOUR, _PALE_CLAY_COLOUR, 0.5 + 0.5 * large + 0.25 * patch)
+def _colour_figure(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return _mix_colours(_CLAY_COLOUR, _PALE_CLAY_COLOUR, 0.5 + 0.5 * noise + 0.25 * patch)
 
 
-def _colour_metal(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_metal(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     return 0.30 * STEEL_COLOUR * (1 + 0.08 * patch)[:, None]
 
 
-def _colour_leaf(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_leaf(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     fine, _ = compute_value_noise(points, scales.extent / 90, 12)
     return _mix_colours(
-        _LEAF_COLOUR * (1 + 0.22 * patch + 0.15 * large)[:, None], _LEAF_VEIN_COLOUR, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6
+        _LEAF_COLOUR * (1 + 0.22 * patch + 0.15 * noise)[:, None], _LEAF_VEIN_COLOUR, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6
     )
 
 
-def _colour_light(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_light(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     return np.broadcast_to(LIGHT_COLOUR, points.shape)
 
 
-def _colour_wood(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_wood(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     """Return the colour of planed wood: annual rings around a long axis, wavy by noise."""
     axis = _PATTERN_ROTATION[0]
     across = points - (points @ axis)[:, None] * axis
-    rings = np.linalg.norm(across, axis=1) / np.float32(scales.grain * 0.35) + 1.4 * large + 0.5 * patch
+    rings = np.linalg.norm(across, axis=1) / np.float32(scales.grain * 0.35) + 1.4 * noise + 0.5 * patch
     share = (rings % 1.0) ** 2
     fine, _ = compute_value_noise(points, scales.grain * 0.25, 13)
     return _mix_colours(_WOOD_COLOUR * (1 + 0.10 * patch + 0.06 * fine)[:, None], _LATE_WOOD_COLOUR, 0.75 * share)
 
 
-def _colour_bark(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_bark(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     """Return the colour of bark: dark furrows between plates, with lichen in patches."""
     ridge, _ = compute_value_noise(points * (1 - 0.75 * up), scales.grain * 1.1, 14)
     fine, _ = compute_value_noise(points * (1 - 0.6 * up), scales.grain * 0.35, 15)
     plate = _mix_colours(_FURROW_COLOUR, _BARK_COLOUR, 1.3 * np.sqrt(np.abs(ridge + 0.3 * fine)))
-    return _mix_colours(plate * (1 + 0.15 * large)[:, None], _LICHEN_COLOUR, (patch + 0.4 * large - 0.5) * 0.9)
+    return _mix_colours(plate * (1 + 0.15 * noise)[:, None], _LICHEN_COLOUR, (patch + 0.4 * noise - 0.5) * 0.9)
 
 
-def _colour_sand(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
-    return _SAND_COLOUR * (1 + 0.08 * patch + 0.07 * large)[:, None]
+def _colour_sand(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return _SAND_COLOUR * (1 + 0.08 * patch + 0.07 * noise)[:, None]
 
 
-def _colour_grass(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_grass(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     blades, _ = compute_value_noise(points * (1 - 0.8 * up), scales.grain * 0.3, 16)
-    green = _mix_colours(_GRASS_COLOUR, _DRY_GRASS_COLOUR, 0.45 + 0.6 * patch + 0.5 * large)
-    bare = _mix_colours(green * (1 + 0.35 * blades)[:, None], SOIL_COLOUR, 1.5 * (0.7 * patch - large - 0.6))
+    green = _mix_colours(_GRASS_COLOUR, _DRY_GRASS_COLOUR, 0.45 + 0.6 * patch + 0.5 * noise)
+    bare = _mix_colours(green * (1 + 0.35 * blades)[:, None], SOIL_COLOUR, 1.5 * (0.7 * patch - noise - 0.6))
     return _mix_colours(bare, _ROCK_COLOUR, (0.7 - upness) * 3.0)
 
 
-def _colour_food(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+def _colour_food(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     pores, _ = compute_value_noise(points, scales.grain * 0.4, 17)
-    return _mix_colours(_CRUMB_COLOUR * (1 + 0.10 * patch)[:, None], _CRUST_COLOUR, 0.5 * large + 0.6 * np.clip(pores, 0, 1))
+    return _mix_colours(_CRUMB_COLOUR * (1 + 0.10 * patch)[:, None], _CRUST_COLOUR, 0.5 * noise + 0.6 * np.clip(pores, 0, 1))
 
 
 _COLOUR_FUNCTION_BY_KIND = {

@@ -86,7 +86,7 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBind
     return skel_definition
 
 
-def _add_variants(prim: Any, names: list[str], selected: str) -> None:
+def _add_variants(prim: Any, names: list[str], selected_variant: str) -> None:
     """Add a variant set `detail`. Each variant hides the others."""
     variants = prim.GetVariantSets().AddVariantSet("detail")
     for name in names:
@@ -96,7 +96,7 @@ def _add_variants(prim: Any, names: list[str], selected: str) -> None:
             for other in names:
                 if other != name:
                     prim.GetStage().OverridePrim(f"{prim.GetPath()}/rig/{other}").SetActive(False)
-    variants.SetVariantSelection(selected)
+    variants.SetVariantSelection(selected_variant)
 
 
 def make_joint_paths(definition: Definition) -> tuple[str, ...]:
@@ -132,7 +132,7 @@ class _SkeletonTable:
         shape."""
         capture = shape.capture
         numbers = [self._definition.rig.joint(name) for name in capture.names] if capture else []
-        target = np.linalg.inv(capture.inverse) if capture else np.zeros((0, 4, 4))
+        target = np.linalg.inv(capture.inverse_matrices) if capture else np.zeros((0, 4, 4))
         for path, bind, known, attribute in self._skeletons:
             deviation = np.abs(bind[numbers] - target)[known[numbers]]
             if deviation.max(initial=0.0) <= _SAME_POSE_TOLERANCE * self._definition.length:
@@ -197,7 +197,7 @@ def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, sha
     """Add notes on the differences between a binding and its form in UsdSkel."""
     if "dualquatblendskinning" in steps:
         skel_definition.notes.append(
-            f"`{shape.name}` blends linear and dual quaternion skinning: UsdSkel has one of them, dual quaternions"
+            f"`{shape.name}` blends linear and dual quaternion skinning, but UsdSkel has no blend: it gets dual quaternions"
         )
     known = {"blendshape", "linearskinning", "dualquatskinning", "dualquatblendskinning"}
     others = [step for step in steps if step not in known]

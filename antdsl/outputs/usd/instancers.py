@@ -34,13 +34,13 @@ class InstancerWriter:
 
     notes: tuple[str, ...] = ()
 
-    def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
-        self._out, self._number, stage = out, number, out.stage
-        path = f"{ROOT_PATH}/{out.name('species', species.name)}"
+    def __init__(self, stage_output: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
+        self._out, self._number, stage = stage_output, number, stage_output.stage
+        path = f"{ROOT_PATH}/{stage_output.name('species', species.name)}"
         self.instancer = import_pxr_module("UsdGeom").PointInstancer.Define(stage, path)
         import_pxr_module("UsdGeom").Scope.Define(stage, f"{path}/prototypes")
         write_state_names(self.instancer.GetPrim(), species)
-        self._bank = PrototypeBank(out, species, close)
+        self._bank = PrototypeBank(stage_output, species, close)
         self._prototype_count = 0
         self._samples: dict[str, ValueSamples] = {}
         self._previous_quaternions = (np.zeros(0, np.int64), np.zeros((0, 4)))

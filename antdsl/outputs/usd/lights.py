@@ -24,9 +24,9 @@ _SUN_ANGLE_DEGREES = 3.4  # of the sun's disc, as in pictures
 class LightWriter:
     """Writer of the lights. Lamps move and shrink with their items."""
 
-    def __init__(self, out: StageOutput, gallery: Gallery) -> None:
-        self._out, self._lamps, self._settings = out, list[tuple[ValueSamples, ValueSamples]](), gallery.light
-        stage, lux = out.stage, import_pxr_module("UsdLux")
+    def __init__(self, stage_output: StageOutput, gallery: Gallery) -> None:
+        self._out, self._lamps, self._settings = stage_output, list[tuple[ValueSamples, ValueSamples]](), gallery.light
+        stage, lux = stage_output.stage, import_pxr_module("UsdLux")
         import_pxr_module("UsdGeom").Scope.Define(stage, f"{ROOT_PATH}/lights")
         if self._settings.sun > 0:
             sun = lux.DistantLight.Define(stage, f"{ROOT_PATH}/lights/sun")

@@ -43,15 +43,17 @@ _MAX_FINE_TRIANGLES = 1500  # the coarse body is used if the fine one has more t
 class PrototypeBank:
     """The poses of one species (as class prims), and its prototypes below the path of its instancer."""
 
-    def __init__(self, out: StageOutput, species: SpeciesEntry, close: bool = False) -> None:
-        self._stage, self._name, self._uses_close_bodies = out.stage, out.name("species", species.name), close
+    def __init__(self, stage_output: StageOutput, species: SpeciesEntry, close: bool = False) -> None:
+        self._stage, self._name, self._uses_close_bodies = stage_output.stage, stage_output.name("species", species.name), close
         self._bodies: list[tuple[PosedBody, _PoseBody]] = []
         self._prototype_by_key: dict[tuple[int, ...], int] = {}
         self._path_by_pose: dict[tuple[int, ...], str] = {}
         self.paths: list[str] = []
         self.max_reach = 0.0
         states = species.machines[0].states if species.machines else ()
-        self._colours = decode_srgb(np.array([state.colour for state in states])) if out.shows_states and states else None
+        self._colours = (
+            decode_srgb(np.array([state.colour for state in states])) if stage_output.shows_states and states else None
+        )
         self._states = [to_identifier(state.name) for state in states]
 
     def find_prototypes(self, agents: SpeciesSample) -> NDArray[np.int32]:
@@ -141,11 +143,11 @@ class _PoseBody:
         stage.CreateClassPrim(self._path)
         self._materials = MaterialBinder(stage, f"{MATERIALS_PATH}/{name}", posed_body.definition.materials)
 
-    def write_pose(self, number: int, played: list[int]) -> tuple[str, float]:
+    def write_pose(self, number: int, clip_codes: list[int]) -> tuple[str, float]:
         """Write the mesh of a pose. Return its path and its reach in body lengths."""
         machines = [
             make_single_clips(np.array([p // (POSES_PER_CLIP + 1) - 1]), np.array([p % (POSES_PER_CLIP + 1) / POSES_PER_CLIP]))
-            for p in played
+            for p in clip_codes
         ]
         poses: Poses = self._body_mesh.body.compute_poses(machines, 1)
         points, normals = (each[0] for each in self._body_mesh.body.compute_shape_points(poses))
@@ -172,12 +174,12 @@ def compute_clip_codes(body: PosedBody, crowd: Crowd, speed: NDArray[np.float64]
     to its speed. The phase is that of its feet."""
     clips = [body.definition.clips.get(each.clip) for each in list_bank_clips(body)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
-    groups = np.array([bool(each.on) for each in list_bank_clips(body)] + [False])
+    groups = np.array([bool(each.group) for each in list_bank_clips(body)] + [False])
     added = np.array([each.add for each in list_bank_clips(body)] + [False])  # clips added to others are omitted
     steps = np.where(groups, _POSES_PER_GROUP_CLIP, POSES_PER_CLIP)
     count = len(crowd.position)
     body_codes, on_parts = np.full(count, 0, np.int64), []
-    for machine in crowd.plays:
+    for machine in crowd.machine_clips:
         fade = np.clip(machine.fade, 0.0, 1.0)
         weight, previous_weight = machine.weight * (1 - fade), machine.before_weight * fade
         clip = np.where(weight >= previous_weight, machine.clip, machine.before).astype(np.int64)

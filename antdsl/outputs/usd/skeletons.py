@@ -37,15 +37,17 @@ class SkeletonWriter:
     With `copies`, agents are full copies, and their meshes have the state colours. Some programs need this, because they do not
     pose instances or inherit primvars."""
 
-    def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
-        self._out, self._species, self._number, stage = out, species, number, out.stage
-        self._path = f"{ROOT_PATH}/{out.name('species', species.name)}"
+    def __init__(
+        self, stage_output: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False
+    ) -> None:
+        self._out, self._species, self._number, stage = stage_output, species, number, stage_output.stage
+        self._path = f"{ROOT_PATH}/{stage_output.name('species', species.name)}"
         write_state_names(import_pxr_module("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
         import_pxr_module("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
         self._bodies: dict[int, tuple[PosedBody, SkelDefinition]] = {}
         self._agents = dict[tuple[int, int], _AgentPrim]()  # by agent id and body
         self._hideable_agents: set[tuple[int, int]] = set()
-        self._named_agents, self._file_number = set[int](), out.file_number
+        self._named_agents, self._file_number = set[int](), stage_output.file_number
         self._first: float | None = None
         self._has_shear, self._copies, self._uses_close_bodies = False, copies, close
 
@@ -111,10 +113,10 @@ class _JointSamples:
     `channels` float32[n, C]."""
 
     def __init__(self, poses: Poses) -> None:
-        assert poses.local is not None
-        n, count = poses.local.shape[:2]
+        assert poses.local_transforms is not None
+        n, count = poses.local_transforms.shape[:2]
         square = np.zeros((n * count, 4, 4))
-        square[:, :3] = poses.local.reshape(n * count, 3, 4)
+        square[:, :3] = poses.local_transforms.reshape(n * count, 3, 4)
         place, turn, scale, shear = decompose_matrices(square)
         self.has_shear = bool((np.abs(shear) > _MAX_IGNORED_SHEAR).any())
         parts = (np.moveaxis(each, 0, -1).reshape(n, count, len(each)) for each in (place, turn, scale))
@@ -139,7 +141,7 @@ def _sample_joints(time_sample: TimeSample, number: int, part: int, body: PosedB
     """Return the joints of the agents with a body, at a time. After the last frame, the last motion continues."""
     agents = time_sample.species[number]
     crowd, rows = agents.parts[part]
-    joints = _JointSamples(crowd.compute_poses(local=True))
+    joints = _JointSamples(crowd.compute_poses(needs_local=True))
     others, share = time_sample.next_agents, time_sample.share
     if not others:
         others, share = time_sample.previous_agents, -share
@@ -148,7 +150,7 @@ def _sample_joints(time_sample: TimeSample, number: int, part: int, body: PosedB
     for other, other_rows in others[number].parts:
         if other.body is body:
             at, same = match_ids(agents.ids[rows], others[number].ids[other_rows])
-            joints.interpolate_rows(same, _JointSamples(other.compute_poses(local=True)), at, share)
+            joints.interpolate_rows(same, _JointSamples(other.compute_poses(needs_local=True)), at, share)
     return joints
 
 
@@ -157,7 +159,7 @@ class _AgentPrim:
 
     def __init__(
         self,
-        out: StageOutput,
+        stage_output: StageOutput,
         parent_path: str,
         path: str,
         name: int,
@@ -174,25 +176,27 @@ class _AgentPrim:
             import_pxr_module("Vt"),
             import_pxr_module("Gf"),
         )
-        stage, self._out = out.stage, out
+        stage, self._out = stage_output.stage, stage_output
         moves = skel.Animation.Define(stage, f"{parent_path}/motion/{path}")
         moves.CreateJointsAttr(vt.TokenArray(list(body.joints)))
         array = vt.Vec3fArray.FromNumpy
         self._joints = (
-            out.add_samples(moves.CreateTranslationsAttr(), array, np.float32),
-            out.add_samples(moves.CreateRotationsAttr(), vt.QuatfArray.FromNumpy, np.float32),
-            out.add_samples(moves.CreateScalesAttr(), vt.Vec3hArray.FromNumpy, np.float16),
+            stage_output.add_samples(moves.CreateTranslationsAttr(), array, np.float32),
+            stage_output.add_samples(moves.CreateRotationsAttr(), vt.QuatfArray.FromNumpy, np.float32),
+            stage_output.add_samples(moves.CreateScalesAttr(), vt.Vec3hArray.FromNumpy, np.float16),
         )
         self._weights = None
         if body.channels:
             moves.CreateBlendShapesAttr(vt.TokenArray([to_identifier(channel) for channel in body.channels]))
-            self._weights = out.add_samples(moves.CreateBlendShapeWeightsAttr(), vt.FloatArray.FromNumpy, np.float32)
+            self._weights = stage_output.add_samples(moves.CreateBlendShapeWeightsAttr(), vt.FloatArray.FromNumpy, np.float32)
         root = skel.Root.Define(stage, f"{parent_path}/{path}")
         prim = root.GetPrim()
         single, double = geom.XformOp.PrecisionFloat, geom.XformOp.PrecisionDouble
-        self._translations = out.add_samples(root.AddTranslateOp(double), lambda v: gf.Vec3d(*v.tolist()))
-        self._rotations = out.add_samples(root.AddOrientOp(single), lambda v: gf.Quatf(float(v[3]), *v[:3].tolist()), np.float32)
-        self._scales = out.add_samples(root.AddScaleOp(single), lambda v: gf.Vec3f(*v.tolist()), np.float32)
+        self._translations = stage_output.add_samples(root.AddTranslateOp(double), lambda v: gf.Vec3d(*v.tolist()))
+        self._rotations = stage_output.add_samples(
+            root.AddOrientOp(single), lambda v: gf.Quatf(float(v[3]), *v[:3].tolist()), np.float32
+        )
+        self._scales = stage_output.add_samples(root.AddScaleOp(single), lambda v: gf.Vec3f(*v.tolist()), np.float32)
         prim.GetPayloads().AddInternalPayload(body.path)
         prim.SetInstanceable(not copies)
         skel.BindingAPI.Apply(prim).CreateAnimationSourceRel().SetTargets([moves.GetPath()])
@@ -202,12 +206,12 @@ class _AgentPrim:
         tinted = (stage.OverridePrim(f"{parent_path}/{path}/{below}") for below in body.tinted_meshes if copies)
         tints = [geom.PrimvarsAPI(each).CreatePrimvar("displayColor", types.Color3fArray, "constant") for each in tinted]
         self._colour = [
-            out.add_samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *tints)
+            stage_output.add_samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *tints)
         ]
         self._names = [state.name for state in species.machines[0].states] if species.machines else []
         self._numbers: dict[str, ValueSamples] = {}
         self._previous_values = (np.zeros(4), None)
-        self._visibility = Visibility(out, root, first, time)
+        self._visibility = Visibility(stage_output, root, first, time)
 
     def write_placement(self, time: float, agents: SpeciesSample, row: int, colour: NDArray[np.floating]) -> None:
         """Write position, orientation, scale, colour, state and numbers at a time."""

@@ -186,14 +186,14 @@ def _write_metadata(stage: Any, gallery: Gallery, frames: list[int]) -> None:
 class ValueFiles:
     """The files with the values of a stage that is written to `path`."""
 
-    def __init__(self, out: StageOutput, path: Path, frames: list[int], chunk: int) -> None:
-        self._out, self._path, self._frames = out, path, frames
+    def __init__(self, stage_output: StageOutput, path: Path, frames: list[int], chunk: int) -> None:
+        self._out, self._path, self._frames = stage_output, path, frames
         groups = {(frame - frames[0]) // chunk: frame for frame in reversed(frames)} if chunk else {}
         self._first_frames = sorted(groups.values())
         self._unfinished_files = ExitStack()
         self._layer: Any = None
         if self._first_frames:
-            out.manifest_layer = import_pxr_module("Sdf").Layer.CreateAnonymous("manifest.usda")
+            stage_output.manifest_layer = import_pxr_module("Sdf").Layer.CreateAnonymous("manifest.usda")
 
     def starts_new_file(self, frame: int) -> bool:
         """Return whether a new file begins with this frame."""
@@ -249,5 +249,5 @@ class ValueFiles:
         clips.SetClipActive(vt.Vec2dArray([gf.Vec2d(begin, k) for k, begin in enumerate(begins)]), _DEFAULT_CLIP_SET)
         clips.SetClipTimes(vt.Vec2dArray([gf.Vec2d(end, end) for end in ends]), _DEFAULT_CLIP_SET)
 
-    def _make_file_path(self, ending: str) -> Path:
-        return self._path.with_name(f"{self._path.stem}.values.{ending}")
+    def _make_file_path(self, extension: str) -> Path:
+        return self._path.with_name(f"{self._path.stem}.values.{extension}")

@@ -42,8 +42,10 @@ class ValueSamples:
 
     `always`: write a value at every time. Some readers use the attribute only at the times of other attributes."""
 
-    def __init__(self, out: StageOutput, attribute: Any, convert: Callable[[Array], Any], array_type: Any, always: bool) -> None:
-        self._out, self._convert, self._array_type, self._writes_always = out, convert, array_type, always
+    def __init__(
+        self, stage_output: StageOutput, attribute: Any, convert: Callable[[Array], Any], array_type: Any, always: bool
+    ) -> None:
+        self._out, self._convert, self._array_type, self._writes_always = stage_output, convert, array_type, always
         self._attribute = attribute.GetAttr() if hasattr(attribute, "GetAttr") else attribute
         self._path = self._attribute.GetPath()
         self._value: Array | None = None
@@ -116,8 +118,10 @@ class StageOutput:
 class Visibility:
     """The visibility of a prim over time. A prim that appears after the first time is hidden before it."""
 
-    def __init__(self, out: StageOutput, prim: Any, first: float, time: float) -> None:
-        self._samples = out.add_samples(prim.CreateVisibilityAttr(), lambda v: "inherited" if v[0] else "invisible", np.bool_)
+    def __init__(self, stage_output: StageOutput, prim: Any, first: float, time: float) -> None:
+        self._samples = stage_output.add_samples(
+            prim.CreateVisibilityAttr(), lambda v: "inherited" if v[0] else "invisible", np.bool_
+        )
         if time > first:
             self._samples.set(first, [False])
 

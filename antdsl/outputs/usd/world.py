@@ -39,21 +39,22 @@ _CREASE_COSINE = np.cos(np.radians(40.0))  # edges that are sharper stay sharp
 class WorldWriter:
     """Writer of everything in the world except agents."""
 
-    def __init__(self, out: StageOutput, gallery: Gallery, frames: list[int]) -> None:
-        self._out, self._gallery, self._first_frame = out, gallery, frames[0]
-        self._materials = MaterialBinder(out.stage, f"{MATERIALS_PATH}/world", *_list_surfaces())
+    def __init__(self, stage_output: StageOutput, gallery: Gallery, frames: list[int]) -> None:
+        self._out, self._gallery, self._first_frame = stage_output, gallery, frames[0]
+        self._materials = MaterialBinder(stage_output.stage, f"{MATERIALS_PATH}/world", *_list_surfaces())
         self._meshes: dict[str, _MeshWriter] = {}
         self._items: dict[int, tuple[ValueSamples, ValueSamples]] = {}
         self._item_names: set[str] = set()
         self._fields: dict[str, _FieldWriter] = {}
         cameras = SceneCameras(gallery)
-        self._lights = LightWriter(out, gallery)
+        self._lights = LightWriter(stage_output, gallery)
         written_names = {
-            name: written if written == "camera" else out.name("camera", written)
+            name: written if written == "camera" else stage_output.name("camera", written)
             for name, written in cameras.list_exported(frames[0]).items()
         }
         self._cameras = [
-            _CameraWriter(out, gallery, cameras, name, f"{ROOT_PATH}/{written}") for name, written in written_names.items()
+            _CameraWriter(stage_output, gallery, cameras, name, f"{ROOT_PATH}/{written}")
+            for name, written in written_names.items()
         ]
 
     def frame(self, frame: int, picture: Picture) -> None:
@@ -113,18 +114,19 @@ def _list_surfaces() -> tuple[dict[str, tuple[float, float, float]], dict[str, t
 class _CameraWriter:
     """Writer of a camera of the scene. `name`: in the scene. `path`: of its prim."""
 
-    def __init__(self, out: StageOutput, gallery: Gallery, cameras: SceneCameras, name: str, path: str) -> None:
+    def __init__(self, stage_output: StageOutput, gallery: Gallery, cameras: SceneCameras, name: str, path: str) -> None:
         self._gallery, self._cameras, self._name, self._has_clipping_range = gallery, cameras, name, False
-        camera = import_pxr_module("UsdGeom").Camera.Define(out.stage, path)
+        camera = import_pxr_module("UsdGeom").Camera.Define(stage_output.stage, path)
         self._tenths_per_mm = 10.0 / UNIT_MM[gallery.manifest.units]  # tenths of the stage's unit per millimetre
         camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths_per_mm)
         camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths_per_mm)
         self._clipping_range = camera.CreateClippingRangeAttr()
-        self._transform = out.add_samples(
+        self._transform = stage_output.add_samples(
             camera.AddTransformOp(), lambda rows: import_pxr_module("Gf").Matrix4d(*rows.ravel().tolist())
         )
         self._focal, self._focus_distance = (
-            out.add_samples(a, lambda v: float(v[0])) for a in (camera.CreateFocalLengthAttr(), camera.CreateFocusDistanceAttr())
+            stage_output.add_samples(a, lambda v: float(v[0]))
+            for a in (camera.CreateFocalLengthAttr(), camera.CreateFocusDistanceAttr())
         )
 
     def frame(self, frame: int) -> None:
@@ -146,19 +148,19 @@ class _CameraWriter:
 class _MeshWriter:
     """Writer of one mesh of the world. It writes only what changed since the previous frame."""
 
-    def __init__(self, out: StageOutput, path: str, up: str = "y") -> None:
-        usd_mesh = import_pxr_module("UsdGeom").Mesh.Define(out.stage, path)
+    def __init__(self, stage_output: StageOutput, path: str, up: str = "y") -> None:
+        usd_mesh = import_pxr_module("UsdGeom").Mesh.Define(stage_output.stage, path)
         usd_mesh.CreateSubdivisionSchemeAttr("none")
         usd_mesh.CreateDoubleSidedAttr(True)
-        self._counts = out.add_samples(usd_mesh.CreateFaceVertexCountsAttr(), to_integer_array, np.int32)
-        self._corners = out.add_samples(usd_mesh.CreateFaceVertexIndicesAttr(), to_integer_array, np.int32)
-        self._points = out.add_samples(usd_mesh.CreatePointsAttr(), to_vector_array, np.float32)
-        self._normals = out.add_samples(usd_mesh.CreateNormalsAttr(), to_vector_array, np.float32)
+        self._counts = stage_output.add_samples(usd_mesh.CreateFaceVertexCountsAttr(), to_integer_array, np.int32)
+        self._corners = stage_output.add_samples(usd_mesh.CreateFaceVertexIndicesAttr(), to_integer_array, np.int32)
+        self._points = stage_output.add_samples(usd_mesh.CreatePointsAttr(), to_vector_array, np.float32)
+        self._normals = stage_output.add_samples(usd_mesh.CreateNormalsAttr(), to_vector_array, np.float32)
         usd_mesh.SetNormalsInterpolation("faceVarying")
-        self._extent = out.add_samples(usd_mesh.CreateExtentAttr(), to_vector_array, np.float32)
+        self._extent = stage_output.add_samples(usd_mesh.CreateExtentAttr(), to_vector_array, np.float32)
         kind = import_pxr_module("Sdf").ValueTypeNames.TexCoord2fArray
         uvs = import_pxr_module("UsdGeom").PrimvarsAPI(usd_mesh).CreatePrimvar("st", kind, "vertex")
-        self._uvs = out.add_samples(uvs, import_pxr_module("Vt").Vec2fArray.FromNumpy, np.float32)
+        self._uvs = stage_output.add_samples(uvs, import_pxr_module("Vt").Vec2fArray.FromNumpy, np.float32)
         self._up = 1 if up == "y" else 2
         self._current_solid: Solid | None = None
         self._current_uvs = np.zeros((0, 2), np.float32)
@@ -181,20 +183,20 @@ class _MeshWriter:
 class _FieldWriter:
     """Writer of a field as points in its colour, at the cells with some strength. The width of a point shows the strength."""
 
-    def __init__(self, out: StageOutput, trail: Trail) -> None:
+    def __init__(self, stage_output: StageOutput, trail: Trail) -> None:
         geom = import_pxr_module("UsdGeom")
-        geom.Xform.Define(out.stage, f"{ROOT_PATH}/fields")
-        usd_points = geom.Points.Define(out.stage, f"{ROOT_PATH}/fields/{to_identifier(trail.name)}")
+        geom.Xform.Define(stage_output.stage, f"{ROOT_PATH}/fields")
+        usd_points = geom.Points.Define(stage_output.stage, f"{ROOT_PATH}/fields/{to_identifier(trail.name)}")
         usd_points.CreatePurposeAttr("guide")
         floats = import_pxr_module("Vt").FloatArray.FromNumpy
-        self._points = out.add_samples(usd_points.CreatePointsAttr(), to_vector_array, np.float32)
-        self._widths = out.add_samples(usd_points.CreateWidthsAttr(), floats, np.float32)
+        self._points = stage_output.add_samples(usd_points.CreatePointsAttr(), to_vector_array, np.float32)
+        self._widths = stage_output.add_samples(usd_points.CreateWidthsAttr(), floats, np.float32)
         usd_points.SetWidthsInterpolation("vertex")
         kind = import_pxr_module("Sdf").ValueTypeNames.FloatArray
-        self._strength = out.add_samples(
+        self._strength = stage_output.add_samples(
             geom.PrimvarsAPI(usd_points).CreatePrimvar("strength", kind, "vertex"), floats, np.float32
         )
-        self._extent = out.add_samples(usd_points.CreateExtentAttr(), to_vector_array, np.float32)
+        self._extent = stage_output.add_samples(usd_points.CreateExtentAttr(), to_vector_array, np.float32)
         usd_points.CreateDisplayColorPrimvar("constant").Set(to_vector_array(decode_srgb(np.array([trail.colour]))))
 
     def write_empty_frame(self, frame: int) -> None:

@@ -24,13 +24,13 @@ class XformWriter:
 
     notes: tuple[str, ...] = ()
 
-    def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
-        self._out, self._number, self._path = out, number, f"{ROOT_PATH}/{out.name('species', species.name)}"
-        write_state_names(import_pxr_module("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
-        self._bank = PrototypeBank(out, species, close)
+    def __init__(self, stage_output: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
+        self._out, self._number, self._path = stage_output, number, f"{ROOT_PATH}/{stage_output.name('species', species.name)}"
+        write_state_names(import_pxr_module("UsdGeom").Scope.Define(stage_output.stage, self._path).GetPrim(), species)
+        self._bank = PrototypeBank(stage_output, species, close)
         self._euler_angles, self._agents, self._hideable_agents = EulerAngles(), dict[int, _AgentPrim](), np.empty(0, np.int64)
         self._first_time: float | None = None
-        self._file_number = out.file_number
+        self._file_number = stage_output.file_number
 
     def sample(self, time_sample: TimeSample) -> None:
         """Write the agents at a time. Agents that are missing at this time are hidden."""
@@ -57,24 +57,24 @@ class XformWriter:
 class _AgentPrim:
     """The Xform of one agent."""
 
-    def __init__(self, out: StageOutput, path: str, shape: str, name: int, first: float, time: float) -> None:
+    def __init__(self, stage_output: StageOutput, path: str, shape: str, name: int, first: float, time: float) -> None:
         geom, types, gf, vt = (
             import_pxr_module("UsdGeom"),
             import_pxr_module("Sdf").ValueTypeNames,
             import_pxr_module("Gf"),
             import_pxr_module("Vt"),
         )
-        xform = geom.Xform.Define(out.stage, path)
+        xform = geom.Xform.Define(stage_output.stage, path)
         double = geom.XformOp.PrecisionDouble
         ops = (xform.AddTranslateOp(double), xform.AddRotateXYZOp(double), xform.AddScaleOp(double))
-        self._transform_samples = tuple(out.add_samples(op, lambda v: gf.Vec3d(*v.tolist())) for op in ops)
+        self._transform_samples = tuple(stage_output.add_samples(op, lambda v: gf.Vec3d(*v.tolist())) for op in ops)
         prim = xform.GetPrim()
         prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
         state = prim.CreateAttribute("userProperties:state", types.Int)
-        self._state = out.add_samples(state, lambda v: int(v[0]), np.int32)
-        colour = add_coloured_mesh(out.stage, f"{path}/body", shape)
-        self._colour = out.add_samples(colour, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32)
-        self._visibility = Visibility(out, xform, first, time)
+        self._state = stage_output.add_samples(state, lambda v: int(v[0]), np.int32)
+        colour = add_coloured_mesh(stage_output.stage, f"{path}/body", shape)
+        self._colour = stage_output.add_samples(colour, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32)
+        self._visibility = Visibility(stage_output, xform, first, time)
 
     def set(self, time: float, translation: Any, angles: Any, size: float, colour: Any, state: int) -> None:
         """Write translation, angles (degrees), scale, colour and state at a time."""

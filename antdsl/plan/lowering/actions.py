@@ -93,14 +93,14 @@ def _lower_assign(w: PlanWriter, s: model.Assign, site: str) -> None:
 
 
 def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
-    to = lower_expression(w, s.to)
+    to = lower_expression(w, s.receiver)
     if isinstance(to, NamedThing):
         every = w.b("set.items", w.b.number(float("inf")), attrs=(to.name,))
         to = EntityRef(model.TypeKind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
     if not isinstance(to, EntityRef) or to.kind is not model.TypeKind.ITEM:
         raise PlanError(f"a gift to a {type(to).__name__}")
     amount = None if s.amount is None else _scale_by_step(w, lower_scalar(w, s.amount), s.per_second)
-    w.add_statement(ir.Give(to.of, s.attribute, to.node, amount, s.attribute, s.span))
+    w.add_statement(ir.Give(to.owner, s.attribute, to.node, amount, s.attribute, s.span))
     w.mark_written(s.attribute)
 
 
@@ -111,8 +111,12 @@ def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
         operands = rule(w, *s.args)
     else:
         operands = tuple(None if arg is None else _lower_operand(w, arg, s.per_second) for arg in s.args)
-    target_species = next((arg.type.of for arg in s.args if arg is not None and arg.type.kind is model.TypeKind.AGENT), None)
-    w.add_statement(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.draw_key, target_species=target_species))
+    target_species = next(
+        (arg.type.referent for arg in s.args if arg is not None and arg.type.kind is model.TypeKind.AGENT), None
+    )
+    w.add_statement(
+        ir.Request(s.op, s.target, operands, s.span, register=s.result_attribute, site=s.draw_key, target_species=target_species)
+    )
 
 
 def _lower_operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode:

@@ -50,7 +50,7 @@ def declare_registers(w: PlanWriter) -> None:
         for name in CLEARANCE_REGISTERS:
             w.declare(name, ValueKind.F32, "attribute")
     for attribute in w.species.attributes:
-        if attribute.each:
+        if attribute.pair_species:
             pair_values.declare_registers(w, attribute)
             continue
         if attribute.name == "push":
@@ -134,7 +134,7 @@ def _prefer_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> Lowe
 def _find_author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
     """Return the attributes in the author's text, and those with a default of a newer edition. Any other built-in attribute with
     the span of the species' name is not in the text; its default is made in this module, where the step length is known."""
-    mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
+    mine = [a for a in w.species.attributes if not a.pair_species and a.name != "push"]
     newer = (DEFAULT_BY_SETTING.keys() | STANDING_DEFAULTS.keys()) if w.species.edition > 1 else ()
     return {a.name: a for a in mine if a.name in newer or not (a.is_builtin and a.span == w.species.span)}
 
@@ -171,5 +171,5 @@ def _order_attributes(w: PlanWriter) -> list[str]:
 
 def find_attributes_read(expr: model.Expr) -> list[str]:
     """Return the names of the agent's own attributes that an expression reads, also through lets."""
-    own = [e.name for e in iterate_expressions(expr) if isinstance(e, model.AttributeRef) and e.of is None]
+    own = [e.name for e in iterate_expressions(expr) if isinstance(e, model.AttributeRef) and e.owner is None]
     return ["velocity" if name == "speed" else name for name in own]

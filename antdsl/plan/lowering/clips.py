@@ -57,7 +57,7 @@ def list_clips(species: model.Species) -> tuple[ir.ClipPlan, ...]:
 
 
 def _make_clip_plan(line: model.Play) -> ir.ClipPlan:
-    return ir.ClipPlan(line.clip, line.on, line.add, *line.blend_clips)
+    return ir.ClipPlan(line.clip, line.group, line.add, *line.blend_clips)
 
 
 def plays_clips(machine: model.Machine) -> bool:

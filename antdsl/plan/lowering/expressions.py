@@ -75,8 +75,8 @@ def lower_presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> Plan
     """Return whether a reference, a hit or a set is present (not none)."""
     if isinstance(value, EntityRef):
         if value.kind is model.TypeKind.ITEM:
-            return w.b("item.alive", value.node, attrs=(value.of,))
-        return w.b("agent.alive", value.node, attrs=(value.of,))
+            return w.b("item.alive", value.node, attrs=(value.owner,))
+        return w.b("agent.alive", value.node, attrs=(value.owner,))
     if isinstance(value, RayHit):
         return value.hit
     if isinstance(value, ElementGroup):
@@ -115,9 +115,9 @@ def _lower_unit_power(w: PlanWriter, base: PlanNode, exponent: float) -> PlanNod
 
 def _lower_none(w: PlanWriter, e: model.NoneRef) -> LoweredValue:
     if e.type.kind is model.TypeKind.ITEM:
-        return EntityRef(e.type.kind, e.type.of or "", w.b.row(-1))
+        return EntityRef(e.type.kind, e.type.referent or "", w.b.row(-1))
     if e.type.kind is model.TypeKind.AGENT:
-        return EntityRef(e.type.kind, e.type.of or "", w.b.agent_id(-1))
+        return EntityRef(e.type.kind, e.type.referent or "", w.b.agent_id(-1))
     if e.type.kind is model.TypeKind.HIT:
         nothing = values.zero_vector(w.b)
         return RayHit(w.b.false, w.b.number(float("inf")), nothing, nothing)
@@ -177,14 +177,14 @@ def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     return value
 
 
-def _order_needed_lets(w: PlanWriter, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
+def _order_needed_lets(w: PlanWriter, binding: model.Binding, known_lets: Container[model.Binding]) -> list[model.Binding]:
     """Return a let and the lets that it uses, innermost first. Lowering them in this order avoids deep recursion."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
     visited: set[model.Binding] = set()
     while stack:
         each, ready = stack.pop()
-        if each in visited or each in known:
+        if each in visited or each in known_lets:
             continue
         if ready:
             visited.add(each)
@@ -216,13 +216,13 @@ def _lower_keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     """Lower `keep x = first then next`: `first` in the first step, later `next` computed from the previous value.
 
     Memory is written once per step."""
-    assert binding.value is not None and binding.then is not None
+    assert binding.value is not None and binding.next_value is not None
     on = f"{binding.key}.on"
     w.declare_typed(binding.key, binding.type, "memory")
     w.declare(on, ValueKind.BOOL, "memory")
     first = lower_expression(w, binding.value)
     w.environment[binding] = _read_previous(w, binding)
-    following = lower_expression(w, binding.then)
+    following = lower_expression(w, binding.next_value)
     now = select_value(w, w.read_previous(on), following, first)
     stores = (
         [(f"{binding.key}.{a}", n, binding.span) for a, n in zip(AXES, now, strict=True)]
@@ -238,31 +238,31 @@ def _read_previous(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     if binding.type.kind is model.TypeKind.VECTOR:
         return VectorNodes(*(w.read_previous(f"{binding.key}.{axis}") for axis in AXES))
     node = w.read_previous(binding.key)
-    return EntityRef(binding.type.kind, binding.type.of or "", node) if binding.type.kind in NONE_BY_KIND else node
+    return EntityRef(binding.type.kind, binding.type.referent or "", node) if binding.type.kind in NONE_BY_KIND else node
 
 
-def select_value(w: PlanWriter, condition: PlanNode, then: LoweredValue, other: LoweredValue) -> LoweredValue:
-    """Return `then` where the condition holds, else `other`. Works for hits and for all values that can be stored."""
+def select_value(w: PlanWriter, condition: PlanNode, first: LoweredValue, second: LoweredValue) -> LoweredValue:
+    """Return `first` where the condition holds, else `second`. Works for hits and for all values that can be stored."""
     b = w.b
-    if isinstance(then, VectorNodes) and isinstance(other, VectorNodes):
-        return values.choose_vector(b, condition, then, other)
-    if isinstance(then, RayHit) and isinstance(other, RayHit):
+    if isinstance(first, VectorNodes) and isinstance(second, VectorNodes):
+        return values.choose_vector(b, condition, first, second)
+    if isinstance(first, RayHit) and isinstance(second, RayHit):
         return RayHit(
-            b("where", condition, then.hit, other.hit), b("where", condition, then.distance, other.distance),
-            values.choose_vector(b, condition, then.normal, other.normal),
-            values.choose_vector(b, condition, then.direction, other.direction),
+            b("where", condition, first.hit, second.hit), b("where", condition, first.distance, second.distance),
+            values.choose_vector(b, condition, first.normal, second.normal),
+            values.choose_vector(b, condition, first.direction, second.direction),
         )  # fmt: skip
-    then, other = _convert_to_reference(w, then), _convert_to_reference(w, other)
-    if isinstance(then, EntityRef) and isinstance(other, EntityRef):
-        return EntityRef(then.kind, then.of or other.of, b("where", condition, then.node, other.node))
-    if isinstance(then, PlanNode) and isinstance(other, PlanNode):
-        return b("where", condition, then, other)
-    raise PlanError(f"cannot choose between a {type(then).__name__} and a {type(other).__name__}")
+    first, second = _convert_to_reference(w, first), _convert_to_reference(w, second)
+    if isinstance(first, EntityRef) and isinstance(second, EntityRef):
+        return EntityRef(first.kind, first.owner or second.owner, b("where", condition, first.node, second.node))
+    if isinstance(first, PlanNode) and isinstance(second, PlanNode):
+        return b("where", condition, first, second)
+    raise PlanError(f"cannot choose between a {type(first).__name__} and a {type(second).__name__}")
 
 
 def _convert_to_reference(w: PlanWriter, value: LoweredValue) -> LoweredValue:
     if isinstance(value, SetElement):
-        return EntityRef(value.kind, value.of, w.b("other.row") if value.kind is model.TypeKind.ITEM else w.b("other.id"))
+        return EntityRef(value.kind, value.owner, w.b("other.row") if value.kind is model.TypeKind.ITEM else w.b("other.id"))
     return value
 
 
@@ -270,10 +270,10 @@ def _convert_to_reference(w: PlanWriter, value: LoweredValue) -> LoweredValue:
 
 
 def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
-    pair_attribute = next((a for a in w.species.attributes if a.name == e.name and a.each), None)
-    if pair_attribute is not None and e.of is not None:
-        return w.rules.read_pair_value(w, pair_attribute, e.of)
-    owner = None if e.of is None else lower_expression(w, e.of)
+    pair_attribute = next((a for a in w.species.attributes if a.name == e.name and a.pair_species), None)
+    if pair_attribute is not None and e.owner is not None:
+        return w.rules.read_pair_value(w, pair_attribute, e.owner)
+    owner = None if e.owner is None else lower_expression(w, e.owner)
     if e.name == "moved" and "moved" not in w.registers and getattr(owner, "kind", None) is not model.TypeKind.ITEM:
         words = "`moved`, which the program does not use elsewhere,"
         raise UnsupportedConstruct(words, e.span, "add `let pushed = moved` to a species")
@@ -290,9 +290,9 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
     if e.name == "id" and owner.kind is model.TypeKind.AGENT:
         return w.b("number", w.b("other.id") if isinstance(owner, SetElement) else owner.node)
     if e.name == "age":
-        return w.b("agent.age", w.b("other.id") if isinstance(owner, SetElement) else owner.node, attrs=(owner.of,))
+        return w.b("agent.age", w.b("other.id") if isinstance(owner, SetElement) else owner.node, attrs=(owner.owner,))
     if e.name in OPTIONAL_ATTRIBUTES:
-        species = w.program.species.get(owner.of or "")
+        species = w.program.species.get(owner.owner or "")
         if species is not None and not needs_register(species, e.name):
             return w.b.number(OPTIONAL_ATTRIBUTES[e.name])
     if e.type.kind is model.TypeKind.VECTOR:
@@ -306,7 +306,7 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
 def convert_to_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType) -> LoweredValue:
     """Convert a register's node to a value of the language. A number that represents a bool becomes a bool."""
     if type.kind in NONE_BY_KIND:
-        return EntityRef(type.kind, type.of or "", node)
+        return EntityRef(type.kind, type.referent or "", node)
     return w.b("ne", node, w.b.number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node
 
 
@@ -347,11 +347,11 @@ def _read_other_register(
     if isinstance(owner, SetElement):
         return w.b("other", attrs=(register,), kind=kind)
     if owner.kind is model.TypeKind.ITEM:
-        return w.b("item.get", owner.node, attrs=(owner.of, register), kind=kind)
-    node = w.b("agent.get", owner.node, attrs=(owner.of, register), kind=kind)
+        return w.b("item.get", owner.node, attrs=(owner.owner, register), kind=kind)
+    node = w.b("agent.get", owner.node, attrs=(owner.owner, register), kind=kind)
     if none_id is None:
         return node
-    return w.b("where", w.b("agent.alive", owner.node, attrs=(owner.of,)), node, w.b.constant_of_kind(kind, none_id))
+    return w.b("where", w.b("agent.alive", owner.node, attrs=(owner.owner,)), node, w.b.constant_of_kind(kind, none_id))
 
 
 def _read_hit_attribute(w: PlanWriter, hit: RayHit, e: model.AttributeRef) -> LoweredValue:

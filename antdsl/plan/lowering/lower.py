@@ -121,7 +121,7 @@ def _lower_species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan
     return ir.SpeciesPlan(
         species.name, w.registers, tuple(m.make_plan() for m in machines), born, decide, act, blend, events, layers,
         find_shared_senses(decide, act, blend),
-        {a.name: pair_values.lower_rest_value(w, a) for a in species.attributes if a.each},
+        {a.name: pair_values.lower_rest_value(w, a) for a in species.attributes if a.pair_species},
         clips.list_clips(species), appearance.list_worn_layers(species), appearance.list_channels(species),
         appearance.list_look_groups(species),
         species.clears_body, species.has_whole_body, birth.newer_attributes(species),
@@ -143,7 +143,7 @@ def _lower_birth(w: PlanWriter, machines: list[MachineWriter]) -> Block:
 def _write_decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
     """Write the block `decide`: relaxations, latches, handlers, then the transitions of all machines."""
     for attribute in w.species.attributes:
-        if attribute.each:
+        if attribute.pair_species:
             pair_values.relax_values(w, attribute)
         elif attribute.relax_to is not None:
             _write_relaxation(w, attribute)
@@ -175,11 +175,11 @@ def _write_relaxation(w: PlanWriter, attribute: model.AttributeDecl) -> None:
 
 def _write_latch(w: PlanWriter, latch: model.Binding) -> None:
     """Write a latch. It is on from the step in which its first condition holds until the step in which its second one holds."""
-    assert latch.value is not None and latch.then is not None
+    assert latch.value is not None and latch.next_value is not None
     b, name = w.b, latch.key or latch.name
     b.span = latch.span
     try:
-        on = b("where", w.read_previous(name), b("not", lower_condition(w, latch.then)), lower_condition(w, latch.value))
+        on = b("where", w.read_previous(name), b("not", lower_condition(w, latch.next_value)), lower_condition(w, latch.value))
         w.store(name, on, latch.span)
     except UnsupportedConstruct as missing:
         report_unsupported(w, missing)
@@ -190,8 +190,8 @@ def _write_handler(w: PlanWriter, handler: model.Handler, number: int, partners:
     if handler.event == "spawn":
         return
     if handler.event == "collision":
-        bind_partner(w, handler, partners[handler.of])
-        noticed = w.b("ne", partners[handler.of], w.b.agent_id(-1))
+        bind_partner(w, handler, partners[handler.other_species])
+        noticed = w.b("ne", partners[handler.other_species], w.b.agent_id(-1))
     else:
         noticed = w.b("event", attrs=(handler.event,))
     with w.open_region(noticed, handler.span):
@@ -293,7 +293,7 @@ def detect_new_contacts(w: PlanWriter) -> dict[str, PlanNode]:
 def bind_partner(w: PlanWriter, handler: model.Handler, partner: PlanNode) -> None:
     """Bind the name in the brackets of a handler to the agent `partner`."""
     if handler.other is not None:
-        w.environment[handler.other] = EntityRef(model.TypeKind.AGENT, handler.of, partner)
+        w.environment[handler.other] = EntityRef(model.TypeKind.AGENT, handler.other_species, partner)
 
 
 def _find_collision_handlers(species: model.Species) -> dict[str, model.Handler]:
@@ -301,7 +301,7 @@ def _find_collision_handlers(species: model.Species) -> dict[str, model.Handler]
     handlers: dict[str, model.Handler] = {}
     for handler in species.handlers:
         if handler.event == "collision":
-            handlers.setdefault(handler.of, handler)
+            handlers.setdefault(handler.other_species, handler)
     return handlers
 
 

@@ -126,7 +126,7 @@ class MachineWriter:
         """Check the transitions of each state in order; the first one that holds wins. Winners with a take emit claims."""
         by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
         self.w.write_alternatives([(self._is_in_state(s), s.span, partial(self._write_winner, cs)) for s, cs in by_state if cs])
-        self._write_per_change([c for c in self.changes if c.transition.take], self._write_claim)
+        self._write_per_change([c for c in self.changes if c.transition.take_action], self._write_claim)
 
     def _write_per_state(self, states: Iterable[model.State], write: Callable[[model.State], None]) -> None:
         self.w.write_alternatives([(self._is_in_state(s), s.span, partial(write, s)) for s in states])
@@ -157,12 +157,12 @@ class MachineWriter:
                 holds = self._has_held(t, holds, t.hold_time)
             if t.delay is not None:
                 holds = w.b("and", has_passed(w, self.name, t.delay), holds)
-            if change.state.at_least is not None and not t.is_interrupt:
-                holds = w.b("and", has_passed(w, self.name, change.state.at_least), holds)
+            if change.state.min_duration is not None and not t.is_interrupt:
+                holds = w.b("and", has_passed(w, self.name, change.state.min_duration), holds)
             if self._is_from_any(t) and t.target is None:
                 holds = w.b("and", holds, w.b("ne", self._lower_target(change), w.read(f"{self.name}.state")))
-            if t.take is not None and t.take.source.type.kind is not model.TypeKind.FIELD:
-                holds = w.b("and", holds, lower_presence(w, lower_expression(w, t.take.source), t.take.source))
+            if t.take_action is not None and t.take_action.source.type.kind is not model.TypeKind.FIELD:
+                holds = w.b("and", holds, lower_presence(w, lower_expression(w, t.take_action.source), t.take_action.source))
             return holds
         except UnsupportedConstruct as missing:
             report_unsupported(w, missing)
@@ -174,17 +174,17 @@ class MachineWriter:
         Such a transition never leads into the current state, which may be known only at run time."""
         return transition.key.startswith(f"{self.site}.{model.FROM_ANY_KEY}->")
 
-    def _has_held(self, transition: model.Transition, holds: PlanNode, duration: model.Expr) -> PlanNode:
-        """Return whether the condition `holds` is true now, and was true in all steps of `duration` before. Write its step
+    def _has_held(self, transition: model.Transition, condition: PlanNode, duration: model.Expr) -> PlanNode:
+        """Return whether the condition `condition` is true now, and was true in all steps of `duration` before. Write its step
         counter."""
         b, counter = self.w.b, _name_counter(transition)
         previous_count = self.w.read_previous(counter)
-        count = b("where", holds, b("add", previous_count, b.number(1)), b.number(0))
+        count = b("where", condition, b("add", previous_count, b.number(1)), b.number(0))
         self.w.store(counter, count, transition.span)
-        return b("and", holds, b("ge", previous_count, count_steps(self.w, lower_scalar(self.w, duration))))
+        return b("and", condition, b("ge", previous_count, count_steps(self.w, lower_scalar(self.w, duration))))
 
     def _write_claim(self, change: _StateChange) -> None:
-        w, take = self.w, change.transition.take
+        w, take = self.w, change.transition.take_action
         assert take is not None
         source = lower_expression(w, take.source)
         own = take.attribute if take.attribute in w.registers else None
@@ -193,7 +193,7 @@ class MachineWriter:
             of, item, attribute = source.name, None, ""
         else:
             assert isinstance(source, EntityRef) and take.attribute is not None
-            of, item, attribute = source.of, source.node, take.attribute
+            of, item, attribute = source.owner, source.node, take.attribute
         w.add_statement(ir.Claim(of, attribute, item, amount, self.won_register, own, change.transition.key, take.span))
         w.mark_written(self.won_register)
         if own:
@@ -217,7 +217,7 @@ class MachineWriter:
     def _is_changing(self) -> PlanNode:
         b = self.w.b
         chosen = b("ne", self.w.read(self.pending_register), b.row(0))
-        taking = [c for c in self.changes if c.transition.take]
+        taking = [c for c in self.changes if c.transition.take_action]
         if not taking:
             return chosen
         is_requested = b.false

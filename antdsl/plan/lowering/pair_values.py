@@ -21,16 +21,16 @@ REST_TOLERANCE = 1e-9  # base units; values nearer to rest have no slot
 
 def declare_registers(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """Declare the registers of a pair value, and a temp with its name, through which all stored values pass."""
-    holds = (attribute.type.kind.value, *attribute.type.dimension, attribute.each)
+    holds = (attribute.type.kind.value, *attribute.type.dimension, attribute.pair_species)
     for who, value in name_slot_registers(attribute.name, attribute.slot_count):
-        w.declare(who, ValueKind.I64, "pair", -1, attribute.each, holds)
+        w.declare(who, ValueKind.I64, "pair", -1, attribute.pair_species, holds)
         w.declare(value, ValueKind.F32, "pair", language_type=holds)
     w.declare(attribute.name, ValueKind.F32, "temp")
 
 
 def find_declaration(w: PlanWriter, name: str) -> model.AttributeDecl | None:
     """Return the declaration of the pair value `name`; None if there is none."""
-    return next((a for a in w.species.attributes if a.name == name and a.each), None)
+    return next((a for a in w.species.attributes if a.name == name and a.pair_species), None)
 
 
 def read(w: PlanWriter, attribute: model.AttributeDecl, other: model.Expr) -> PlanNode:
@@ -66,10 +66,10 @@ def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeD
     if s.other_agents is not None:
         _write_set_assignment(w, s, attribute)
         return
-    if s.of is None:
+    if s.pair_agent is None:
         raise PlanError(f"a value per pair without another agent: {s.span.text!r}")
-    other_id = _lower_agent_id(w, lower_expression(w, s.of))
-    value = _compute_changed_value(w, s, read(w, attribute, s.of), lower_scalar(w, s.value))
+    other_id = _lower_agent_id(w, lower_expression(w, s.pair_agent))
+    value = _compute_changed_value(w, s, read(w, attribute, s.pair_agent), lower_scalar(w, s.value))
     with w.open_region(w.b("ne", other_id, w.b.agent_id(-1)), s.span):
         held = _freeze_value(w, f"~{attribute.name}.id", other_id, s)
         _store_in_slot(w, attribute, held, value, s, has_slot=True)

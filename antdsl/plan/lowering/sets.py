@@ -38,24 +38,26 @@ def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
     """Return the elements of a set with their condition, or the rays of feelers."""
     if e.source == "feelers":
         hits = lower_feelers(w, e)
-        narrowed_hits = tuple(_filter_hit(w, hit, e.element, e.where) for hit in hits)
+        narrowed_hits = tuple(_filter_hit(w, hit, e.element, e.condition) for hit in hits)
         return RayHits(narrowed_hits)
     b = w.b
     kind = e.element.type.kind
     if kind not in (model.TypeKind.ITEM, model.TypeKind.AGENT):
-        kind = model.TypeKind.ITEM if _is_item_group(w, e.of) else model.TypeKind.AGENT
+        kind = model.TypeKind.ITEM if _is_item_group(w, e.source_name) else model.TypeKind.AGENT
     if e.source == "neighbours":
         radius, fov = lower_agent_scalar(w, e.args[0], e), lower_agent_scalar(w, e.args[1], e)
-        nodes = b("set.agents", radius, *compute_min_cosine(w, fov), attrs=(e.of, _is_full_circle(fov)))
+        nodes = b("set.agents", radius, *compute_min_cosine(w, fov), attrs=(e.source_name, _is_full_circle(fov)))
     elif kind is model.TypeKind.ITEM:
         within = b.number(inf) if not e.args or e.args[0] is None else lower_agent_scalar(w, e.args[0], e)
-        nodes = b("set.items", within, attrs=(e.of,))
+        nodes = b("set.items", within, attrs=(e.source_name,))
     elif not e.args or e.args[0] is None:
-        nodes = b("set.every", attrs=(e.of,))
+        nodes = b("set.every", attrs=(e.source_name,))
     else:
-        nodes = b("set.agents", lower_agent_scalar(w, e.args[0], e), b.number(ANY_DIRECTION_COSINE), attrs=(e.of, True))
-    element = SetElement(kind, e.of)
-    condition = run_with_binding(w, e.element, element, lambda: b.true if e.where is None else lower_condition(w, e.where))
+        nodes = b("set.agents", lower_agent_scalar(w, e.args[0], e), b.number(ANY_DIRECTION_COSINE), attrs=(e.source_name, True))
+    element = SetElement(kind, e.source_name)
+    condition = run_with_binding(
+        w, e.element, element, lambda: b.true if e.condition is None else lower_condition(w, e.condition)
+    )
     most = e.args[_MAX_COUNT_ARGUMENT[e.source]] if len(e.args) > _MAX_COUNT_ARGUMENT[e.source] else None
     if most is not None:
         condition = b("and", condition, _is_among_nearest(w, nodes, condition, kind, lower_agent_scalar(w, most, e)))
@@ -143,29 +145,29 @@ def lower_reduction(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
     body = run_with_binding(w, e.element, over.element, lambda: lower_expression(w, body_expr))
     if e.reducer == "best":
         if not isinstance(body, PlanNode):
-            raise PlanError("best of something that is no number")
+            raise PlanError("best of a value that is not a number")
         return _select_least_element(w, over, b("neg", body))
     parts = list(body) if isinstance(body, VectorNodes) else [body]
     results = [_reduce_numbers(w, e.reducer, over, part, choose_quantum_exponent(body_expr.type.dimension)) for part in parts]  # type: ignore[arg-type]
     return VectorNodes(*results) if isinstance(body, VectorNodes) else results[0]
 
 
-def _reduce_numbers(w: PlanWriter, reducer: str, over: ElementGroup, body: PlanNode, exponent: int) -> PlanNode:
+def _reduce_numbers(w: PlanWriter, reducer: str, elements: ElementGroup, body: PlanNode, exponent: int) -> PlanNode:
     b = w.b
     if reducer in ("min", "max"):
-        return b(f"reduce.{reducer}", over.nodes, over.condition, body)
-    total = b("reduce.sum", over.nodes, over.condition, body, attrs=(exponent,))
+        return b(f"reduce.{reducer}", elements.nodes, elements.condition, body)
+    total = b("reduce.sum", elements.nodes, elements.condition, body, attrs=(exponent,))
     if reducer == "sum":
         return total
     if reducer != "mean":
         raise PlanError(f"no such reduction: {reducer}")
-    count = b("reduce.count", over.nodes, over.condition)
+    count = b("reduce.count", elements.nodes, elements.condition)
     return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
 
 
-def _select_least_element(w: PlanWriter, over: ElementGroup, body: PlanNode) -> EntityRef:
-    op = "reduce.item" if over.element.kind is model.TypeKind.ITEM else "reduce.agent"
-    return EntityRef(over.element.kind, over.element.of, w.b(op, over.nodes, over.condition, body))
+def _select_least_element(w: PlanWriter, elements: ElementGroup, body: PlanNode) -> EntityRef:
+    op = "reduce.item" if elements.element.kind is model.TypeKind.ITEM else "reduce.agent"
+    return EntityRef(elements.element.kind, elements.element.owner, w.b(op, elements.nodes, elements.condition, body))
 
 
 # --- feelers ---------------------------------------------------------------------------------------------------------
@@ -190,7 +192,7 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
         ahead = heading
         if share != 0:
             ahead = values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
-        hits.append(cast_ray(w, ahead, reach, e.of))
+        hits.append(cast_ray(w, ahead, reach, e.source_name))
     return tuple(hits)
 
 
@@ -213,24 +215,24 @@ def _assume_hit(w: PlanWriter, hit: RayHit) -> RayHit:
     return RayHit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 
-def _reduce_hits(w: PlanWriter, e: model.ReduceExpr, over: RayHits) -> LoweredValue:
+def _reduce_hits(w: PlanWriter, e: model.ReduceExpr, elements: RayHits) -> LoweredValue:
     """Lower a reduction over hits, unrolled in the order of the rays."""
     b = w.b
     if e.reducer == "nearest":
-        return _select_least_hit(w, over, [hit.distance for hit in over.hits])
+        return _select_least_hit(w, elements, [hit.distance for hit in elements.hits])
     if e.body is None:
-        conditions = [hit.hit for hit in over.hits]
+        conditions = [hit.hit for hit in elements.hits]
     else:
         body_expr = e.body
         lower_body = lower_condition if e.reducer in ("count", "any", "every") else lower_expression
-        bodies = [run_with_binding(w, e.element, _assume_hit(w, hit), lambda: lower_body(w, body_expr)) for hit in over.hits]
+        bodies = [run_with_binding(w, e.element, _assume_hit(w, hit), lambda: lower_body(w, body_expr)) for hit in elements.hits]
         if e.reducer == "best":
-            return _select_least_hit(w, over, [b("neg", body) for body in bodies])  # type: ignore[arg-type]
+            return _select_least_hit(w, elements, [b("neg", body) for body in bodies])  # type: ignore[arg-type]
         if e.reducer not in ("count", "any", "every"):
-            return _reduce_hit_numbers(w, e.reducer, over, bodies)
+            return _reduce_hit_numbers(w, e.reducer, elements, bodies)
         if e.reducer == "every":
-            return b.all(*(b("or", b("not", hit.hit), body) for hit, body in zip(over.hits, bodies, strict=True)))  # type: ignore[arg-type]
-        conditions = [b("and", hit.hit, body) for hit, body in zip(over.hits, bodies, strict=True)]  # type: ignore[arg-type]
+            return b.all(*(b("or", b("not", hit.hit), body) for hit, body in zip(elements.hits, bodies, strict=True)))  # type: ignore[arg-type]
+        conditions = [b("and", hit.hit, body) for hit, body in zip(elements.hits, bodies, strict=True)]  # type: ignore[arg-type]
     if e.reducer == "any":
         return _fold_nodes(w, "or", conditions, b.false)
     return _fold_nodes(w, "add", [b("number", each) for each in conditions], b.number(0))
@@ -242,18 +244,18 @@ def _fold_nodes(w: PlanWriter, op: str, nodes: list[PlanNode], start: PlanNode) 
     return start
 
 
-def _reduce_hit_numbers(w: PlanWriter, reducer: str, over: RayHits, bodies: list[LoweredValue]) -> LoweredValue:
+def _reduce_hit_numbers(w: PlanWriter, reducer: str, elements: RayHits, bodies: list[LoweredValue]) -> LoweredValue:
     b = w.b
     nothing = {"min": inf, "max": -inf}.get(reducer, 0.0)
 
     def column(parts: list[PlanNode]) -> PlanNode:
-        terms = [b("where", hit.hit, part, b.number(nothing)) for hit, part in zip(over.hits, parts, strict=True)]
+        terms = [b("where", hit.hit, part, b.number(nothing)) for hit, part in zip(elements.hits, parts, strict=True)]
         if reducer in ("min", "max"):
             return _fold_nodes(w, reducer, terms[1:], terms[0])
         total = _fold_nodes(w, "add", terms, b.number(0))
         if reducer == "sum":
             return total
-        count = _fold_nodes(w, "add", [b("number", hit.hit) for hit in over.hits], b.number(0))
+        count = _fold_nodes(w, "add", [b("number", hit.hit) for hit in elements.hits], b.number(0))
         return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
 
     if isinstance(bodies[0], VectorNodes):
@@ -261,10 +263,10 @@ def _reduce_hit_numbers(w: PlanWriter, reducer: str, over: RayHits, bodies: list
     return column(bodies)  # type: ignore[arg-type]
 
 
-def _select_least_hit(w: PlanWriter, over: RayHits, keys: list[PlanNode]) -> RayHit:
+def _select_least_hit(w: PlanWriter, elements: RayHits, keys: list[PlanNode]) -> RayHit:
     """Return the hit with the smallest key, or the earlier ray among equals."""
-    best, least = over.hits[0], keys[0]
-    for hit, key in zip(over.hits[1:], keys[1:], strict=True):
+    best, least = elements.hits[0], keys[0]
+    for hit, key in zip(elements.hits[1:], keys[1:], strict=True):
         better = w.b("and", hit.hit, w.b("or", w.b("not", best.hit), w.b("lt", key, least)))
         chosen = select_value(w, better, hit, best)
         assert isinstance(chosen, RayHit)

@@ -54,23 +54,23 @@ class TimerNote:
     timer_kind: str
     elapsed: PlanNode
     required: PlanNode
-    holds: PlanNode
+    is_over: PlanNode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangeNote:
-    """A transition of a state. `number`: its number in the machine, from 1. `condition`: None is always true. `fires`: whether it
-    happens."""
+    """A transition of a state. `number`: its number in the machine, from 1. `condition`: None is always true. `is_taken`:
+    whether it happens."""
 
     machine: str
     number: int
     state: model.State
     transition: model.Transition
-    fires: PlanNode
+    is_taken: PlanNode
     condition: PartNote | None
-    holds: PlanNode | None
+    condition_value: PlanNode | None
     timers: tuple[TimerNote, ...]
-    take: PartNote | None
+    take_note: PartNote | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +90,7 @@ class LayerNote:
     budget_left: PlanNode
     has_budget: PlanNode
     condition: PartNote | None
-    holds: PlanNode
+    condition_value: PlanNode
     push: tuple[PlanNode, PlanNode, PlanNode]
 
 
@@ -110,7 +110,7 @@ class SteerNote:
     site: str
     text: str
     push: tuple[PlanNode, PlanNode, PlanNode]
-    holds: PlanNode | None = None  # whether the condition of a layer holds
+    condition_value: PlanNode | None = None  # whether the condition of a layer holds
 
 
 @dataclass(slots=True, eq=False)
@@ -139,7 +139,7 @@ class NotingWriter(PlanWriter):
         self.notes = notes
 
     def note_transition(
-        self, machine: str, number: int, state: model.State, transition: model.Transition, fires: PlanNode
+        self, machine: str, number: int, state: model.State, transition: model.Transition, is_taken: PlanNode
     ) -> None:
         statement_count = len(self.statements)
         condition = (
@@ -150,13 +150,13 @@ class NotingWriter(PlanWriter):
         holds = None if transition.condition is None else lower_condition(self, transition.condition)
         take = (
             None
-            if transition.take is None or transition.take.source.type.kind is model.TypeKind.FIELD
-            else self._make_part_note(transition.take.source, [])
+            if transition.take_action is None or transition.take_action.source.type.kind is model.TypeKind.FIELD
+            else self._make_part_note(transition.take_action.source, [])
         )
         timers = tuple(self._make_timer_notes(machine, state, transition))
         if len(self.statements) != statement_count:
             raise PlanError(f"a note wrote a statement: {transition.span.text!r}")
-        self.notes.changes.append(ChangeNote(machine, number, state, transition, fires, condition, holds, timers, take))
+        self.notes.changes.append(ChangeNote(machine, number, state, transition, is_taken, condition, holds, timers, take))
 
     def _make_timer_notes(self, machine: str, state: model.State, t: model.Transition) -> Iterator[TimerNote]:
         if t.hold_time is not None:
@@ -165,16 +165,16 @@ class NotingWriter(PlanWriter):
         time_in_state = self.read(f"{machine}.time_in_state")
         if t.delay is not None:
             yield TimerNote("after", time_in_state, lower_scalar(self, t.delay), has_passed(self, machine, t.delay))
-        if state.at_least is not None and not t.is_interrupt:
+        if state.min_duration is not None and not t.is_interrupt:
             yield TimerNote(
-                "at least", time_in_state, lower_scalar(self, state.at_least), has_passed(self, machine, state.at_least)
+                "at least", time_in_state, lower_scalar(self, state.min_duration), has_passed(self, machine, state.min_duration)
             )
 
     def note_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
         self.notes.choices[key] = ChoiceNote(key, draw, tuple(weights))
 
     def note_layer(
-        self, layer: model.Layer, budget_left: PlanNode, has_budget: PlanNode, holds: PlanNode, push: values.VectorNodes
+        self, layer: model.Layer, budget_left: PlanNode, has_budget: PlanNode, condition_value: PlanNode, push: values.VectorNodes
     ) -> None:
         statement_count = len(self.statements)
         condition = (
@@ -182,12 +182,16 @@ class NotingWriter(PlanWriter):
         )
         if len(self.statements) != statement_count:
             raise PlanError(f"a note wrote a statement: {layer.text!r}")
-        self.notes.layers.append(LayerNote(layer, budget_left, has_budget, condition, holds, (push.x, push.y, push.z)))
+        self.notes.layers.append(LayerNote(layer, budget_left, has_budget, condition, condition_value, (push.x, push.y, push.z)))
 
     def note_steering(
-        self, s: model.Steer | model.FaceLine | model.Layer, site: str, push: values.VectorNodes, holds: PlanNode | None = None
+        self,
+        s: model.Steer | model.FaceLine | model.Layer,
+        site: str,
+        push: values.VectorNodes,
+        condition_value: PlanNode | None = None,
     ) -> None:
-        self.notes.steers.append(SteerNote(site, _join_lines(s.span.text), (push.x, push.y, push.z), holds))
+        self.notes.steers.append(SteerNote(site, _join_lines(s.span.text), (push.x, push.y, push.z), condition_value))
 
     def note_rest(self, rest: model.RestingPush, push: values.VectorNodes) -> None:
         self.notes.steers.append(SteerNote(make_resting_site(self.species.name), RESTING_TEXT, (push.x, push.y, push.z)))
@@ -204,7 +208,7 @@ class NotingWriter(PlanWriter):
         if isinstance(value, values.VectorNodes):
             return PartNote(text, type, _choose_display_unit(e, units, self.program), tuple(value))
         if isinstance(value, values.EntityRef):
-            return PartNote(text, model.ValueType(value.kind, of=value.of), "", (value.node,))
+            return PartNote(text, model.ValueType(value.kind, referent=value.owner), "", (value.node,))
         if isinstance(value, values.RayHit):
             nearness = PartNote(
                 "distance", model.ValueType(model.TypeKind.NUMBER, model.Dimension(length=1)), "mm", (value.distance,)

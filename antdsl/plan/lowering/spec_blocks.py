@@ -37,7 +37,7 @@ class AggregatePlan:
     name: str
     reducer: str
     kind: str
-    of: str
+    subject: str
     where_register: str | None = None
     body_register: str | None = None
     amount: str | None = None
@@ -215,7 +215,7 @@ class _SpecLowering:
         return self.known[e]
 
     def _lower_new_aggregate(self, e: expectations.AggregateExpr) -> PlanNode:
-        name, of = f"whole#{len(self.aggregates) + 1}", e.population.of or ""
+        name, of = f"whole#{len(self.aggregates) + 1}", e.population.referent or ""
         kind = e.population.kind.value
         where = body = amount = None
         if kind in ("species", "items") or e.body is not None:

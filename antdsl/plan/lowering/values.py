@@ -25,11 +25,11 @@ class VectorNodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EntityRef:
-    """A reference to an item (`kind` ITEM, `node` a row) or an agent (AGENT, an id); it may be none. `of`: the name of the items
-    or species."""
+    """A reference to an item (`kind` ITEM, `node` a row) or an agent (AGENT, an id); it may be none. `owner`: the name of the
+    items or species."""
 
     kind: TypeKind
-    of: str
+    owner: str
     node: PlanNode
 
 
@@ -38,7 +38,7 @@ class SetElement:
     """The current element of the set that is being reduced."""
 
     kind: TypeKind
-    of: str
+    owner: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,9 +149,9 @@ def limit_length(b: PlanBuilder, v: VectorNodes, max_length: PlanNode) -> Vector
     return scale(b, v, factor)
 
 
-def choose_vector(b: PlanBuilder, condition: PlanNode, then: VectorNodes, other: VectorNodes) -> VectorNodes:
-    """Return `then` where the condition holds, else `other`."""
-    return zip_with(lambda p, q: b("where", condition, p, q), then, other)
+def choose_vector(b: PlanBuilder, condition: PlanNode, true_vector: VectorNodes, false_vector: VectorNodes) -> VectorNodes:
+    """Return `true_vector` where the condition holds, else `false_vector`."""
+    return zip_with(lambda p, q: b("where", condition, p, q), true_vector, false_vector)
 
 
 def select_or_zero(b: PlanBuilder, condition: PlanNode, v: VectorNodes) -> VectorNodes:

@@ -105,12 +105,12 @@ class PlanWriter:
 
     def declare_typed(self, name: str, type: model.ValueType, role: str) -> None:
         """Declare the registers for a value of the language: three for a vector."""
-        holds = (type.kind.value, *type.dimension, type.of)
+        holds = (type.kind.value, *type.dimension, type.referent)
         if type.kind is model.TypeKind.VECTOR:
             for axis in AXES:
                 self.declare(f"{name}.{axis}", ValueKind.F32, role, language_type=holds)
         elif type.kind in KIND_BY_TYPE_KIND:
-            of = type.of if type.kind is model.TypeKind.AGENT else None
+            of = type.referent if type.kind is model.TypeKind.AGENT else None
             self.declare(name, KIND_BY_TYPE_KIND[type.kind], role, NONE_BY_KIND.get(type.kind, 0), of, holds)
         else:
             raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
@@ -168,7 +168,7 @@ class PlanWriter:
     # Called during lowering. `NotingWriter` overrides these to record notes for `explain`.
 
     def note_transition(
-        self, machine: str, number: int, state: model.State, transition: model.Transition, fires: PlanNode
+        self, machine: str, number: int, state: model.State, transition: model.Transition, is_taken: PlanNode
     ) -> None:
         """Record a transition of a state, and whether it fires."""
 
@@ -176,12 +176,12 @@ class PlanWriter:
         """Record a transition's choice of a state: the random draw and the weight of each state."""
 
     def note_layer(
-        self, layer: model.Layer, budget_left: PlanNode, has_budget: PlanNode, holds: PlanNode, push: VectorNodes
+        self, layer: model.Layer, budget_left: PlanNode, has_budget: PlanNode, condition_value: PlanNode, push: VectorNodes
     ) -> None:
         """Record a layer: the remaining strength, whether there is any, whether its condition holds, and its push."""
 
     def note_steering(
-        self, s: model.Steer | model.FaceLine | model.Layer, site: str, push: VectorNodes, holds: PlanNode | None = None
+        self, s: model.Steer | model.FaceLine | model.Layer, site: str, push: VectorNodes, condition_value: PlanNode | None = None
     ) -> None:
         """Record a `steer` line, or a `face` line of a state or of the layers, and whether the line's condition holds."""
 

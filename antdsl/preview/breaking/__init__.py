@@ -18,10 +18,10 @@ from antdsl.runtime import World
 
 # A watcher is made for the session's current program. The maker raises BreakpointError if the breakpoint does not fit it.
 WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], BreakpointWatcher]] = {
-    StateBreak: lambda session, ask, specs: StateWatcher(session, ask),
-    ConditionBreak: lambda session, ask, specs: ConditionWatcher(session, ask),
+    StateBreak: lambda session, request, specs: StateWatcher(session, request),
+    ConditionBreak: lambda session, request, specs: ConditionWatcher(session, request),
     SpecBreak: SpecWatcher,
-    FaultBreak: lambda session, ask, specs: FaultWatcher(session, ask),
+    FaultBreak: lambda session, request, specs: FaultWatcher(session, request),
 }
 
 
@@ -29,10 +29,10 @@ WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], Brea
 class Breakpoint:
     """A breakpoint of a page.
 
-    `ask`: the request. `watcher`: the watcher; None while the breakpoint does not match the program. `error`: the error if it
+    `request`: the request. `watcher`: the watcher; None while the breakpoint does not match the program. `error`: the error if it
     does not match."""
 
-    ask: AnyBreak
+    request: AnyBreak
     watcher: BreakpointWatcher | None = None
     error: BreakpointError | None = None
 
@@ -67,14 +67,14 @@ class Breakpoints:
         if candidate is not None and candidate not in requests:
             WATCHER_BY_BREAK_KIND[type(candidate)](session, candidate, self.specs)
             requests = [*requests, candidate]
-        known = {each.ask: each for each in self.breakpoints}
+        known = {each.request: each for each in self.breakpoints}
         self.breakpoints = [known.get(ask) or Breakpoint(ask) for ask in requests]
         self.specs.require([ask.spec for ask in requests if isinstance(ask, SpecBreak)])
         self._make_watchers(session)
 
     def make_message(self) -> dict[str, Any]:
         """Return the message with all breakpoints, each with the reason why it does not match the program, or ""."""
-        reasons = [(each.ask.model_dump(), _describe_reason(each.error)) for each in self.breakpoints]
+        reasons = [(each.request.model_dump(), _describe_reason(each.error)) for each in self.breakpoints]
         return {"op": "breaks", "breaks": [{"made": ask_fields, "why": why} for ask_fields, why in reasons]}
 
     def on_new_world(self, session: Session) -> None:
@@ -113,7 +113,7 @@ class Breakpoints:
         self._shot, self._last_seen = session.shot, None
         for each in self.breakpoints:
             try:
-                each.watcher, each.error = WATCHER_BY_BREAK_KIND[type(each.ask)](session, each.ask, self.specs), None
+                each.watcher, each.error = WATCHER_BY_BREAK_KIND[type(each.request)](session, each.request, self.specs), None
             except BreakpointError as why:
                 old_reason, each.watcher, each.error = _describe_reason(each.error), None, why
                 if old_reason == _describe_reason(why):
@@ -122,7 +122,7 @@ class Breakpoints:
                     {
                         "op": "refused",
                         "of": "breaks",
-                        "message": f"{describe_breakpoint(each.ask)}: {why.message}",
+                        "message": f"{describe_breakpoint(each.request)}: {why.message}",
                         "help": why.help,
                     }
                 )

@@ -57,10 +57,10 @@ def format_agents(species: str, ids: tuple[int, ...]) -> str:
     return f"{words} and {len(ids) - _MAX_NAMED_AGENTS} more" if len(ids) > _MAX_NAMED_AGENTS else words
 
 
-def _make_unknown_name_error(what: str, name: str, known: list[str]) -> BreakpointError:
-    near = find_nearest_name(name, known)
-    listed = ", ".join(f"`{each}`" for each in known) or "none"
-    return BreakpointError(f"there is no {what} `{name}`", f"did you mean `{near}`?" if near else f"there is {listed}")
+def _make_unknown_name_error(noun: str, name: str, known_names: list[str]) -> BreakpointError:
+    near = find_nearest_name(name, known_names)
+    listed = ", ".join(f"`{each}`" for each in known_names) or "none"
+    return BreakpointError(f"there is no {noun} `{name}`", f"did you mean `{near}`?" if near else f"there is {listed}")
 
 
 class SpecWatcher:

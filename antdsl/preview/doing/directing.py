@@ -22,7 +22,7 @@ def draft_note(live: Live, request: requests.DraftNote, client: Client) -> None:
     """Check a note, and add it to the run if that is requested. Send the line and what is wrong with it to the page."""
     form = find_note_form(request.verb)
     if form is None:
-        raise RequestRefused(f"`{request.verb}` is no verb of a note")
+        raise RequestRefused(f"`{request.verb}` is not a verb of notes")
     notes = live.session.notes
     draft = make_draft(live.session.shot, form, request.agents, request.values)
     findings, is_applied = [*draft.report.diagnostics], False
@@ -30,7 +30,7 @@ def draft_note(live: Live, request: requests.DraftNote, client: Client) -> None:
         raise RequestRefused("the run has this note already", "change a value, or switch the note on in the list")
     if request.apply and draft.note is not None:
         if len(notes) >= limits.MAX_PREVIEW_NOTES:
-            raise RequestRefused(f"{len(notes)} notes are the most that a preview holds", "write them into the scene")
+            raise RequestRefused(f"a preview holds at most {len(notes)} notes", "write them into the scene")
         added = HandNote(max((note.key for note in notes), default=-1) + 1, draft.text, draft.note)
         result = _change_notes(live, (*notes, added), f"note `{draft.text}`", draft.text)
         findings, is_applied = [*result.report.diagnostics], result.ok
@@ -43,7 +43,7 @@ def switch_note(live: Live, request: requests.SwitchNote, client: Client) -> Non
     notes = live.session.notes
     note = next((each for each in notes if each.key == request.key), None)
     if note is None:
-        raise RequestRefused("this note is not there any more")
+        raise RequestRefused("this note no longer exists")
     others = tuple(
         replace(each, is_on=request.action == "on", problem="") if each is note else each
         for each in notes
@@ -56,11 +56,11 @@ def switch_note(live: Live, request: requests.SwitchNote, client: Client) -> Non
         raise RequestRefused(live.screen.names.shorten_paths(errors[0].message), errors[0].help or "")
 
 
-def _change_notes(live: Live, notes: HandNotes, did: str, text: str = "") -> Outcome:
+def _change_notes(live: Live, notes: HandNotes, description: str, text: str = "") -> Outcome:
     """Replace the notes of the run, and bring it to the displayed frame again."""
     live.show_exact_frame()
     frame = live.session.frame
-    result = live.session.direct(notes, did, text)
+    result = live.session.direct(notes, description, text)
     if result.ok:
         live.send_to_all(make_outcome_message(live, "note", result, find_scene_name(live) if text else ""))
         live.screen.on_edit(files_changed=False)

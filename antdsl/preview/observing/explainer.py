@@ -136,8 +136,8 @@ class Explainer:
         self._cached_replays.append((stretch, key, replay))
         return replay
 
-    def _add_state_history(self, located: LocatedExplanation) -> Any:
-        explanation = located.explanation
+    def _add_state_history(self, explanation_location: LocatedExplanation) -> Any:
+        explanation = explanation_location.explanation
         state_strip = tuple(self._collect_state_stretches(explanation.species, explanation.agent))
         alive = (min(each.first for each in state_strip), max(each.last for each in state_strip)) if state_strip else None
         return replace(explanation, strip=state_strip, alive=alive)

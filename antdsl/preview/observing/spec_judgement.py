@@ -122,9 +122,9 @@ class SpecObserver:
         if stretch is not self._stretch or frame not in (self._last_judged_frame, self._last_judged_frame + 1):
             self._stretch = stretch
             self.statuses = [_make_status(*each) for each in self.plan_specs(shot, session.compiler.scene)]
-            fresh = self._start_judging(session, lambda each: True)
+            fresh = self._start_judging(session, lambda spec: True)
         else:
-            again = self._start_judging(session, lambda each: each.name in self.wanted)
+            again = self._start_judging(session, lambda spec: spec.name in self.wanted)
             fresh = self.statuses if frame != self._last_judged_frame else again
         self._last_judged_frame = frame
         for each in fresh:
@@ -185,7 +185,7 @@ def _find_obstacle(spec: Spec, shot: Shot, scene: Path) -> str:
     """Return the reason why a spec does not apply to this run, or "" if it applies."""
     if spec.scene is not None:
         try:
-            place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.granted).path(spec.scene.text)
+            place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.folder_by_name).path(spec.scene.text)
         except PathRefused as why:
             return str(why)
         if realpath(place) != realpath(scene):

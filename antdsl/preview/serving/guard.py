@@ -81,7 +81,7 @@ def _write_keys(path: Path, keys: Sequence[str]) -> None:
     """Write the keys atomically, readable by the file's owner only."""
     write_atomically(path, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
     with suppress(OSError):
-        files = sorted(path.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
+        files = sorted(path.parent.glob("*.json"), key=lambda path: path.lstat().st_mtime)
         for old in files[:-_MAX_KEY_FILES]:
             old.unlink()
 
@@ -148,6 +148,6 @@ class RequestGuard:
         return ConnectionVerdict.STRANGER if origin is None else ConnectionVerdict.WRONG_TOKEN
 
 
-def _is_equal(one: str, other: str) -> bool:
+def _is_equal(first: str, second: str) -> bool:
     """Return whether two texts are equal, in a time that does not reveal where they differ."""
-    return hmac.compare_digest(one.encode("utf-8", "surrogatepass"), other.encode())
+    return hmac.compare_digest(first.encode("utf-8", "surrogatepass"), second.encode())

@@ -70,15 +70,15 @@ _SILENT_LOGGER = logging.getLogger("antdsl.preview.serving")
 
 @dataclass(frozen=True, slots=True)
 class RefusedRequest:
-    """A rejected request. `of`: its op, if the op exists."""
+    """A rejected request. `operation`: its op, if the op exists."""
 
-    of: str
+    operation: str
     message: str
     help: str = ""
 
     def make_message(self) -> dict[str, Any]:
         """Return the message that reports the rejection to the page."""
-        return {"op": "refused", "of": self.of, "message": self.message, "help": self.help}
+        return {"op": "refused", "of": self.operation, "message": self.message, "help": self.help}
 
 
 def read_request(text: str) -> AnyRequest | RefusedRequest:
@@ -157,7 +157,7 @@ class PreviewServer:
         """Return the response to a request, or None to open a socket."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if getattr(request, "method", "GET") != "GET":  # earlier versions of websockets read no other method
-            return _make_response(HTTPStatus.METHOD_NOT_ALLOWED, extra=[("Allow", "GET")])
+            return _make_response(HTTPStatus.METHOD_NOT_ALLOWED, extra_headers=[("Allow", "GET")])
         if not self._guard.may_load_page(hosts, origins):
             return _make_response(HTTPStatus.FORBIDDEN)
         if request.path == "/ws":
@@ -280,10 +280,10 @@ def _make_response(
     kind: str = "text/plain; charset=utf-8",
     body: bytes | None = None,
     *,
-    extra: Sequence[tuple[str, str]] = (),
+    extra_headers: Sequence[tuple[str, str]] = (),
 ) -> Response:
     body = f"{status.phrase}\n".encode() if body is None else body
-    headers = Headers([("Content-Type", kind), ("Content-Length", str(len(body))), ("Connection", "close"), *extra])
+    headers = Headers([("Content-Type", kind), ("Content-Length", str(len(body))), ("Connection", "close"), *extra_headers])
     return Response(status.value, status.phrase, headers, body)
 
 

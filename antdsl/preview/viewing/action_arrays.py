@@ -99,46 +99,52 @@ def make_action_arrays(world: World, shot: Shot, population: Population, light: 
     return arrays
 
 
-def _body_arrays(world: World, population: Population, key: str, worn: BodyOutfit, of: tuple[Arrays, Arrays]) -> Arrays:
-    """Return the actions of the agents with a body. `of`: their arrays of a frame and their light frame, by id."""
-    stored, light = of
+def _body_arrays(
+    world: World, population: Population, key: str, outfit: BodyOutfit, frame_arrays: tuple[Arrays, Arrays]
+) -> Arrays:
+    """Return the actions of the agents with a body. `frame_arrays`: their arrays of a frame and their light frame, by id."""
+    stored, light = frame_arrays
     count = len(light["id"])
     clips_by_machine = {
         each: read_machine_clips(population.name, each, stored, count) for each in list_playing_machines(population)
     }
     machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
-    clips = [worn.definition.clips.get(clip) for clip, *_ in worn.clips]
+    clips = [outfit.definition.clips.get(clip) for clip, *_ in outfit.clips]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
     arrays: Arrays = {f"plays/{each}": pack_clips(clip, loops) for each, clip in machines.items()}
-    arrays |= _make_display_arrays(world, population, stored, worn)
-    played = (*build_posed_body(worn).build_idle_clips(light["id"], world.frame * world.dt), *machines.values())
-    arrays |= _make_trait_arrays(world, population, of, worn, played)
+    arrays |= _make_display_arrays(world, population, stored, outfit)
+    played = (*build_posed_body(outfit).build_idle_clips(light["id"], world.frame * world.dt), *machines.values())
+    arrays |= _make_trait_arrays(world, population, frame_arrays, outfit, played)
     if key in world.feet and count:
-        arrays |= _make_species_stances(world, key, worn, light, tuple(machines.values()))
+        arrays |= _make_species_stances(world, key, outfit, light, tuple(machines.values()))
     return {f"{key}/{what}": array for what, array in arrays.items()}
 
 
-def _make_display_arrays(world: World, population: Population, stored: Arrays, body_outfit: BodyOutfit) -> Arrays:
+def _make_display_arrays(world: World, population: Population, stored_arrays: Arrays, body_outfit: BodyOutfit) -> Arrays:
     arrays: Arrays = {}
     if body_outfit.layers:
         known = list_wearable_layers(population, world.setting)
-        mask = stored[f"wears.{population.name}"]
+        mask = stored_arrays[f"wears.{population.name}"]
         layer_bits = np.zeros(len(mask), np.uint32)
         for k, layer in enumerate(body_outfit.layers):
             layer_bits |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
         arrays["wears"] = layer_bits
     for group in body_outfit.look_groups:
-        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(stored[f"looks.{population.name}.{group}"])).astype(np.int8)
+        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(stored_arrays[f"looks.{population.name}.{group}"])).astype(np.int8)
     if body_outfit.blends_lean:
-        leans = np.nan_to_num(stored[f"leans.{population.name}"])
+        leans = np.nan_to_num(stored_arrays[f"leans.{population.name}"])
         arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(leans))]), -1, 1)).astype(np.int8)
     return arrays
 
 
 def _make_trait_arrays(
-    world: World, population: Population, of: tuple[Arrays, Arrays], body_outfit: BodyOutfit, machines: tuple[MachineClips, ...]
+    world: World,
+    population: Population,
+    frame_arrays: tuple[Arrays, Arrays],
+    body_outfit: BodyOutfit,
+    machines: tuple[MachineClips, ...],
 ) -> Arrays:
-    stored, ids = of[0], of[1]["id"].astype(np.int64)
+    stored, ids = frame_arrays[0], frame_arrays[1]["id"].astype(np.int64)
     differ, varied, count = find_traits(body_outfit), body_outfit.definition.variation, len(ids)
     if not differ.count or not count:
         return {}

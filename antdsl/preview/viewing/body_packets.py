@@ -181,7 +181,7 @@ def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tu
     - `group` float32[G, J]: weights of joints, first those of the complete rig.
     """
     joints, sample_rows = len(table.joint_order), [np.array([0])]
-    groups = ["", *sorted({each.on for each in played_clips} - {""})]
+    groups = ["", *sorted({each.group for each in played_clips} - {""})]
     clip_ranges: dict[str, tuple[int, int]] = {}
     for name in dict.fromkeys(name for each in played_clips for name in (each.clip, *each[3:]) if name in table.names):
         number = table.find_clip(name) + 1
@@ -193,7 +193,7 @@ def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tu
         first, length = clip_ranges.get(each.clip, (-1, 1))
         again = first >= 0 and bool(table.is_looping[table.find_clip(each.clip) + 1])
         blend_ranges = [number for blend_clip in each[3:] for number in clip_ranges.get(blend_clip, (-1, 1))]
-        clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.on), *blend_ranges))
+        clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.group), *blend_ranges))
     rows = table.samples[np.concatenate(sample_rows)]
     sample = np.zeros((len(rows), joints, _count_texels(table), 4), np.float32)
     at = 0

@@ -44,16 +44,16 @@ def _remove_positions(chart: Chart) -> Chart:
     return replace(chart, boxes=boxes, arrows=tuple(replace(arrow, details="") for arrow in chart.arrows))
 
 
-def _make_chart_message(species: str, machine: str, chart: Chart, placed: PlacedChart) -> dict[str, Any]:
+def _make_chart_message(species: str, machine: str, chart: Chart, placed_chart: PlacedChart) -> dict[str, Any]:
     boxes = [
         {
             "key": box.key, "kind": box.kind, "name": box.name, "label": box.label, "colour": list(box.colour),
             "details": box.details, "centre": list(place.centre), "width": place.width, "height": place.height,
         }
-        for box, (_, place) in zip(chart.boxes, placed.boxes, strict=True)
+        for box, (_, place) in zip(chart.boxes, placed_chart.boxes, strict=True)
     ]  # fmt: skip
     arrows = []
-    for arrow, route in zip(chart.arrows, placed.arrows, strict=True):
+    for arrow, route in zip(chart.arrows, placed_chart.arrows, strict=True):
         words = route.words and {"centre": list(route.words.centre), "width": route.words.width, "height": route.words.height}
         arrows.append(
             {
@@ -62,6 +62,6 @@ def _make_chart_message(species: str, machine: str, chart: Chart, placed: Placed
             }
         )  # fmt: skip
     return {
-        "species": species, "machine": machine, "title": chart.title, "width": placed.width, "height": placed.height,
+        "species": species, "machine": machine, "title": chart.title, "width": placed_chart.width, "height": placed_chart.height,
         "boxes": boxes, "arrows": arrows,
     }  # fmt: skip

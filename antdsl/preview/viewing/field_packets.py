@@ -69,11 +69,11 @@ class FieldPackets:
             self._last_frame_by_field.pop(removed_name, None)
         if not field_names or (
             view_state.is_advancing
-            and view_state.now - self._last_sent_time < _UPDATE_INTERVAL_SECONDS
+            and view_state.time - self._last_sent_time < _UPDATE_INTERVAL_SECONDS
             and self._last_frame_by_field.keys() >= set(field_names)
         ):
             return
-        self._last_sent_time = view_state.now
+        self._last_sent_time = view_state.time
         for name in field_names:
             yield from self._make_field_packets(view_state, name)
 
@@ -81,11 +81,11 @@ class FieldPackets:
         world, field = view_state.world, view_state.world.fields[name]
         made_of, count, when = self._mesh_source_by_field.get(name, (None, 0, -_MESH_INTERVAL_SECONDS))
         grown = count != count_used_cells(field) and (
-            view_state.now - when >= _MESH_INTERVAL_SECONDS or not view_state.is_advancing
+            view_state.time - when >= _MESH_INTERVAL_SECONDS or not view_state.is_advancing
         )
         if made_of is not field.cells or grown:
             mesh = make_field_mesh(world, name)
-            self._meshes[name], self._mesh_source_by_field[name] = mesh, (field.cells, count_used_cells(field), view_state.now)
+            self._meshes[name], self._mesh_source_by_field[name] = mesh, (field.cells, count_used_cells(field), view_state.time)
             self._last_frame_by_field.pop(name, None)
         if self._last_frame_by_field.get(name) == world.frame:
             return

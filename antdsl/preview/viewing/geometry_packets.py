@@ -110,9 +110,9 @@ class FlowPackets:
         if world is not self._world:
             self._world, self._sent_flows = world, set()
         solved = {name for name in view_state.interest.flows if isinstance(world.setting.flows.get(name), SolvedFlowData)}
-        if solved and view_state.now - self._last_solved_time >= _SOLVED_FLOW_INTERVAL_SECONDS:
+        if solved and view_state.time - self._last_solved_time >= _SOLVED_FLOW_INTERVAL_SECONDS:
             self._sent_flows -= solved
-            self._last_solved_time = view_state.now
+            self._last_solved_time = view_state.time
         flow_names = (view_state.interest.flows & world.flows.keys()) - self._sent_flows
         if not flow_names:
             return
@@ -136,10 +136,10 @@ class SolidPackets:
     def make_packets(self, view_state: ViewState) -> SlotPackets:
         """Yield the pieces that agents have dug in, at a limited rate."""
         if not view_state.interest.shows_solids or (
-            view_state.is_advancing and view_state.now - self._last_sent_time < _UPDATE_INTERVAL_SECONDS
+            view_state.is_advancing and view_state.time - self._last_sent_time < _UPDATE_INTERVAL_SECONDS
         ):
             return
-        self._last_sent_time = view_state.now
+        self._last_sent_time = view_state.time
         for name in self._volumes.keys() - view_state.world.solids.keys():
             for piece in sorted(self._bricks_by_piece.pop(name)):
                 yield from self._make_piece_packets(name, piece, [], self._volumes[name])

@@ -65,7 +65,7 @@ def make_outcome_message(live: Live, operation: str, result: Outcome, file: str 
     """Return the message with the result of an edit. `operation`: the op of the request; `file`: the file to write the text
     into."""
     entries = _make_problem_messages(live, result.report)
-    details = {"did": result.did, "line": result.line, "text": result.text, "file": file}
+    details = {"did": result.description, "line": result.line, "text": result.text, "file": file}
     return {"op": "outcome", "of": operation, "ok": result.ok, **details, "problems": entries}
 
 

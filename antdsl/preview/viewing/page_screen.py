@@ -149,8 +149,8 @@ class PageScreen:
 
     # --- telling -----------------------------------------------------------------------------------------------------
 
-    def send_due_updates(self, now: float) -> None:
-        """Send everything that is due at the time `now` (s)."""
+    def send_due_updates(self, time: float) -> None:
+        """Send everything that is due at the time `time` (s)."""
         live = self.live
         self.next_refresh_time = inf
         if not live.clients:
@@ -163,27 +163,27 @@ class PageScreen:
             laid = self._send_scene(self._charts.is_laid_out(session.shot.program))
         playing = session is not None and (session.playing or live.is_seeking)
         if session is not None and self._world_changed:
-            if playing and now - self._last_packet_time < _FRAME_INTERVAL_SECONDS:
+            if playing and time - self._last_packet_time < _FRAME_INTERVAL_SECONDS:
                 self.next_refresh_time = self._last_packet_time + _FRAME_INTERVAL_SECONDS
             else:
                 self._world_changed = False
-                self._send_packets(session, now)
+                self._send_packets(session, time)
         if files:
             live.send_to_all(messages.make_texts_message(live))
             live.send_to_all(messages.make_problems_message(live))
         if not laid:
             self._send_scene(True)
-        if not playing or now - self._last_report_time >= _REPORT_INTERVAL:
-            self._last_report_time = now
+        if not playing or time - self._last_report_time >= _REPORT_INTERVAL:
+            self._last_report_time = time
             self._send_progress(session)
         if playing:
             self.next_refresh_time = min(self.next_refresh_time, self._last_report_time + _REPORT_INTERVAL)
 
-    def _send_packets(self, session: Session, now: float) -> set[str]:
+    def _send_packets(self, session: Session, time: float) -> set[str]:
         """Send the slots that changed to all pages, and return these slots."""
-        self._last_packet_time = now
+        self._last_packet_time = time
         going = session.playing or self.live.is_seeking
-        view_state, sent = ViewState(session, self.live.ahead, self._interest, self.live.displayed_frame, now, going), set()
+        view_state, sent = ViewState(session, self.live.ahead, self._interest, self.live.displayed_frame, time, going), set()
         for view in self._packet_makers:
             for slot, packet in view.make_packets(view_state):
                 self._packet_by_slot[slot] = packet

@@ -8,19 +8,19 @@ from antdsl.runtime import World
 from antdsl.scene.quantities import QuantityError, parse_quantity
 
 
-def choose_unit(declared: AttributeDecl | ItemAttribute) -> str:
+def choose_unit(declaration: AttributeDecl | ItemAttribute) -> str:
     """Return the unit of the declared default value, or else a usual unit."""
-    if declared.type.kind is not TypeKind.NUMBER:
+    if declaration.type.kind is not TypeKind.NUMBER:
         return ""
-    default = declared.default
+    default = declaration.default
     try:
         written = parse_quantity(default.span.text) if default.span is not None else None
     except QuantityError:
         written = None
     return (
         written.unit
-        if written is not None and written.dim == declared.type.dimension
-        else choose_default_unit(declared.type.dimension)
+        if written is not None and written.dim == declaration.type.dimension
+        else choose_default_unit(declaration.type.dimension)
     )
 
 

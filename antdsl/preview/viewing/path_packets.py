@@ -33,10 +33,10 @@ class PathPackets:
         if now == self._last_key or (
             view_state.is_advancing
             and self._last_key is not None
-            and view_state.now - self._last_sent_time < _UPDATE_INTERVAL_SECONDS
+            and view_state.time - self._last_sent_time < _UPDATE_INTERVAL_SECONDS
         ):
             return
-        self._last_key, self._last_sent_time = now, view_state.now
+        self._last_key, self._last_sent_time = now, view_state.time
         first, arrays = min(view_state.ahead.frames, default=0), _make_path_arrays(view_state)
         yield "paths", pack_arrays("paths", arrays, frame=first, count=len(view_state.ahead.frames))
 

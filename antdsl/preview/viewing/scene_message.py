@@ -110,7 +110,7 @@ def _list_layers(session: Session, names: FileNames, population: Population) -> 
             own = re.search(rf"^\s*species\s+{re.escape(species)}\b", file_text, re.MULTILINE)
             line = file_text.count("\n", 0, max(file_text.find(text, own.start() if own else 0), 0)) + 1
             entries.append({"text": text, "file": names.get_short_name(path), "line": line, "on": False})
-    return sorted(entries, key=lambda each: (each["file"], each["line"]))
+    return sorted(entries, key=lambda entry: (entry["file"], entry["line"]))
 
 
 def _make_param_entry(session: Session, names: FileNames, name: str, param: Param) -> dict[str, Any]:

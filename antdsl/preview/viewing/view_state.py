@@ -51,7 +51,7 @@ class ViewState:
     `session` and `ahead`: the session, and its simulated future frames.
     `interest`: the data that pages display.
     `stored_frame`: the stored frame that is displayed instead of the session's own, or None.
-    `now`: the time in seconds.
+    `time`: the time in seconds.
     `is_advancing`: whether the session plays or is on its way to a frame.
     """
 
@@ -59,7 +59,7 @@ class ViewState:
     ahead: Ahead
     interest: PageInterest
     stored_frame: int | None
-    now: float
+    time: float
     is_advancing: bool  # it plays, or is on its way: the next moment comes soon
 
     @property

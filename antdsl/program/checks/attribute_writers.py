@@ -34,5 +34,5 @@ def _iterate_written_attributes(machine: Machine) -> Iterator[tuple[str, Span, b
         blocks = [state.body, state.enter, state.exit, *(change.actions for change in state.transitions)]
         for block in blocks:
             for line in block:
-                if isinstance(line, Assign) and line.of is None:
+                if isinstance(line, Assign) and line.pair_agent is None:
                     yield line.attribute, line.span, line.op == "="

@@ -54,7 +54,7 @@ def _check_steering(species: Species, has_library: bool, report: Report) -> None
     drawn = {
         line.attribute: draws
         for line in lines
-        if isinstance(line, Assign) and line.op == "=" and line.of is None and (draws := _find_step_draws(line.value, {}))
+        if isinstance(line, Assign) and line.op == "=" and line.pair_agent is None and (draws := _find_step_draws(line.value, {}))
     }
     pushes = [line.push for line in lines if isinstance(line, Steer)]
     pushes += [line.direction for line in lines if isinstance(line, FaceLine)]
@@ -71,10 +71,11 @@ def _check_steering(species: Species, has_library: bool, report: Report) -> None
         )  # fmt: skip
 
 
-def _find_step_draws(root: Expr, drawn: dict[str, list[OperationExpr]]) -> list[OperationExpr]:
+def _find_step_draws(root: Expr, draws_by_attribute: dict[str, list[OperationExpr]]) -> list[OperationExpr]:
     """Return the draws that are repeated in every step, if their sum over a second depends on the frame rate.
 
-    Draws that `dt` scales are left out, and those inside sets. `drawn`: by attribute, the draws that a state assigns to it."""
+    Draws that `dt` scales are left out, and those inside sets. `draws_by_attribute`: by attribute, the draws that a state
+    assigns to it."""
     draws: list[OperationExpr] = []
     stack, visited = [root], set[int]()
     while stack:
@@ -82,10 +83,10 @@ def _find_step_draws(root: Expr, drawn: dict[str, list[OperationExpr]]) -> list[
         if id(part) in visited:
             continue
         visited.add(id(part))
-        if isinstance(part, AttributeRef) and part.of is None:
-            draws += drawn.get(part.name, [])
+        if isinstance(part, AttributeRef) and part.owner is None:
+            draws += draws_by_attribute.get(part.name, [])
         elif isinstance(part, BindingRef):
-            value = part.binding.then if part.binding.role == "keep" else part.binding.value
+            value = part.binding.next_value if part.binding.role == "keep" else part.binding.value
             stack += [value] if value is not None and part.binding.role in ("let", "argument", "keep") else []
         elif isinstance(part, InlinedBehaviour):
             stack.append(part.result)

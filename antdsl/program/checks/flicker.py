@@ -35,14 +35,14 @@ def _iterate_opposite_changes(machine: Machine) -> Iterator[tuple[tuple[State, T
 def _check_pair(
     reader: ConditionReader,
     machine: Machine,
-    forward: tuple[State, Transition],
-    backward: tuple[State, Transition],
+    forward_change: tuple[State, Transition],
+    backward_change: tuple[State, Transition],
     report: Report,
 ) -> None:
-    (state, change), (other, returning) = forward, backward
-    if _has_wait(*forward) or _has_wait(*backward) or change.condition is None or returning.condition is None:
+    (state, change), (other, returning) = forward_change, backward_change
+    if _has_wait(*forward_change) or _has_wait(*backward_change) or change.condition is None or returning.condition is None:
         return
-    if _affects_test(machine, forward, returning.condition) or _affects_test(machine, backward, change.condition):
+    if _affects_test(machine, forward_change, returning.condition) or _affects_test(machine, backward_change, change.condition):
         return
     if _can_both_hold(reader, change.condition, returning.condition):
         report.warning(
@@ -56,7 +56,12 @@ def _check_pair(
 
 
 def _has_wait(state: State, change: Transition) -> bool:
-    return change.delay is not None or change.hold_time is not None or change.take is not None or state.at_least is not None
+    return (
+        change.delay is not None
+        or change.hold_time is not None
+        or change.take_action is not None
+        or state.min_duration is not None
+    )
 
 
 def _can_both_hold(reader: ConditionReader, first: Expr, second: Expr) -> bool:

@@ -87,7 +87,7 @@ def compute_min_strength(push: Expr) -> float:
     if isinstance(push, InlinedBehaviour):
         return compute_min_strength(push.result)
     if isinstance(push, AttributeRef):
-        return 1.0 if push.of is None and push.name in ("heading", "up") else 0.0
+        return 1.0 if push.owner is None and push.name in ("heading", "up") else 0.0
     if not isinstance(push, OperationExpr):
         return 0.0
     if push.name == "neg" and push.args[0] is not None:

@@ -40,22 +40,22 @@ def check_per_frame(context: CheckContext, report: Report) -> None:
             for state in machine.states:
                 _check_lines(state, report)
         for part in iterate_parts((species.machines, species.layers)):
-            if isinstance(part, Binding) and part.role == "keep" and part.then is not None:
-                _check_memory(part, part.then, report)
+            if isinstance(part, Binding) and part.role == "keep" and part.next_value is not None:
+                _check_memory(part, part.next_value, report)
 
 
 def _check_lines(state: State, report: Report) -> None:
-    own = [line for line in state.body if isinstance(line, Assign) and line.of is None]
+    own = [line for line in state.body if isinstance(line, Assign) and line.pair_agent is None]
     driven = {line.attribute for line in own if line.op != "="}
     for line in state.body:
-        if isinstance(line, Assign) and line.op == "=" and line.of is None:
+        if isinstance(line, Assign) and line.op == "=" and line.pair_agent is None:
             _check_assignment(line, line.attribute in driven, report)
         elif isinstance(line, Assign):
             _check_rate(line, line.value, line.attribute, line.per_second, f"{line.attribute} {line.op} ", report)
         elif isinstance(line, Give) and line.amount is not None:
             _check_rate(line, line.amount, line.attribute, line.per_second, "", report)
         elif isinstance(line, EffectRequest) and line.args and line.args[0] is not None:
-            _check_rate(line, line.args[0], line.of, line.per_second, "", report)
+            _check_rate(line, line.args[0], line.target, line.per_second, "", report)
 
 
 def _check_rate(
@@ -105,37 +105,41 @@ def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> N
     report.warning("per-frame", f"{quote_source(line.span)} {_PER_FRAME_REASON}", line.span, help, labels=labels, fix=fix)
 
 
-def _check_memory(keep: Binding, then: Expr, report: Report) -> None:
-    makers = find_changers(then, keep)
+def _check_memory(memory: Binding, next_value: Expr, report: Report) -> None:
+    makers = find_changers(next_value, memory)
     if not makers:
         return
-    text = _format_rate_free(makers[0], keep) if len(makers) == 1 and _is_inside(makers[0].span, then.span) else ""
+    text = _format_rate_free(makers[0], memory) if len(makers) == 1 and _is_inside(makers[0].span, next_value.span) else ""
     help = "write an amount per second, times `dt`"
     if text:
-        help = f"write `then {_replace_part(then.span, makers[0].span, text)}`, which is as much at {FILM_FPS} frames a second"
+        help = (
+            f"write `then {_replace_part(next_value.span, makers[0].span, text)}`, which is as much at {FILM_FPS} frames a second"
+        )
     fix = Fix(makers[0].span, text) if text else None
-    report.warning("per-frame", f"`then {_join_source_lines(then.span)}` {_PER_FRAME_REASON}", then.span, help, fix=fix)
+    report.warning(
+        "per-frame", f"`then {_join_source_lines(next_value.span)}` {_PER_FRAME_REASON}", next_value.span, help, fix=fix
+    )
 
 
 # --- what to write instead -------------------------------------------------------------------------------------------
 
 
-def _format_added_rate(value: Expr, own: str) -> str:
+def _format_added_rate(value: Expr, own_name: str) -> str:
     """Return a rewrite that adds a rate: `+= 24 /s` for `x + 1`, `+= (gain - 0.1) * 24 /s` for `x + gain - 0.1`. Empty for other
     forms."""
     if not isinstance(value, OperationExpr) or value.name not in ("add", "sub"):
         return ""
     left, right = value.args
     assert left is not None and right is not None
-    if value.name == "add" and is_own_value(right, own) and not reads_own_value(left, own):
+    if value.name == "add" and is_own_value(right, own_name) and not reads_own_value(left, own_name):
         return f"+= {_convert_to_per_second(_join_source_lines(left.span))}"
     spine = [value]  # left operands in turn: `x + a - b` is (x + a) - b
     while isinstance(inner := spine[-1].args[0], OperationExpr) and inner.name in ("add", "sub"):
         spine.append(inner)
     first, rest = spine[-1].args
-    if first is None or rest is None or not is_own_value(first, own) or not _is_inside(first.span, value.span):
+    if first is None or rest is None or not is_own_value(first, own_name) or not _is_inside(first.span, value.span):
         return ""
-    if any(op.args[1] is None or reads_own_value(op.args[1], own) for op in spine):
+    if any(op.args[1] is None or reads_own_value(op.args[1], own_name) for op in spine):
         return ""
     if len(spine) == 1:
         return f"{'+=' if value.name == 'add' else '-='} {_convert_to_per_second(_join_source_lines(rest.span))}"
@@ -167,18 +171,18 @@ def _format_rate_free(op: Expr, own_value: OwnValue) -> str:
     return ""
 
 
-def _is_scaled_by_dt(op: Expr, own: str) -> bool:
+def _is_scaled_by_dt(op: Expr, own_name: str) -> bool:
     """Return whether the operation multiplies the value by `dt`, as in `x * dt`. The value then vanishes in a short step."""
     return (
         isinstance(op, OperationExpr)
         and op.name == "mul"
-        and any(e is not None and depends_on_step(e) and not reads_own_value(e, own) for e in op.args)
+        and any(e is not None and depends_on_step(e) and not reads_own_value(e, own_name) for e in op.args)
     )
 
 
-def _format_decay(own: Expr, factor: Expr, power: int) -> str:
+def _format_decay(target: Expr, factor: Expr, power: int) -> str:
     part = _format_share(factor, power)
-    return f"{own.span.text} * {part}" if part else ""
+    return f"{target.span.text} * {part}" if part else ""
 
 
 def _format_mix(op: OperationExpr, own_value: OwnValue) -> str:
@@ -224,14 +228,14 @@ def _join_source_lines(span: Span) -> str:
     return " ".join(span.text.split())
 
 
-def _is_inside(span: Span, outer: Span) -> bool:
-    return span.source is outer.source and outer.start <= span.start and span.end <= outer.end
+def _is_inside(span: Span, outer_span: Span) -> bool:
+    return span.source is outer_span.source and outer_span.start <= span.start and span.end <= outer_span.end
 
 
-def _replace_part(outer: Span, span: Span, text: str) -> str:
-    """Return the text of `outer` on one line, with the part at `span` replaced by `text`. Empty if `span` is not inside
-    `outer`."""
-    if not _is_inside(span, outer):
+def _replace_part(outer_span: Span, span: Span, text: str) -> str:
+    """Return the text of `outer_span` on one line, with the part at `span` replaced by `text`. Empty if `span` is not inside
+    `outer_span`."""
+    if not _is_inside(span, outer_span):
         return ""
-    prefix, suffix = outer.text[: span.start - outer.start], outer.text[span.end - outer.start :]
+    prefix, suffix = outer_span.text[: span.start - outer_span.start], outer_span.text[span.end - outer_span.start :]
     return " ".join(f"{prefix}{text}{suffix}".split())

@@ -19,7 +19,7 @@ FILM_FPS = 24  # frames per second of film; replacements have equal values at th
 
 def check_step_units(context: CheckContext, report: Report) -> None:
     """Report each quantity with the unit `step`, with a replacement if there is one."""
-    if not context.declared.strict:
+    if not context.declarations.strict:
         return
     for file in _iterate_files(context.files):
         around: dict[int, nodes.Setting | nodes.AnimalProperty] = {}

@@ -83,7 +83,7 @@ def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition
 
     A transition with a `take` shadows no other, because the take may fail."""
     if (
-        first.take is not None
+        first.take_action is not None
         or not _is_wait_shorter(first.delay, change.delay)
         or not _is_wait_shorter(first.hold_time, change.hold_time)
     ):

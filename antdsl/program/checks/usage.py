@@ -55,7 +55,7 @@ def _check_species(context: CheckContext, species: Species, report: Report) -> N
         if (
             not attribute.is_builtin
             and not context.is_used("attribute", name)
-            and name not in context.declared.written_attributes
+            and name not in context.declarations.written_attributes
         ):
             words = f"attribute `{attribute.name}` is never used"
             report.warning("unused-attribute", words, attribute.span, "use it, or delete it")
@@ -71,7 +71,7 @@ def _check_behaviours(context: CheckContext, report: Report) -> None:
     for file in context.files:
         if not any(isinstance(item, nodes.Species) for item in file.node.items):
             continue
-        for info in file.own.values():
+        for info in file.own_behaviours.values():
             name = info.node.name
             if not context.is_used("behaviour", f"{name.span}"):
                 message = f"behaviour `{name.text}` is never called"
@@ -85,7 +85,7 @@ def check_unused_memory(context: CheckContext, report: Report) -> None:
             if not attribute.is_builtin:
                 _check_attribute(context, species, attribute, report)
     wholes = _iterate_field_users(context.program) if context.program.fields else ()
-    named = [get_or_compute_part(context.declared, ("named", each), partial(_find_used_names, each)) for each in wholes]
+    named = [get_or_compute_part(context.declarations, ("named", each), partial(_find_used_names, each)) for each in wholes]
     read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
     for field in context.program.fields.values():
         if field.name in laid and field.name not in read and not context.is_used("smelled", field.name):
@@ -107,13 +107,13 @@ def _find_used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
     every, laying = list(iterate_parts(root)), list_feeding_effects("field")
     return (
         frozenset(each.name for each in every if isinstance(each, ThingRef)),
-        frozenset(each.of for each in every if isinstance(each, EffectRequest) and each.op in laying),
+        frozenset(each.target for each in every if isinstance(each, EffectRequest) and each.op in laying),
     )
 
 
 def _check_attribute(context: CheckContext, species: Species, attribute: AttributeDecl, report: Report) -> None:
     name = f"{species.name}.{attribute.name}"
-    read, written = context.is_used("attribute", name), name in context.declared.written_attributes
+    read, written = context.is_used("attribute", name), name in context.declarations.written_attributes
     if written and not read:
         hint = f"test it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it"
         report.warning("unread-attribute", f"attribute `{attribute.name}` is set but never read", attribute.span, hint)
@@ -125,7 +125,7 @@ def _check_attribute(context: CheckContext, species: Species, attribute: Attribu
 
 def check_events(context: CheckContext, report: Report) -> None:
     """Report events that are emitted but not handled, and events that are handled but not emitted."""
-    declared = context.declared
+    declared = context.declarations
     if any(species.node is None for species in declared.species.values()):
         return  # a species of another file may emit or handle the event
     for event, span in declared.events.items():
@@ -144,7 +144,7 @@ def check_events(context: CheckContext, report: Report) -> None:
 
 def _report_unhandled_event(context: CheckContext, event: str, span: Span, report: Report) -> None:
     """Report each species that receives an event but neither handles it nor tests for it."""
-    for name in context.declared.species:
+    for name in context.declarations.species:
         if context.is_used("told", f"{event} {name}") and not context.is_used("heard", f"{event} {name}"):
             advice = f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`"
             report.warning("unheard-event", f"a `{name}` receives the event `{event}`, but does not handle it", span, advice)

@@ -59,7 +59,7 @@ def _is_radius_search(part: SetExpr, is_nearest_only: bool) -> bool:
     count."""
     if part.source == "neighbours":
         return True
-    return part.source == "all" and part.element.type.kind is TypeKind.AGENT and not (is_nearest_only and part.where is None)
+    return part.source == "all" and part.element.type.kind is TypeKind.AGENT and not (is_nearest_only and part.condition is None)
 
 
 def _follow_names(expr: Expr) -> list[Expr]:

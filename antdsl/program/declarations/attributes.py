@@ -84,9 +84,9 @@ def check_attributes(scope: NameScope, node: nodes.Species) -> list[model.Attrib
     return declarations
 
 
-def _check_extent(scope: NameScope, node: nodes.Species, written: Mapping[str, Span]) -> None:
+def _check_extent(scope: NameScope, node: nodes.Species, span_by_name: Mapping[str, Span]) -> None:
     """Check that a species sets exactly one of `size` and `height`."""
-    size, height = written.get(CRAWLING_SETTING), written.get(STANDING_SETTING)
+    size, height = span_by_name.get(CRAWLING_SETTING), span_by_name.get(STANDING_SETTING)
     if size is not None and height is not None:
         message = "`size` follows from `height` and the body"
         labels = (Label(height, "the height is here"),)
@@ -98,7 +98,9 @@ def _check_extent(scope: NameScope, node: nodes.Species, written: Mapping[str, S
 
 
 def _check_speeds(
-    scope: NameScope, declarations: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.AnimalProperty]
+    scope: NameScope,
+    declarations: list[model.AttributeDecl],
+    nodes_by_name: Mapping[str, nodes.Declaration | nodes.AnimalProperty],
 ) -> None:
     """Check that the lowest speed of a species is not above the highest, if both are known."""
     known = {each.name: find_constant(each.default) for each in declarations if each.name in ("min_speed", "max_speed")}
@@ -110,7 +112,7 @@ def _check_speeds(
         or least.number <= most.number
     ):
         return
-    place, fastest = declared["min_speed"].value.span, declared["max_speed"]
+    place, fastest = nodes_by_name["min_speed"].value.span, nodes_by_name["max_speed"]
     usual = fastest.span == fastest.name.span  # the default, not in the source
     text = f"`{BUILTIN_ATTRIBUTE_BY_NAME['max_speed'].default}`" if usual else quote_source(fastest.value.span)
     scope.report.error("out-of-range", f"`min_speed` is more than `max_speed`, which is {text}", place, f"write {text} or less")

@@ -82,7 +82,7 @@ def _find_behaviour(info: BehaviourInfo, call: nodes.Call) -> BehaviourInfo | No
         return None if function.name.text in BUILTINS_BY_NAME else info.file.find_behaviour(function.name.text)
     if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
         module = info.file.aliases.get(function.owner.name.text)
-        return module.own.get(function.name.text) if module else None
+        return module.own_behaviours.get(function.name.text) if module else None
     return None
 
 
@@ -113,7 +113,7 @@ def _report_call_cycle(report: Report, cycle: list[BehaviourInfo]) -> None:
 # --- a behaviour alone -----------------------------------------------------------------------------------------------
 
 
-def check_behaviour(declared: Declarations, info: BehaviourInfo, report_errors: bool = True) -> bool:
+def check_behaviour(declarations: Declarations, info: BehaviourInfo, report_errors: bool = True) -> bool:
     """Check a behaviour once, with the declared types of its arguments; return whether it has no errors."""
     if info.state in ("ok", "broken"):
         return info.state == "ok"
@@ -121,21 +121,21 @@ def check_behaviour(declared: Declarations, info: BehaviourInfo, report_errors: 
     measure_behaviour(report, info)
     for called in info.calls:
         if called.state == "sized" and called is not info:
-            check_behaviour(declared, called)
+            check_behaviour(declarations, called)
     sound = info.state == "sized"
     if sound:
         info.state = "ok"  # cycles were rejected earlier, so the recursion ends
-        _check_parts(declared, info, report)
+        _check_parts(declarations, info, report)
         sound = report.ok
     info.state = "ok" if sound else "broken"
     if report_errors:
-        declared.report.extend(report)
+        declarations.report.extend(report)
     return sound
 
 
-def _check_parts(declared: Declarations, info: BehaviourInfo, report: Report) -> None:
+def _check_parts(declarations: Declarations, info: BehaviourInfo, report: Report) -> None:
     node, name = info.node, info.node.name.text
-    scope = NameScope(declared, info.file, StableKeys(name), report, behaviour=name, is_generic=True)
+    scope = NameScope(declarations, info.file, StableKeys(name), report, behaviour=name, is_generic=True)
     local: dict[str, Binding | Expr] = {}
     for argument in node.arguments:
         if argument.name.text in local:
@@ -150,14 +150,14 @@ def _check_parts(declared: Declarations, info: BehaviourInfo, report: Report) ->
     returns = resolve_returned_type(scope, node)
     if not is_compatible(result.type, returns):
         report_mismatch(report, node.result, result.type, returns, f"`{name}`")
-    if not report.ok or info.file.node.broken:
+    if not report.ok or info.file.node.has_errors:
         return  # erroneous lines may use the arguments that seem unused
     for argument in node.arguments:
-        if ("local", f"{argument.name.span}:{argument.name.text}") not in declared.used_names:
+        if ("local", f"{argument.name.span}:{argument.name.text}") not in declarations.used_names:
             message = f"`{name}` never uses its argument `{argument.name.text}`"
             report.warning("unused-argument", message, argument.name.span, "use it, or delete it")
     for binding in body:
-        if ("local", f"{binding.span}:{binding.name}") not in declared.used_names:
+        if ("local", f"{binding.span}:{binding.name}") not in declarations.used_names:
             report.warning("unused-let", f"`{binding.name}` is never used", binding.span, "use it, or delete it")
 
 
@@ -218,7 +218,7 @@ def _check_keep(scope: NameScope, line: nodes.Keep) -> Binding:
     binding = Binding(line.name.text, "keep", type, ChangeRate.AGENT, line.name.span, first, None, key)
     inner = scope.with_changes(local_names={**scope.local_names, line.name.text: binding})
     # the next value may read the previous one, so the binding must exist first; it is completed below
-    object.__setattr__(binding, "then", type_value_as(inner, line.then, type, who))
+    object.__setattr__(binding, "next_value", type_value_as(inner, line.then, type, who))
     return binding
 
 
@@ -281,10 +281,12 @@ def _find_called_behaviour(scope: NameScope, function: nodes.Expr) -> BehaviourI
         message = f"no file is used under the name {quote_source(function.owner.span)}"
         scope.report.error("unknown-module", message, function.owner.span, suggest_name(alias or "", scope.file.aliases, advice))
         return None
-    info = module.own.get(function.name.text)
+    info = module.own_behaviours.get(function.name.text)
     if info is None and not module.is_missing:
         message = f"no behaviour `{function.name.text}` in `{alias}`"
-        scope.report.error("unknown-behaviour", message, function.name.span, suggest_name(function.name.text, module.own))
+        scope.report.error(
+            "unknown-behaviour", message, function.name.span, suggest_name(function.name.text, module.own_behaviours)
+        )
     return info
 
 

@@ -121,11 +121,11 @@ def _type_recipient(scope: NameScope, row: Effect, line: nodes.VerbLine, node: n
         return scope.reject("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
     if expr.type.kind is not TypeKind.AGENT:
         return report_mismatch(scope.report, node, expr.type, ValueType(TypeKind.AGENT), f"`{row.op} … to`")
-    if expr.type.of is None:
+    if expr.type.referent is None:
         advice = "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`"
         return scope.reject("wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span, advice)
     if line.name is not None:
-        scope.mark_used("told", f"{line.name.text} {expr.type.of}")
+        scope.mark_used("told", f"{line.name.text} {expr.type.referent}")
     return expr
 
 
@@ -144,7 +144,7 @@ def _find_own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: n
     if type is not None:
         report_mismatch(scope.report, node, type, want, who)
     else:
-        message = f"{who} names an attribute of `{species.name}`, and {quote_source(node.span)} is none"
+        message = f"{who} names an attribute of `{species.name}`, but {quote_source(node.span)} is not one"
         advice = f"declare it: `{name or arg.sample} = 0 {choose_default_unit(want.dimension)}` in `species {species.name}`"
         scope.report.error("unknown-name", message, node.span, advice)
     return None

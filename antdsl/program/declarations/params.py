@@ -109,14 +109,14 @@ def _convert_type(const: Constant, reference: Constant) -> Constant:
 
 
 def _report_differing_type(
-    scope: NameScope, param_numbers: Sequence[_ParamNumber], odd_index: int, expected: ValueType, subject: str
+    scope: NameScope, param_numbers: Sequence[_ParamNumber], odd_index: int, expected_type: ValueType, subject: str
 ) -> None:
     """Report the number `three[odd]`, which has another type than the other two."""
     node, type = param_numbers[odd_index].node, param_numbers[odd_index].constant.type
-    if (type.kind, expected.kind) != (TypeKind.NUMBER, TypeKind.NUMBER):
-        report_mismatch(scope.report, node, type, expected, subject)
+    if (type.kind, expected_type.kind) != (TypeKind.NUMBER, TypeKind.NUMBER):
+        report_mismatch(scope.report, node, type, expected_type, subject)
         return
-    want = describe_dimension(expected.dimension)
+    want = describe_dimension(expected_type.dimension)
     instead = _suggest_number(param_numbers, odd_index)
     message = f"{quote_source(node.span)} is {describe_type(type)}, but {subject} needs {want}"
     advice = f"write {want}" if odd_index else f"write {want} inside the range"
@@ -138,7 +138,7 @@ def _suggest_number(param_numbers: Sequence[_ParamNumber], odd_index: int) -> st
         if fit(const):
             return f"{_get_number_text(param_numbers[odd_index].node)} {unit}".strip()
     approximate_value = next((const.number for const in by_unit.values()), 0.0)
-    near = sorted(others, key=lambda each: abs(each.constant.number - approximate_value))
+    near = sorted(others, key=lambda param: abs(param.constant.number - approximate_value))
     return next((" ".join(each.node.span.text.split()) for each in near if fit(each.constant)), None)
 
 

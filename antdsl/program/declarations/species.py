@@ -54,15 +54,17 @@ class SpeciesDraft:
     attributes: list[model.AttributeDecl]
 
 
-def draft_species(declared: Declarations, file: FileNames, node: nodes.Species) -> SpeciesDraft:
+def draft_species(declarations: Declarations, file: FileNames, node: nodes.Species) -> SpeciesDraft:
     """Check the params and attributes of a species."""
-    names = declared.species[node.name.text]
-    scope = NameScope(declared, file, StableKeys(names.name), declared.report, species=names, no_keep_reason=_PURE_LET_REASON)
+    names = declarations.species[node.name.text]
+    scope = NameScope(
+        declarations, file, StableKeys(names.name), declarations.report, species=names, no_keep_reason=_PURE_LET_REASON
+    )
     _check_names(scope, node)
     names.untyped_names = {m.name.text for m in _list_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - names.builtins.keys()
     head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.AnimalProperty)))
     params, attributes, known = get_or_compute_part(
-        declared, ("draft", names.name, names.edition, head, node.name), lambda: _check_draft(scope, node)
+        declarations, ("draft", names.name, names.edition, head, node.name), lambda: _check_draft(scope, node)
     )
     names.attributes, names.pair_value_species, names.params = (dict(each) for each in known)
     return SpeciesDraft(names, node, scope, params, attributes)

@@ -56,18 +56,18 @@ class _SpecCheck:
 
 
 def check_spec(
-    declared: Declarations, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
+    declarations: Declarations, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
 ) -> Spec:
     """Return a spec with the types of all its expressions. Report names that are not allowed in a spec."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
         words = f"`{spec.scene.text}` is not the name of a scene"
-        declared.report.error("not-a-scene", words, spec.scene.span, 'write `on "scene.yaml"`')
-    work = _SpecCheck(declared, names, params, fields, has_reference_run=any(line.kind == "against" for line in spec.lines))
+        declarations.report.error("not-a-scene", words, spec.scene.span, 'write `on "scene.yaml"`')
+    work = _SpecCheck(declarations, names, params, fields, has_reference_run=any(line.kind == "against" for line in spec.lines))
     for line in spec.lines:
         _check_line(work, line)
     if not any((line.condition is not None and line.kind not in _SETTING_WORDS) or line.kind == "each" for line in spec.lines):
         message = f"the spec {quote_source(spec.name.span)} has no expectations"
-        declared.report.warning("empty-spec", message, spec.name.span, "write `always: …` or `within 20 s: …`")
+        declarations.report.warning("empty-spec", message, spec.name.span, "write `always: …` or `within 20 s: …`")
     return Spec(
         spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
         tuple(work.expectations), spec.span, 1.0 if work.pass_share is None else work.pass_share, work.reference_run,

@@ -78,7 +78,7 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
         if not isinstance(checked, model.AttributeRef):
             type_value(scope, line.value)
             return None
-        name, type, of = checked.name, checked.type, checked.of
+        name, type, of = checked.name, checked.type, checked.owner
     elif isinstance(target, nodes.NameRef):
         own = _find_assigned_attribute(scope, target.name, block, line)
         if own is None:
@@ -225,11 +225,11 @@ def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
     return model.Take(called or None, amount, source, line.span)
 
 
-def _is_field_amount(scope: NameScope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own: ValueType) -> bool:
+def _is_field_amount(scope: NameScope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own_type: ValueType) -> bool:
     """Return whether the agent's attribute is a plain number, as in the cells of a field; report an error if not."""
-    if own.kind is TypeKind.BAD or is_compatible(NUMBER_TYPE, own):
-        return own.kind is not TypeKind.BAD
-    a = model.AttributeRef(own, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
+    if own_type.kind is TypeKind.BAD or is_compatible(NUMBER_TYPE, own_type):
+        return own_type.kind is not TypeKind.BAD
+    a = model.AttributeRef(own_type, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
     report_disagreement(
         scope.report,
         "take",
@@ -261,32 +261,32 @@ def _find_amount_type(scope: NameScope, name: nodes.Name, purpose: str) -> Value
     return type
 
 
-def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own: ValueType) -> bool:
+def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own_type: ValueType) -> bool:
     """Return whether the item has the attribute with the same dimension; report an error if not."""
     if item_expr.type.kind is TypeKind.BAD:
         return False
     if item_expr.type.kind is not TypeKind.ITEM:
         report_mismatch(scope.report, node, item_expr.type, ValueType(TypeKind.ITEM), "`take` or `give`")
         return False
-    thing = scope.declared.things.get(item_expr.type.of or "")
+    thing = scope.declared.things.get(item_expr.type.referent or "")
     held = {a.name: a.type for a in thing.attributes} if thing else {}
     if attribute.text not in held:
         scope.report.error(
             "unknown-name",
-            f"items `{item_expr.type.of}` have no `{attribute.text}`",
+            f"items `{item_expr.type.referent}` have no `{attribute.text}`",
             attribute.span,
             suggest_name(
                 attribute.text,
                 held,
-                f"declare it: `items {item_expr.type.of} {{ {attribute.text} = 0 }}`"
+                f"declare it: `items {item_expr.type.referent} {{ {attribute.text} = 0 }}`"
                 if not held
                 else f"they have {list_names(held)}",
             ),
         )
         return False
     scope.bind_value(attribute.span, item_expr.type, attribute.text)
-    if not is_compatible(held[attribute.text], own):
-        a = model.AttributeRef(own, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
+    if not is_compatible(held[attribute.text], own_type):
+        a = model.AttributeRef(own_type, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
         b = model.AttributeRef(held[attribute.text], model.ChangeRate.AGENT, node.span, item_expr, attribute.text)
         report_disagreement(
             scope.report, "take and give", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, b)

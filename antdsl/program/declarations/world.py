@@ -30,24 +30,26 @@ from antdsl.syntax import nodes
 from antdsl.syntax.words import WORD_SETTING_VALUES
 
 
-def make_outer_scope(declared: Declarations, names: FileNames, path: str) -> NameScope:
+def make_outer_scope(declarations: Declarations, names: FileNames, path: str) -> NameScope:
     """Return a scope outside of every species."""
-    return NameScope(declared, names, StableKeys(path), declared.report, no_keep_reason="nothing is remembered outside a species")
+    return NameScope(
+        declarations, names, StableKeys(path), declarations.report, no_keep_reason="nothing is remembered outside a species"
+    )
 
 
 # --- things ----------------------------------------------------------------------------------------------------------
 
 
-def declare_world(declared: Declarations, names: FileNames) -> None:
+def declare_world(declarations: Declarations, names: FileNames) -> None:
     """Add a file's `world` to the declarations. Two files may declare the same thing if the declarations agree."""
     for item in names.node.items:
         if isinstance(item, nodes.World):
             for thing in item.items:
-                _declare_thing(declared, names, thing)
+                _declare_thing(declarations, names, thing)
 
 
-def _declare_thing(declared: Declarations, names: FileNames, item: nodes.WorldItem) -> None:
-    report, kind, name = declared.report, item.kind.text, item.name.text
+def _declare_thing(declarations: Declarations, names: FileNames, item: nodes.WorldItem) -> None:
+    report, kind, name = declarations.report, item.kind.text, item.name.text
     if kind not in KIND_BY_WORD:
         report.error(
             "unknown-kind",
@@ -55,9 +57,9 @@ def _declare_thing(declared: Declarations, names: FileNames, item: nodes.WorldIt
             item.kind.span,
             suggest_name(kind, KIND_BY_WORD, f"kinds are {list_names(tuple(KIND_BY_WORD))}"),
         )
-        declared.unclear_things.add(name)
+        declarations.unclear_things.add(name)
         return
-    known = declared.things.get(name)
+    known = declarations.things.get(name)
     if known is not None and (known.kind != kind or known.span.source.path == item.span.source.path):
         report_duplicate(report, kind, item.name, known.span)
         return
@@ -66,42 +68,42 @@ def _declare_thing(declared: Declarations, names: FileNames, item: nodes.WorldIt
         report.error("wrong-kind", message, item.attributes[0].span, "only `items` and `species` can have attributes")
     if known is None and not check_free_name(report, item.name):
         return
-    attributes = tuple(_check_attribute(declared, names, item, each) for each in item.attributes)
+    attributes = tuple(_check_attribute(declarations, names, item, each) for each in item.attributes)
     if known is not None:
         have = {a.name for a in known.attributes}
         attributes = known.attributes + tuple(a for a in attributes if a.name not in have)
-    declared.things[name] = model.WorldThing(name, kind, attributes, item.help.text if item.help else "", item.name.span)
+    declarations.things[name] = model.WorldThing(name, kind, attributes, item.help.text if item.help else "", item.name.span)
     if kind == "species":
-        species = declared.species.setdefault(name, SpeciesNames(name, None, edition=names.node.edition_number))
+        species = declarations.species.setdefault(name, SpeciesNames(name, None, edition=names.node.edition_number))
         if species.node is None:
             species.attributes.update({a.name: a.type for a in attributes})
 
 
 def _check_attribute(
-    declared: Declarations, names: FileNames, item: nodes.WorldItem, node: nodes.Declaration
+    declarations: Declarations, names: FileNames, item: nodes.WorldItem, node: nodes.Declaration
 ) -> model.ItemAttribute:
-    report, name = declared.report, node.name.text
+    report, name = declarations.report, node.name.text
     twice = [d for d in item.attributes if d.name.text == name]
     if twice[0] is not node:
         report_duplicate(report, "attribute", node.name, twice[0].name.span)
     taken = ITEM_ATTRIBUTE_TYPES if item.kind.text == "items" else builtin_attributes(names.node.edition_number)
     if name in taken:
-        message = f"every one of `{item.name.text}` has a `{name}` already"
+        message = f"all `{item.name.text}` have a `{name}` already"
         report.error("reserved-name", message, node.name.span, f"choose another name, such as `my_{name}`")
-    expr = type_value(make_outer_scope(declared, names, f"world.{item.name.text}"), node.value)
+    expr = type_value(make_outer_scope(declarations, names, f"world.{item.name.text}"), node.value)
     constant = find_constant(expr)
     if constant is None or constant.type.kind is not TypeKind.NUMBER:
         if expr.type.kind is not TypeKind.BAD:
-            words = f"{quote_source(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with"
+            words = f"{quote_source(node.value.span)} is not a plain number, but attributes of `{item.name.text}` start with one"
             report.error("wrong-rate", words, node.value.span, f"write a number: `{name} = 0`")
         constant = make_number(0, node.value.span)
     return model.ItemAttribute(name, constant.type, constant, node.help.text if node.help else "", node.name.span)
 
 
-def check_world_species(declared: Declarations) -> None:
+def check_world_species(declarations: Declarations) -> None:
     """Compare `world { species rabbit { … } }` with the declaration of the species itself, if both are checked together."""
-    for thing in declared.things.values():
-        species = declared.species.get(thing.name)
+    for thing in declarations.things.values():
+        species = declarations.species.get(thing.name)
         if thing.kind != "species" or species is None or species.node is None:
             continue
         for attribute in thing.attributes:
@@ -109,12 +111,12 @@ def check_world_species(declared: Declarations) -> None:
             labels = (Label(species.node.name.span, f"`{thing.name}` is declared here"),)
             if own is None:
                 message = f"species `{thing.name}` has no attribute `{attribute.name}`"
-                declared.report.error(
+                declarations.report.error(
                     "unknown-name", message, attribute.span, suggest_name(attribute.name, species.attributes), labels=labels
                 )
             elif not is_compatible(own, attribute.type):
                 report_mismatch(
-                    declared.report,
+                    declarations.report,
                     nodes.NameRef(nodes.Name(attribute.name, attribute.span), attribute.span),
                     attribute.type,
                     own,
@@ -125,33 +127,33 @@ def check_world_species(declared: Declarations) -> None:
 # --- fields ----------------------------------------------------------------------------------------------------------
 
 
-def declare_fields(declared: Declarations, names: FileNames) -> list[nodes.FieldDecl]:
+def declare_fields(declarations: Declarations, names: FileNames) -> list[nodes.FieldDecl]:
     """Add a file's fields to the declarations and return them. Two files may declare the same field only with equal text."""
     added: list[nodes.FieldDecl] = []
     for item in names.node.items:
         if not isinstance(item, nodes.FieldDecl):
             continue
-        known = declared.fields.get(item.name.text)
+        known = declarations.fields.get(item.name.text)
         if known is None:
-            if item.name.text in declared.things or item.name.text in declared.species:
-                clash = declared.things.get(item.name.text)
-                report_duplicate(declared.report, "name", item.name, clash.span if clash else item.name.span)
-            elif check_free_name(declared.report, item.name):
-                declared.fields[item.name.text] = item
+            if item.name.text in declarations.things or item.name.text in declarations.species:
+                clash = declarations.things.get(item.name.text)
+                report_duplicate(declarations.report, "name", item.name, clash.span if clash else item.name.span)
+            elif check_free_name(declarations.report, item.name):
+                declarations.fields[item.name.text] = item
                 added.append(item)
         elif known.span.source.path == item.span.source.path or known.span.text.split() != item.span.text.split():
-            report_duplicate(declared.report, "field", item.name, known.name.span)
-    if len(declared.fields) > limits.MAX_FIELDS:
+            report_duplicate(declarations.report, "field", item.name, known.name.span)
+    if len(declarations.fields) > limits.MAX_FIELDS:
         message = f"more than {limits.MAX_FIELDS} fields"
-        declared.report.error("too-many", message, added[-1].name.span if added else None, "leave some out")
+        declarations.report.error("too-many", message, added[-1].name.span if added else None, "leave some out")
     return added
 
 
-def check_field(declared: Declarations, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
+def check_field(declarations: Declarations, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
     """Return a field with its settings; None if it has no valid cell size."""
-    report = declared.report
-    scope = make_outer_scope(declared, names, f"field.{node.name.text}")
-    surfaces = tuple(name.text for name in node.surfaces if _is_ground(declared, name))
+    report = declarations.report
+    scope = make_outer_scope(declarations, names, f"field.{node.name.text}")
+    surfaces = tuple(name.text for name in node.surfaces if _is_ground(declarations, name))
     settings: dict[str, nodes.Setting] = {}
     for setting in node.settings:
         word = setting.name.text
@@ -182,22 +184,22 @@ def check_field(declared: Declarations, names: FileNames, node: nodes.FieldDecl)
     )  # fmt: skip
 
 
-def _is_ground(declared: Declarations, name: nodes.Name) -> bool:
-    thing = declared.things.get(name.text)
+def _is_ground(declarations: Declarations, name: nodes.Name) -> bool:
+    thing = declarations.things.get(name.text)
     if thing is not None and KIND_BY_WORD[thing.kind].has_faces:
-        declared.used_names.add(("thing", name.text))
+        declarations.used_names.add(("thing", name.text))
         return True
-    if thing is None and name.text in declared.unclear_things:
+    if thing is None and name.text in declarations.unclear_things:
         return False
-    grounds = [t.name for t in declared.things.values() if KIND_BY_WORD[t.kind].is_ground]
+    grounds = [t.name for t in declarations.things.values() if KIND_BY_WORD[t.kind].is_ground]
     if thing is None:
         message = f"no surface `{name.text}`"
-        declared.report.error(
+        declarations.report.error(
             "unknown-name", message, name.span, suggest_name(name.text, grounds, f"declare it: `world {{ surface {name.text} }}`")
         )
     else:
         message = f"`{name.text}` is {thing.kind}, but a field needs a surface"
-        declared.report.error("wrong-kind", message, name.span, f"surfaces are {list_names(grounds)}" if grounds else None)
+        declarations.report.error("wrong-kind", message, name.span, f"surfaces are {list_names(grounds)}" if grounds else None)
     return False
 
 

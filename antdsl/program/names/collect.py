@@ -94,17 +94,17 @@ class FileLoader:
         names = self.libraries.get(library)
         if names is None and (node := self.load_library(library)) is not None:
             names = self.libraries[library] = self.file(node)
-        return None if names is None else names.own.get(behaviour)
+        return None if names is None else names.own_behaviours.get(behaviour)
 
     def _add_behaviour(self, names: FileNames, node: nodes.Behaviour) -> None:
         name = node.name.text
-        if name in names.own:
-            report_duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
+        if name in names.own_behaviours:
+            report_duplicate(self.report, "behaviour", node.name, names.own_behaviours[name].node.name.span)
         elif name in BUILTINS_BY_NAME or name in REDUCER_HELP or name in RESERVED_WORDS:
             message = f"`{name}` is a word of the language"
             self.report.error("reserved-name", message, node.name.span, f"choose another name, such as `my_{name}`")
         else:
-            names.own[name] = BehaviourInfo(node, names)
+            names.own_behaviours[name] = BehaviourInfo(node, names)
 
     def _load_use(self, names: FileNames, item: nodes.Use, using_files: tuple[nodes.File, ...]) -> None:
         if item.library is not None:
@@ -129,7 +129,7 @@ class FileLoader:
             )
             return
         names.libraries.append(name.text)
-        for behaviour, info in file_names.own.items():
+        for behaviour, info in file_names.own_behaviours.items():
             names.library_behaviours.setdefault(behaviour, info)
 
     def _use_module(self, names: FileNames, path: nodes.Text, alias: nodes.Name, using_files: tuple[nodes.File, ...]) -> None:
@@ -158,23 +158,23 @@ class FileLoader:
 # --- names of all files together -------------------------------------------------------------------------------------
 
 
-def declare_names(declared: Declarations, names: FileNames) -> None:
+def declare_names(declarations: Declarations, names: FileNames) -> None:
     """Add the names of a file's fields, species, machines, states and events. `world.py` adds the things of the world."""
-    report = declared.report
+    report = declarations.report
     for item in names.node.items:
         if isinstance(item, nodes.Species):
-            known = declared.species.get(item.name.text)
+            known = declarations.species.get(item.name.text)
             if known is not None and known.node is not None:
                 report_duplicate(report, "species", item.name, known.node.name.span)
                 continue
             check_free_name(report, item.name)
             species_names = SpeciesNames(item.name.text, item, edition=names.node.edition_number)
-            declared.species[item.name.text] = species_names
+            declarations.species[item.name.text] = species_names
             _declare_machines(report, species_names, item)
     for item in names.node.items:
         if isinstance(item, nodes.Species):
             for event, span in _iterate_events(item):
-                declared.events.setdefault(event, span)
+                declarations.events.setdefault(event, span)
 
 
 def check_free_name(report: Report, name: nodes.Name) -> bool:

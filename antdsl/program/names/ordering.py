@@ -15,7 +15,7 @@ T = TypeVar("T")
 def order_declarations(
     report: Report,
     kind_words: str,
-    declared: Mapping[str, T],
+    declarations: Mapping[str, T],
     find_used_trees: Callable[[T], Iterable[object]],
     find_name: Callable[[T], nodes.Name],
 ) -> tuple[list[T], set[str]]:
@@ -23,11 +23,11 @@ def order_declarations(
 
     `find_used_trees`: returns the trees to search for used names. A cycle is reported once. One of its uses is ignored in the
     order."""
-    graph = {name: _find_used_names(each, declared, find_used_trees) for name, each in declared.items()}
+    graph = {name: _find_used_names(each, declarations, find_used_trees) for name, each in declarations.items()}
     ordered_names: set[str] = set()
     circular: set[str] = set()
     order: list[T] = []
-    for first in declared:
+    for first in declarations:
         path: list[str] = []
         stack = [] if first in ordered_names else [(first, 0)]
         while stack:
@@ -37,23 +37,25 @@ def order_declarations(
             if step == len(graph[name]):
                 path.pop()
                 ordered_names.add(name)
-                order.append(declared[name])
+                order.append(declarations[name])
                 continue
             stack.append((name, step + 1))
             used = graph[name][step]
             if used in path:
                 circle = path[path.index(used) :]
                 if not circular & set(circle):
-                    _report_cycle(report, kind_words, [find_name(declared[each]) for each in circle])
+                    _report_cycle(report, kind_words, [find_name(declarations[each]) for each in circle])
                 circular |= set(circle)
             elif used not in ordered_names:
                 stack.append((used, 0))
     return order, circular
 
 
-def _find_used_names(declaration: T, declared: Mapping[str, T], find_used_trees: Callable[[T], Iterable[object]]) -> list[str]:
+def _find_used_names(
+    declaration: T, declarations: Mapping[str, T], find_used_trees: Callable[[T], Iterable[object]]
+) -> list[str]:
     return list(
-        {name.text: None for tree in find_used_trees(declaration) for name in iterate_names(tree) if name.text in declared}
+        {name.text: None for tree in find_used_trees(declaration) for name in iterate_names(tree) if name.text in declarations}
     )
 
 

@@ -56,7 +56,7 @@ class SpeciesNames:
     def builtins(self) -> Mapping[str, BuiltinAttribute]:
         """Return the built-in attributes of agents of the species."""
         rows = builtin_attributes(self.edition)
-        return rows if self.stands else {name: row for name, row in rows.items() if not row.stands}
+        return rows if self.stands else {name: row for name, row in rows.items() if not row.is_for_standing}
 
     @property
     def stands(self) -> bool:
@@ -86,7 +86,7 @@ class FileNames:
     """The behaviours that one file can call: its own, those of its libraries, and those of its modules by alias."""
 
     node: nodes.File
-    own: dict[str, BehaviourInfo] = field(default_factory=dict)
+    own_behaviours: dict[str, BehaviourInfo] = field(default_factory=dict)
     library_behaviours: dict[str, BehaviourInfo] = field(default_factory=dict)
     aliases: dict[str, FileNames] = field(default_factory=dict)
     libraries: list[str] = field(default_factory=list)
@@ -95,7 +95,7 @@ class FileNames:
 
     def find_behaviour(self, name: str) -> BehaviourInfo | None:
         """Return the behaviour that a name calls in this file, or None."""
-        return self.own.get(name) or self.library_behaviours.get(name)
+        return self.own_behaviours.get(name) or self.library_behaviours.get(name)
 
 
 @dataclass(slots=True)
@@ -206,10 +206,10 @@ class NameScope:
         if self.behaviour is None or self.is_generic:
             self.declared.name_uses.append(NameUse(span, key))
 
-    def bind_local(self, span: Span, declared: Span) -> None:
+    def bind_local(self, span: Span, declarations: Span) -> None:
         """Like `bind`, for a name that is declared in the surrounding text, at the span `file_declarations`."""
         if self.behaviour is None or self.is_generic:
-            self.declared.name_uses.append(NameUse(span, declared))
+            self.declared.name_uses.append(NameUse(span, declarations))
 
     def bind_thing(self, name: nodes.Name) -> None:
         """Like `bind`, for a name that can only be a species or a thing of the world."""
@@ -218,31 +218,33 @@ class NameScope:
             self.bind(name.span, kind, name.text)
             return
 
-    def bind_own(self, span: Span, name: str, own: SpeciesNames | None = None) -> None:
-        """Like `bind`, for a name that can only be a member of a species. `own`: the species, if it is not the one at this
+    def bind_own(self, span: Span, name: str, owner: SpeciesNames | None = None) -> None:
+        """Like `bind`, for a name that can only be a member of a species. `owner`: the species, if it is not the one at this
         place."""
-        own = own or self.species
-        if own is not None and (
-            name in own.attributes or name in own.params or name in own.bindings or name in own.untyped_names
+        owner = owner or self.species
+        if owner is not None and (
+            name in owner.attributes or name in owner.params or name in owner.bindings or name in owner.untyped_names
         ):
-            self.bind(span, "own", own.name, name)
+            self.bind(span, "own", owner.name, name)
 
     def bind_value(self, span: Span, owner: ValueType, name: str) -> None:
         """Like `bind`, for a value that an item, agent or hit has."""
         if owner.kind is TypeKind.AGENT:
-            self.bind(span, *(("given", name) if name in builtins_of(self.declared, owner) else ("own", owner.of or "", name)))
-        elif owner.kind is TypeKind.HIT or owner.of == "hit":
+            self.bind(
+                span, *(("given", name) if name in builtins_of(self.declared, owner) else ("own", owner.referent or "", name))
+            )
+        elif owner.kind is TypeKind.HIT or owner.referent == "hit":
             self.bind(span, "hit-given", name)
         else:
-            thing = self.declared.things.get(owner.of or "")
+            thing = self.declared.things.get(owner.referent or "")
             own = thing is not None and any(each.name == name for each in thing.attributes)
-            self.bind(span, *(("attribute", owner.of or "", name) if own else ("item-given", name)))
+            self.bind(span, *(("attribute", owner.referent or "", name) if own else ("item-given", name)))
 
     def bind_unreadable(self, name: nodes.Name, owner: ValueType) -> None:
         """Like `bind`, for a declared value that cannot be read here, such as a param of one agent or a value of all items."""
-        one = ValueType(TypeKind.ITEM, of=owner.of)
-        if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.of in self.declared.species:
-            self.bind_own(name.span, name.text, self.declared.species[owner.of])
+        one = ValueType(TypeKind.ITEM, referent=owner.referent)
+        if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.referent in self.declared.species:
+            self.bind_own(name.span, name.text, self.declared.species[owner.referent])
         elif owner.kind is TypeKind.ITEMS and name.text in find_attributes(self.declared, one):
             self.bind_value(name.span, one, name.text)
 
@@ -280,28 +282,28 @@ def parse_type_words(words: str, owner_name: str | None = None) -> ValueType | N
     return BAD_TYPE if known == "vector" else ValueType(TypeKind(known), Dimension(), owner_name)
 
 
-def find_attributes(declared: Declarations, type: ValueType) -> dict[str, ValueType]:
+def find_attributes(declarations: Declarations, type: ValueType) -> dict[str, ValueType]:
     """Return the types of the values of an item, agent or hit that can be read by name.
 
     For an agent of unknown species, these are the built-in values."""
-    if type.kind is TypeKind.HIT or (type.kind is TypeKind.ITEM and type.of == "hit"):
+    if type.kind is TypeKind.HIT or (type.kind is TypeKind.ITEM and type.referent == "hit"):
         return _parse_types(HIT_ATTRIBUTE_TYPES)
     if type.kind is TypeKind.ITEM:
-        thing = declared.things.get(type.of or "")
+        thing = declarations.things.get(type.referent or "")
         own = {a.name: a.type for a in thing.attributes} if thing else {}
         return _parse_types(ITEM_ATTRIBUTE_TYPES) | own
     if type.kind is TypeKind.AGENT:
-        names = declared.species.get(type.of or "")
-        builtin_types = _parse_types({name: row.type for name, row in builtins_of(declared, type).items()})
+        names = declarations.species.get(type.referent or "")
+        builtin_types = _parse_types({name: row.type for name, row in builtins_of(declarations, type).items()})
         return builtin_types | (names.attributes if names else {})
     return {}
 
 
-def builtins_of(declared: Declarations, type: ValueType) -> Mapping[str, BuiltinAttribute]:
+def builtins_of(declarations: Declarations, type: ValueType) -> Mapping[str, BuiltinAttribute]:
     """Return the built-in attributes of an agent of a type.
 
     For an agent of unknown species, these are the attributes of edition 1, which every agent has."""
-    names = declared.species.get(type.of or "")
+    names = declarations.species.get(type.referent or "")
     return builtin_attributes(1) if names is None else names.builtins
 
 

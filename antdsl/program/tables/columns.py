@@ -31,13 +31,13 @@ class Column:
     - `inherited_array`: for a fixed array, the array of the parent from which a newborn gets its value.
     - `save_mode`: whether a frame has it: by `default`, on `request` in the scene's `output`, or `always` if there are values.
     - `alias`: its name in frames, if that is not `name`. Words in capitals stand for names of the scene.
-    - `of`: the meaning of a row: an agent of any `species`, an agent of `one` species, a `pair`, an `event`, an `item` or a
+    - `row_kind`: the meaning of a row: an agent of any `species`, an agent of `one` species, a `pair`, an `event`, an `item` or a
       `part` of a thing.
     - `exports`: the formats with a separate attribute for it. Formats that write all arrays of agents write it under its name.
     - `packet`: its name and type in the preview's packet of a frame.
     - `in_preview`: the preview stores it for all frames.
-    - `between`: how it changes between two frames: `linear`, as a `rotation`, a `direction` or a `phase` from 0 to 1, or as a
-      `clip`: linear as long as the machine plays the same clips. Values of other arrays are those of the nearer frame."""
+    - `interpolation`: how it changes between two frames: `linear`, as a `rotation`, a `direction` or a `phase` from 0 to 1, or
+      as a `clip`: linear as long as the machine plays the same clips. Values of other arrays are those of the nearer frame."""
 
     name: str
     kind: ColumnKind
@@ -52,11 +52,11 @@ class Column:
     inherited_array: str = ""
     save_mode: Literal["", "default", "request", "always"] = ""
     alias: str = ""
-    of: str = "species"
+    row_kind: str = "species"
     exports: str = ""
     packet: str = ""
     in_preview: bool = False
-    between: Between = ""
+    interpolation: Between = ""
 
     @property
     def frame_name(self) -> str:
@@ -66,7 +66,7 @@ class Column:
     @property
     def frame_type(self) -> str:
         """Return the type of the array in frames, where positions of agents are float32."""
-        return "f4" if self.type == "f8" and self.of == "species" else self.type
+        return "f4" if self.type == "f8" and self.row_kind == "species" else self.type
 
     @property
     def field(self) -> str:
@@ -90,42 +90,45 @@ class Column:
 _ALL, _SCENES = "usd gltf geo csv", "usd geo"
 # fmt: off
 AGENT_COLUMNS = (
-    Column("frame", "derived", "i8", (), "its number", save_mode="always", of="frame"),
+    Column("frame", "derived", "i8", (), "its number", save_mode="always", row_kind="frame"),
     Column("speed", "derived", "f4", (), "length of the velocity", "mm/s", packet="speed f4"),
     Column("born", "fixed", "i8", (), "frame of birth", packet="born i4"),
     Column("quarantined", "fixed", "b1", (), "whether it stopped acting after a fault"),
     Column("position", "fixed", "f8", (3,), "position", "mm", is_migrated=False, save_mode="default", alias="P", exports=_ALL,
-           packet="position f4", in_preview=True, between="linear"),
+           packet="position f4", in_preview=True, interpolation="linear"),
     Column("normal", "fixed", "f4", (3,), "normal of the ground on its side", inherited_array="normal"),
     Column("position", "register", "f4", (3,), "position as programs read it", "mm"),
     Column("velocity", "register", "f4", (3,), "velocity, per second", "mm/s", save_mode="default", alias="v", exports=_SCENES,
-           between="linear"),
+           interpolation="linear"),
     Column("heading", "register", "f4", (3,), "unit vector ahead", packet="heading i1", in_preview=True),
     Column("up", "register", "f4", (3,), "unit vector up", packet="up i1", in_preview=True),
     Column("orient", "derived", "f4", (4,), "quaternion x y z w that turns +x to the heading and +y to the agent's up",
-           save_mode="default", exports=_ALL, between="rotation"),
+           save_mode="default", exports=_ALL, interpolation="rotation"),
     Column("ids", "fixed", "i8", (), "number of the agent within its species", is_hashed=False, is_migrated=False,
            save_mode="default", alias="id", exports=_ALL, packet="id i4", in_preview=True),
     Column("size", "register", "f4", (), "body length", "mm", is_migrated=False, save_mode="default", alias="pscale",
-           exports=_ALL, packet="size f4", in_preview=True, between="linear"),
+           exports=_ALL, packet="size f4", in_preview=True, interpolation="linear"),
     Column("Cd", "derived", "f4", (3,), "colour of its state, display (sRGB), 0 to 1",
            save_mode="default", exports="usd gltf geo"),
     Column("state", "derived", "i2", (), "its state in the first machine: an index into the manifest's list", save_mode="default",
            exports=_SCENES),
     Column("species", "derived", "i2", (), "an index into the manifest's list; always present with more than one species",
            save_mode="request", exports=_ALL),
-    Column("age", "derived", "f4", (), "seconds since birth", save_mode="request", between="linear"),
+    Column("age", "derived", "f4", (), "seconds since birth", save_mode="request", interpolation="linear"),
     Column("group", "register", "f4", (), "which line of the scene's `crowd` made it, from 0", save_mode="request"),
     Column("v_ground", "derived", "f4", (3,), "velocity of the ground below each agent, if a surface moves. `v` is relative to "
-           "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENES, between="linear"),
+           "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENES, interpolation="linear"),
 )
 
 
-def _make_columns(prefix: str, of: str, *columns: ColumnTexts, kind: ColumnKind = "derived") -> tuple[Column, ...]:
+def _make_columns(prefix: str, row_kind: str, *columns: ColumnTexts, kind: ColumnKind = "derived") -> tuple[Column, ...]:
     """Return rows of arrays that are always saved. `prefix`: the start of their names. `columns`: name, type, shape, help and, if
-    set, `between` of each."""
+    set, `interpolation` of each."""
     return tuple(
-        Column(f"{prefix}{name}", kind, type, shape, help, of=of, save_mode="always", between=rest[0] if rest else "")
+        Column(
+            f"{prefix}{name}", kind, type, shape, help,
+            row_kind=row_kind, save_mode="always", interpolation=rest[0] if rest else "",
+        )
         for name, type, shape, help, *rest in columns
     )
 

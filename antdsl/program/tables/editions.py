@@ -52,12 +52,12 @@ EDITION_DEFAULTS = (
 DEFAULT_BY_SETTING = {row.setting: row for row in EDITION_DEFAULTS}
 
 
-def setting_defaults(edition: int, stands: bool) -> dict[str, str]:
+def setting_defaults(edition: int, is_standing: bool) -> dict[str, str]:
     """Return the settings of a species that depend on the edition, with their defaults as in the source.
 
-    "" means that the species must set it. `stands`: the species sets its height."""
+    "" means that the species must set it. `is_standing`: the species sets its height."""
     defaults = {row.setting: row.in_edition(edition) for row in EDITION_DEFAULTS}
-    if stands:
+    if is_standing:
         del defaults[CRAWLING_SETTING]
         defaults = {STANDING_SETTING: "", **defaults, **STANDING_DEFAULTS}
     return defaults

@@ -107,7 +107,7 @@ _EFFECT_ROWS = (
         ),
         "solids",
         "digs a ball out of a solid",
-        "digs a ball of `radius` (mm) with its middle at (x, y, z) out of a solid, to be gone at t+1; what it had of the solid "
+        "digs a ball of `radius` (mm) around (x, y, z) out of a solid, removed at t+1; what it had of the solid "
         "(mm³) is added to the agent's own register, if one is named, after the step's blocks",
         "carve {of} ball {radius} at {x}, {y}, {z}[ -> {own}]",
         "carve {of}, radius {radius} mm",

@@ -63,7 +63,7 @@ class BuiltinRow:
     """A word of the language for `op`, an operation of the typed tree.
 
     - `form`: a `call`, a bare `name`, or the `value` of a thing, if the thing's name is used where a value is expected.
-    - `called`: the word, if it is not `op`.
+    - `word`: the word, if it is not `op`.
     - `part`: the name of the sense's result that the word returns.
     - `sense`: the value depends on the agent even if all arguments are constant.
     - `draws`: it uses a random number.
@@ -76,7 +76,7 @@ class BuiltinRow:
     op: str
     part: str = ""
     form: str = "call"
-    called: str = ""
+    word: str = ""
     sense: bool = False
     draws: bool = False
     interval: tuple[float, float] | None = None
@@ -85,7 +85,7 @@ class BuiltinRow:
 
     @property
     def name(self) -> str:
-        return self.called or self.op
+        return self.word or self.op
 
 
 _SIGNATURE_PATTERN = re.compile(r"(?P<name>\w+)\((?P<args>.*)\) -> (?P<result>.+)")
@@ -105,7 +105,7 @@ def parse_row(signature: str, help: str, op: str = "", **details: Any) -> Builti
     parts = _SIGNATURE_PATTERN.fullmatch(signature)
     assert parts is not None, signature
     args = tuple(_parse_argument(each) for each in parts["args"].split(", ") if each)
-    return BuiltinRow(args, parts["result"], help, op or parts["name"], called=parts["name"] if op else "", **details)
+    return BuiltinRow(args, parts["result"], help, op or parts["name"], word=parts["name"] if op else "", **details)
 
 
 def _parse_argument(text: str) -> ArgumentRow:
@@ -129,14 +129,14 @@ class ResultPart:
 class SenseRow:
     """An operation of the plan that reads the world at the agent's position, with its words in the language.
 
-    - `of`: the kind of thing that its first attribute names; "" for none.
+    - `thing_kind`: the kind of thing that its first attribute names; "" for none.
     - `operands`: the kinds of the operands, one letter each. `attrs`: further attributes.
     - `trace`: the trace text of the results, by the names of the parts. Without it, three or more numbers are all listed.
     - `empty_trace`: the trace text if the first result is false.
     - `is_untraced`: left out of traces."""
 
     op: str
-    of: str
+    thing_kind: str
     results: tuple[ResultPart, ...]
     meaning: str
     words: tuple[BuiltinRow, ...] = ()

@@ -66,7 +66,7 @@ _SENSE_ROWS = (
         "field.ahead",
         "field",
         (ResultPart("value"),),
-        "the field where a straight way over the surface ends: so long (first), turned to the left of the heading (second)",
+        "the field at the end of a straight path over the surface: its length (first), its angle left of the heading (second)",
         (
             parse_row(
                 "smell(field: field, ahead: length, turn: angle = 0 deg) -> number",
@@ -154,11 +154,11 @@ _SENSE_ROWS = (
         "flow.reachable",
         "flow",
         (ResultPart("", "b"),),
-        "whether a path leads from here to the target of a solved flow; of other flows, whether they are anything here",
+        "whether a path leads from here to the target of a solved flow; for other flows, whether they are not 0 here",
         (
             parse_row(
                 "reachable(of: flow) -> bool",
-                "a path leads from here to the target of a solved flow; of other flows: it is anything here",
+                "a path leads from here to the target of a solved flow; other flows: the flow is not 0 here",
                 sense=True,
                 cost=UseCost(30, "flow {thing}"),
                 sample="reachable(drift)",
@@ -259,7 +259,7 @@ _SENSE_ROWS = (
         "gap.widest",
         "",
         (ResultPart("", component_count=3),),
-        "unit way into the widest gap between the bearings of the nearest others: within mm, at most so many",
+        "unit direction into the widest gap between the bearings of the nearest agents; operands: radius (mm), maximum number",
         (
             parse_row(
                 "widest_gap(within: length, most: whole number > 0 = 16) -> push",

@@ -16,7 +16,7 @@ class ThingKindRow:
     - `word`: its word in `world { … }`.
     - `label`: its name in messages, such as `a curve`; "" if types have other words for it.
     - `replaced_kinds`: the kinds of arguments for which it is also allowed.
-    - `typed`: its meaning as the type of an argument; "" if it is no type word.
+    - `type_meaning`: its meaning as the type of an argument; "" if it is no type word.
     - `scene_form`: words for its definition in a scene, such as `a mesh`.
     - `scene`: an example of the definition, for messages. `snippet`: the same with placeholders, for an editor.
     - `nearest_op`: the operation of the plan that finds its nearest point; "" if it has no position.
@@ -33,7 +33,7 @@ class ThingKindRow:
     sample: str
     label: str = ""
     replaced_kinds: tuple[str, ...] = ()
-    typed: str = ""
+    type_meaning: str = ""
     scene_form: str = ""
     scene: str = ""
     snippet: str = ""
@@ -54,13 +54,14 @@ class ThingKindRow:
 
 _THING_ROWS = (
     ThingKindRow(
-        "surface", "ground that agents walk on", "world { surface floor }", label="a surface", typed="the name of a surface",
-        replaced_kinds=("obstacle",), nearest_op="obstacle.near", touching_op="surface.touching", is_ground=True,
+        "surface", "ground that agents walk on", "world { surface floor }", label="a surface",
+        type_meaning="the name of a surface", replaced_kinds=("obstacle",), nearest_op="obstacle.near",
+        touching_op="surface.touching", is_ground=True,
         scene_form="a mesh", scene="{mesh: ground.ply}", snippet="{mesh: ${1:ground.ply}}",
     ),
     ThingKindRow(
         "obstacle", "what stands in the way, and is gone round", "world { obstacle chairs }", label="an obstacle",
-        typed="an obstacle, a surface or a solid by its name", nearest_op="obstacle.near", is_blocking=True, look="stone",
+        type_meaning="an obstacle, a surface or a solid by its name", nearest_op="obstacle.near", is_blocking=True, look="stone",
         scene_form="a mesh", scene="{mesh: stones.ply}", snippet="{mesh: ${1:stones.ply}}",
     ),
     ThingKindRow(
@@ -70,31 +71,31 @@ _THING_ROWS = (
     ),
     ThingKindRow(
         "items", "things that are placed, each with its own values", "world { items fruit { load = 0 } }",
-        typed="all items with a name", nearest_op="set.items", has_values=True,
+        type_meaning="all items with a name", nearest_op="set.items", has_values=True,
         scene_form="items", scene="{one: {at: [0, 0, 0]}}", snippet="{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
     ),
     ThingKindRow(
-        "curve", "a line drawn in space", "world { curve path }", label="a curve", typed="the name of a curve",
+        "curve", "a line drawn in space", "world { curve path }", label="a curve", type_meaning="the name of a curve",
         nearest_op="curve.closest", scene_form="a curve", scene="{curve: way.json}", snippet="{curve: ${1:way.json}}",
     ),
     ThingKindRow(
-        "flow", "directions along the ground", "world { flow drift }", label="a flow", typed="the name of a flow",
+        "flow", "directions along the ground", "world { flow drift }", label="a flow", type_meaning="the name of a flow",
         scene_form="a flow", scene="{toward: [0, 0, 0], radius: 50 mm}", snippet="{toward: ${1:nest}, radius: ${2:50 mm}}",
     ),
     ThingKindRow(
-        "map", "numbers painted on the ground", "world { map damp }", label="a map", typed="the name of a map",
+        "map", "numbers painted on the ground", "world { map damp }", label="a map", type_meaning="the name of a map",
         scene_form="a map", scene="{painted: ground.ply, attribute: NAME}",
         snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
     ),
     ThingKindRow(
         "camera", "a camera of the scene, which agents know", "world { camera shot }", label="a camera",
-        typed="the name of a camera", nearest_op="camera.position", section="cameras",
+        type_meaning="the name of a camera", nearest_op="camera.position", section="cameras",
         scene_form="a camera", scene="{at: [200, 150, 300], look_at: [0, 0, 0]}",
         snippet="{at: [${1:200}, ${2:150}, ${3:300}], look_at: [${4:0}, 0, ${5:0}]}",
     ),
     ThingKindRow(
         "species", "agents that another file describes", "world { species beetle { hunger = 0 } }",
-        typed="the name of a species", nearest_op="set.every", has_values=True,
+        type_meaning="the name of a species", nearest_op="set.every", has_values=True,
     ),
 )  # fmt: skip
 KIND_BY_WORD: dict[str, ThingKindRow] = {row.word: row for row in _THING_ROWS}

@@ -74,7 +74,7 @@ TYPE_BY_WORD: dict[str, Dimension | str] = {
     "item": "item",
     "agent": "agent",
     "field": "field",
-    **{kind.value: kind.value for kind in TypeKind if kind.value in KIND_BY_WORD and KIND_BY_WORD[kind.value].typed},
+    **{kind.value: kind.value for kind in TypeKind if kind.value in KIND_BY_WORD and KIND_BY_WORD[kind.value].type_meaning},
 }
 
 
@@ -90,8 +90,8 @@ class BuiltinAttribute:
     help: str
     edition: int = 1  # the first edition that has it
     limits: bool = False  # whether `none` says that there is no limit
-    stands: bool = False  # whether only species with standing bodies, which set it, have it
-    most: float = inf  # the greatest value, in base units
+    is_for_standing: bool = False  # whether only species with standing bodies, which set it, have it
+    max_value: float = inf  # the greatest value, in base units
     may_be_zero: bool = False
 
 
@@ -111,7 +111,12 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
     "group": BuiltinAttribute("number", False, None, "which line of the scene's `crowd` made it, from 0"),
     "size": BuiltinAttribute("length", True, "4 mm", "body length"),
     "height": BuiltinAttribute(
-        "length", True, None, "body height, of a species that stands; `size` follows from its body", edition=2, stands=True
+        "length",
+        True,
+        None,
+        "body height, of a species that stands; `size` follows from its body",
+        edition=2,
+        is_for_standing=True,
     ),
     "mass": BuiltinAttribute("mass", True, "1 g", "inertia"),
     "radius": BuiltinAttribute("length", True, "size / 2", "how much room it takes", may_be_zero=True),
@@ -132,7 +137,7 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         "0 %",
         "how its body stands: 0 % along the normal of the ground, 100 % vertical",
         edition=2,
-        most=1,
+        max_value=1,
         may_be_zero=True,
     ),
     "max_slope": BuiltinAttribute(
@@ -162,8 +167,8 @@ def explain_range(name: str, number: float) -> str | None:
     row = BUILTIN_ATTRIBUTE_BY_NAME.get(name)
     if row is None or not row.is_settable:
         return None
-    if number > row.most:
-        return f"write {100 * row.most:g} % or less"
+    if number > row.max_value:
+        return f"write {100 * row.max_value:g} % or less"
     if number < 0 or (number == 0 and not row.may_be_zero):
         return "write 0 or more" if row.may_be_zero else "write more than 0"
     return None

@@ -52,8 +52,8 @@ _VOLUME_TYPE = ValueType(TypeKind.NUMBER, Dimension(length=3))
 class SpecRules:
     """The rules of specs. They override the language's rules while a condition of a spec is checked."""
 
-    def __init__(self, declared: Declarations, has_reference_run: bool = False) -> None:
-        self.language_rules = declared.rules
+    def __init__(self, declarations: Declarations, has_reference_run: bool = False) -> None:
+        self.language_rules = declarations.rules
         self.comparison_rules: dict[str, Callable[..., Expr]] = {"at_start": self._type_at_start}
         if has_reference_run:
             self.comparison_rules["other"] = self._type_other_run
@@ -64,7 +64,7 @@ class SpecRules:
             nodes.Call: self._type_call, nodes.NameRef: self._type_name, nodes.Member: self._type_member,
             nodes.Binary: self._type_binary,
         }  # fmt: skip
-        self.declared = replace(declared, rules={**declared.rules, **own})
+        self.declared = replace(declarations, rules={**declarations.rules, **own})
 
     # --- names -------------------------------------------------------------------------------------------------------
 
@@ -73,8 +73,8 @@ class SpecRules:
         if name in self.comparison_rules:
             if self.other_side is not None:
                 return self.comparison_rules[name](scope, self.other_side, node.span)
-            when = "was" if name == "at_start" else "is in the other run"
-            message = f"`{name}` needs the other side of a comparison, which it {when}"
+            when = "at the start" if name == "at_start" else "in the reference run"
+            message = f"`{name}` needs a comparison: it is the other side's value {when}"
             advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
             return scope.reject("at-start-alone", message, node.span, advice)
         species = scope.species
@@ -100,7 +100,7 @@ class SpecRules:
             return make_bad_expression(span)
         names_agent = self.is_in_aggregate or scope.species is not None
         if names_agent or expr.type.kind is not TypeKind.NUMBER or expr.rate > ChangeRate.STEP:
-            message = "`other` is a number of the whole in another run, where no agent is named"
+            message = "`other` is a value of the complete reference run, not of one agent"
             advice = "write it in a line of the spec itself: `always: total(nest.load) >= other`"
             return scope.reject("wrong-rate", message, span, advice)
         return ReferenceRunValue(expr.type, ChangeRate.STEP, span, expr)
@@ -142,7 +142,7 @@ class SpecRules:
     def _reports_unnamed_agent(self, scope: NameScope, owner: str, node: nodes.Member) -> bool:
         """Return whether a text such as `forager.load` fails to name a single agent; report an error if so."""
         kind, name = _find_thing_kind(scope.declared, owner), node.name.text
-        type = ValueType(TypeKind.AGENT if kind is TypeKind.SPECIES else TypeKind.ITEM, of=owner)
+        type = ValueType(TypeKind.AGENT if kind is TypeKind.SPECIES else TypeKind.ITEM, referent=owner)
         params = scope.declared.species[owner].params if kind is TypeKind.SPECIES else {}
         known = kind is not None and name in {
             *find_attributes(scope.declared, type),
@@ -229,23 +229,24 @@ class SpecRules:
         if bare in scope.declared.fields and name in (*_CELL_AGGREGATES, "count"):
             scope.mark_used("field", bare)
             scope.bind(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
-            return AggregateExpr(NUMBER_TYPE, ChangeRate.STEP, node.span, how, ValueType(TypeKind.FIELD, of=bare), (), None, None)
+            field_type = ValueType(TypeKind.FIELD, referent=bare)
+            return AggregateExpr(NUMBER_TYPE, ChangeRate.STEP, node.span, how, field_type, (), None, None)
         thing = scope.declared.things.get(bare)
         if thing is not None and KIND_BY_WORD[thing.kind].is_dug and name == "total":
             scope.mark_used("thing", bare)
             scope.bind(operand.span, "thing", bare)
-            dug = ValueType(TypeKind(thing.kind), of=bare)
+            dug = ValueType(TypeKind(thing.kind), referent=bare)
             return AggregateExpr(_VOLUME_TYPE, ChangeRate.STEP, node.span, how, dug, (), None, None)
-        over = ValueType(TypeKind.FIELD, of=field) if field else _find_subject(scope, node, operand)
+        over = ValueType(TypeKind.FIELD, referent=field) if field else _find_subject(scope, node, operand)
         if over is None:
             return make_bad_expression(node.span)
         inner, elements = (scope.with_changes(species=None), ()) if field else _make_element_scope(scope, over, node.span)
-        if isinstance(operand, nodes.NameRef) and bare == over.of:
+        if isinstance(operand, nodes.NameRef) and bare == over.referent:
             scope.bind_thing(operand.name)
         self.cells = field
         body: Expr | None = None
-        if not (name in ("count", "any") and bare == over.of):
-            if bare == over.of:
+        if not (name in ("count", "any") and bare == over.referent):
+            if bare == over.referent:
                 return self._report_no_value(scope, node, bare)
             self.is_in_aggregate = True
             body = (
@@ -298,9 +299,9 @@ class SpecRules:
         counts_all = reduction.reducer == "count" and reduction.body is not None and reduction.body.rate <= ChangeRate.CONST
         body = None if counts_all else reduction.body
         how = "total" if reduction.reducer == "sum" else reduction.reducer
-        subject, elements = ValueType(kind, of=over.of), (reduction.element, over.element)
+        subject, elements = ValueType(kind, referent=over.source_name), (reduction.element, over.element)
         return AggregateExpr(
-            _find_result_type(how, body), ChangeRate.STEP, reduction.span, how, subject, elements, over.where, body
+            _find_result_type(how, body), ChangeRate.STEP, reduction.span, how, subject, elements, over.condition, body
         )
 
 
@@ -325,11 +326,11 @@ def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
     return binding is not None and binding.type.kind is TypeKind.SET
 
 
-def _find_cell_field(declared: Declarations, operand: nodes.Expr) -> str:
+def _find_cell_field(declarations: Declarations, operand: nodes.Expr) -> str:
     """Return the field with the cells that an expression reads, as `trail` in `trail.value > 0.1`. Empty if there is none."""
     members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
-    return next((name for name in owners if name in declared.fields), "")
+    return next((name for name in owners if name in declarations.fields), "")
 
 
 # --- subjects --------------------------------------------------------------------------------------------------------
@@ -345,18 +346,18 @@ def _find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Va
         kind = _find_thing_kind(declared, things[0])
         assert kind is not None
         scope.mark_used("species" if kind is TypeKind.SPECIES else "thing", things[0])
-        return ValueType(kind, of=things[0])
+        return ValueType(kind, referent=things[0])
     if len(things) > 1:
         parts = " and ".join(f"`{name}`" for name in things)
         message = f"{quote_source(node.span)} uses values of {parts} together"
         scope.report.error("wrong-argument", message, node.span, "use each one separately, and add the results")
         return None
     if scope.species is not None:
-        return ValueType(TypeKind.SPECIES, of=scope.species.name)
+        return ValueType(TypeKind.SPECIES, referent=scope.species.name)
     written_here = [name for name, species in declared.species.items() if species.node is not None]
     able = written_here if len(written_here) == 1 else [name for name in written_here if _has_values(declared, name, operand)]
     if len(able) == 1:
-        return ValueType(TypeKind.SPECIES, of=able[0])
+        return ValueType(TypeKind.SPECIES, referent=able[0])
     text, names = " ".join(operand.span.text.split()), sorted(able or declared.species)
     name = names[0] if names else "walker"
     if re.match(r"[a-z_][a-z0-9_]*\b(?!\s*\()", text):
@@ -367,21 +368,21 @@ def _find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Va
     return None
 
 
-def _find_thing_kind(declared: Declarations, name: str) -> TypeKind | None:
-    if name in declared.species:
+def _find_thing_kind(declarations: Declarations, name: str) -> TypeKind | None:
+    if name in declarations.species:
         return TypeKind.SPECIES
-    thing = declared.things.get(name)
+    thing = declarations.things.get(name)
     return TypeKind.ITEMS if thing is not None and thing.kind == "items" else None
 
 
-def _has_values(declared: Declarations, species: str, operand: nodes.Expr) -> bool:
+def _has_values(declarations: Declarations, species: str, operand: nodes.Expr) -> bool:
     """Return whether a species has every value that an expression names without an owner. Only names are compared."""
-    names = declared.species[species]
+    names = declarations.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
-    mine = {*names.attributes, *names.params, *names.bindings, *names.untyped_names, *names.machines, *states}
-    mine |= {*names.builtins}
-    everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
-    everywhere |= {*GEOMETRY_MEASURES, "time_in_state", "time", "frame", "dt", "true", "false", *SENSE_TYPE_BY_NAME, "self"}
+    mine = states.union(names.attributes, names.params, names.bindings, names.untyped_names, names.machines, names.builtins)
+    words = {"state", "previous", "next", "time_in_state", "time", "frame", "dt", "true", "false", "self"}
+    groups = (declarations.things, declarations.fields, declarations.species, declarations.events)
+    everywhere = words.union(GEOMETRY_MEASURES, SENSE_TYPE_BY_NAME, *groups)
     called = {id(part.function) for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Call)}
     bare = {p.name.text for p, _ in iterate_nodes(operand) if isinstance(p, nodes.NameRef) and id(p) not in called}
     return bare <= mine | everywhere
@@ -389,12 +390,11 @@ def _has_values(declared: Declarations, species: str, operand: nodes.Expr) -> bo
 
 def _make_element_scope(scope: NameScope, population: ValueType, span: Span) -> tuple[NameScope, tuple[Binding, ...]]:
     """Return the scope for expressions about one agent or item of `population`, and, for an item, the binding of its name."""
-    name = population.of or ""
+    name = population.referent or ""
     if population.kind is TypeKind.SPECIES:
-        who = ThingRef(ValueType(TypeKind.AGENT, of=name), ChangeRate.AGENT, span, "self")
-        return scope.with_changes(
-            species=scope.declared.species[name], machine=None, local_names={**scope.local_names, name: who}
-        ), ()
+        who = ThingRef(ValueType(TypeKind.AGENT, referent=name), ChangeRate.AGENT, span, "self")
+        names, local_names = scope.declared.species[name], {**scope.local_names, name: who}
+        return scope.with_changes(species=names, machine=None, local_names=local_names), ()
     element = Binding(name, "element", ValueType(TypeKind.ITEM, Dimension(), name), ChangeRate.ELEMENT, span)
     element_value = BindingRef(element.type, ChangeRate.ELEMENT, span, element)
     return scope.with_changes(species=None, element=element, local_names={**scope.local_names, name: element_value}), (element,)

@@ -254,7 +254,7 @@ def type_point(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
 
 def find_element_type(things: ValueType) -> ValueType:
     """Return the type of one element of a group of items, or of a species."""
-    return ValueType(TypeKind.ITEM if things.kind is TypeKind.ITEMS else TypeKind.AGENT, Dimension(), things.of)
+    return ValueType(TypeKind.ITEM if things.kind is TypeKind.ITEMS else TypeKind.AGENT, Dimension(), things.referent)
 
 
 def make_nearest_reduction(things: Expr, span: Span) -> ReduceExpr:
@@ -262,6 +262,13 @@ def make_nearest_reduction(things: Expr, span: Span) -> ReduceExpr:
     type = find_element_type(things.type)
     element = Binding("it", "element", type, ChangeRate.ELEMENT, span)
     over = SetExpr(
-        ValueType(TypeKind.SET, Dimension(), type.of), ChangeRate.AGENT, span, "all", type.of or "", (None,), element, None
+        ValueType(TypeKind.SET, Dimension(), type.referent),
+        ChangeRate.AGENT,
+        span,
+        "all",
+        type.referent or "",
+        (None,),
+        element,
+        None,
     )
     return ReduceExpr(type, ChangeRate.AGENT, span, "nearest", over, element, None)

@@ -82,7 +82,10 @@ def _report_unknown(scope: NameScope, node: nodes.Call, name: nodes.Name, expect
             scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
         return
     known = (
-        set(vocabulary.BUILTINS_BY_NAME) | set(vocabulary.REDUCER_HELP) | set(scope.file.own) | set(scope.file.library_behaviours)
+        set(vocabulary.BUILTINS_BY_NAME)
+        | set(vocabulary.REDUCER_HELP)
+        | set(scope.file.own_behaviours)
+        | set(scope.file.library_behaviours)
     )
     instead, fix = find_call_replacement(node, name.text), None
     if not node.arguments and name.text in (
@@ -318,7 +321,7 @@ def _infer_result_type(
         return bound_types[0] if bound_types else BAD_TYPE
     if word == "agent":
         first = args[0]
-        return ValueType(TypeKind.AGENT, of=first.type.of if first is not None else None)
+        return ValueType(TypeKind.AGENT, referent=first.type.referent if first is not None else None)
     return parse_type_words(word) or ValueType(TypeKind(word))
 
 

@@ -51,7 +51,7 @@ def describe_type(type: ValueType) -> str:
         )
     if type.kind in (TypeKind.ITEM, TypeKind.AGENT):
         word = "item" if type.kind is TypeKind.ITEM else "agent"
-        return f"an {word}" if type.of is None else f"an {word} of `{type.of}`"
+        return f"an {word}" if type.referent is None else f"an {word} of `{type.referent}`"
     if type.kind in (TypeKind.ITEMS, TypeKind.SPECIES):
         return "all items of a name" if type.kind is TypeKind.ITEMS else "a species"
     return _KIND_PHRASES.get(type.kind, add_article(type.kind.value))
@@ -65,39 +65,39 @@ def quote_source(span: Span, max_characters: int = 40) -> str:
     return f"`{text}`"
 
 
-def is_compatible(actual: ValueType, expected: ValueType) -> bool:
-    """Return whether a value of type `actual` is allowed where `expected` is needed. Values with a reported error are always
+def is_compatible(actual: ValueType, expected_type: ValueType) -> bool:
+    """Return whether a value of type `actual` is allowed where `expected_type` is needed. Values with a reported error are always
     allowed."""
-    if TypeKind.BAD in (actual.kind, expected.kind):
+    if TypeKind.BAD in (actual.kind, expected_type.kind):
         return True
-    if actual.kind is not expected.kind:
-        return actual.kind.value in list_replacements(expected.kind.value)
-    if actual.kind in (TypeKind.NUMBER, TypeKind.VECTOR) and actual.dimension != expected.dimension:
+    if actual.kind is not expected_type.kind:
+        return actual.kind.value in list_replacements(expected_type.kind.value)
+    if actual.kind in (TypeKind.NUMBER, TypeKind.VECTOR) and actual.dimension != expected_type.dimension:
         return False
-    return actual.of is None or expected.of is None or actual.of == expected.of
+    return actual.referent is None or expected_type.referent is None or actual.referent == expected_type.referent
 
 
 def report_mismatch(
-    report: Report, node: nodes.Expr, actual: ValueType, expected: ValueType, place: str, expr: Expr | None = None
+    report: Report, node: nodes.Expr, actual: ValueType, expected_type: ValueType, place: str, expr: Expr | None = None
 ) -> Expr:
     """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing.
 
     `expr`: its typed expression, if known. Returns a replacement for the expression."""
-    if isinstance(expr, OperationExpr) and expr.name == "map_value" and expected.kind is TypeKind.VECTOR:
+    if isinstance(expr, OperationExpr) and expr.name == "map_value" and expected_type.kind is TypeKind.VECTOR:
         text = " ".join(node.span.text.split())
-        message = f"`{text}` is a map of numbers, but {place} needs {describe_type(expected)}"
+        message = f"`{text}` is a map of numbers, but {place} needs {describe_type(expected_type)}"
         advice = f"for painted directions, use a flow: `world {{ flow {text} }}`"
         report.add(Diagnostic("wrong-kind", message, node.span, help=advice))
     else:
-        report.add(_make_mismatch(node, actual, expected, place))
+        report.add(_make_mismatch(node, actual, expected_type, place))
     return make_bad_expression(node.span)
 
 
-def _make_mismatch(node: nodes.Expr, actual: ValueType, expected: ValueType, place: str) -> Diagnostic:
-    text, want = quote_source(node.span), describe_type(expected)
-    both_numbers = actual.kind is TypeKind.NUMBER and expected.kind is TypeKind.NUMBER
+def _make_mismatch(node: nodes.Expr, actual: ValueType, expected_type: ValueType, place: str) -> Diagnostic:
+    text, want = quote_source(node.span), describe_type(expected_type)
+    both_numbers = actual.kind is TypeKind.NUMBER and expected_type.kind is TypeKind.NUMBER
     if both_numbers and isinstance(node, nodes.Number):
-        write = format_with_unit(node.value, expected.dimension)
+        write = format_with_unit(node.value, expected_type.dimension)
         message = f"{text} has no unit, but {place} needs {want}"
         return Diagnostic("missing-unit", message, node.span, help=f"write `{write}`", fix=Fix(node.span, write))
     message = f"{text} is {describe_type(actual)}, but {place} needs {want}"
@@ -105,19 +105,23 @@ def _make_mismatch(node: nodes.Expr, actual: ValueType, expected: ValueType, pla
         fix = None
         advice = f"write {want}"
         if isinstance(node, nodes.Quantity):
-            write = format_with_unit(node.value, expected.dimension)
+            write = format_with_unit(node.value, expected_type.dimension)
             advice, fix = f"write {want}, such as `{write}`", Fix(node.span, write)
         return Diagnostic("wrong-unit", message, node.span, help=advice, fix=fix)
-    if actual.kind is expected.kind and actual.kind is TypeKind.VECTOR:
+    if actual.kind is expected_type.kind and actual.kind is TypeKind.VECTOR:
         advice = (
             "`direction(x)`, `unit(v)` and `match(velocity)` make pushes"
-            if expected.dimension == Dimension()
+            if expected_type.dimension == Dimension()
             else f"write {want}"
         )
         return Diagnostic("wrong-unit", message, node.span, help=advice)
-    advice = _choose_advice(node, actual, expected)
-    fix = _make_vector_units_fix(node) if expected.kind is TypeKind.PLACE and actual == ValueType(TypeKind.VECTOR) else None
-    if fix is None and expected.kind is not _FLOW and not (expected.kind is TypeKind.BOOL and actual.kind in _THING_KINDS):
+    advice = _choose_advice(node, actual, expected_type)
+    fix = _make_vector_units_fix(node) if expected_type.kind is TypeKind.PLACE and actual == ValueType(TypeKind.VECTOR) else None
+    if (
+        fix is None
+        and expected_type.kind is not _FLOW
+        and not (expected_type.kind is TypeKind.BOOL and actual.kind in _THING_KINDS)
+    ):
         fix = _make_own_text_fix(node, advice)
     return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
 
@@ -143,15 +147,15 @@ def _make_own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
     return Fix(node.span, match[1]) if match and text in match[1] else None
 
 
-def _choose_advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> str:
+def _choose_advice(node: nodes.Expr, actual: ValueType, expected_type: ValueType) -> str:
     text = " ".join(node.span.text.split())
     short = text if len(text) <= 30 else "…"
-    if expected.kind is TypeKind.BOOL and actual.kind in _THING_KINDS:
+    if expected_type.kind is TypeKind.BOOL and actual.kind in _THING_KINDS:
         any_there = (
             f", or `nearest({short})` to test whether there is one" if actual.kind in (TypeKind.ITEMS, TypeKind.SPECIES) else ""
         )
         return f"use a value of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
-    if expected.kind is TypeKind.PLACE:
+    if expected_type.kind is TypeKind.PLACE:
         fix = _make_vector_units_fix(node) if actual.kind is TypeKind.VECTOR else None
         if fix is not None:
             return f"a place has lengths: `{fix.text}`"
@@ -161,30 +165,30 @@ def _choose_advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> 
                 f"a direction is not a place: use it directly to steer, or name a place in that direction: `position + {ahead}`"
             )
         return "name an item, an agent or a position, such as `nearest(food)` or `vector(10 mm, 0 mm, 0 mm)`"
-    if expected.kind is TypeKind.BOOL and actual.kind is TypeKind.NUMBER:
+    if expected_type.kind is TypeKind.BOOL and actual.kind is TypeKind.NUMBER:
         if isinstance(node, (nodes.Number, nodes.Quantity)):
             return "a number alone is not a condition: compare something with it"
         if isinstance(node, nodes.Binary) and node.op in ("and", "or"):
             short = f"({short})"
         number = format_with_unit(0.5 if actual.dimension == Dimension() else 1, actual.dimension)
         return f"compare it with something: `{short} > {number}`"
-    if expected.kind is TypeKind.VECTOR and expected.dimension == Dimension():
+    if expected_type.kind is TypeKind.VECTOR and expected_type.dimension == Dimension():
         if actual.kind in KINDS_WITH_POSITION:
             return f"`direction({short})` is the push toward it"
         if actual.kind is TypeKind.NUMBER:
             sample = f": `heading * {short}`" if actual.dimension == Dimension() else ", such as `heading`"
             return f"a push needs a direction{sample}"
-    if expected.kind is TypeKind.NUMBER and actual.kind is TypeKind.VECTOR:
+    if expected_type.kind is TypeKind.NUMBER and actual.kind is TypeKind.VECTOR:
         return f"`length({short})` is a number"
-    if expected.kind is TypeKind.NUMBER and actual.kind in (TypeKind.ITEM, TypeKind.AGENT, TypeKind.PLACE):
+    if expected_type.kind is TypeKind.NUMBER and actual.kind in (TypeKind.ITEM, TypeKind.AGENT, TypeKind.PLACE):
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
-    if expected.kind is _FLOW:
+    if expected_type.kind is _FLOW:
         if actual.kind is TypeKind.VECTOR:
             return f"`toward({short})` takes any direction; here the name of a flow is needed"
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"
-    if expected.kind is TypeKind.ITEM and actual.kind is TypeKind.ITEMS:
+    if expected_type.kind is TypeKind.ITEM and actual.kind is TypeKind.ITEMS:
         return f"`nearest({short})` is one of them"
-    return f"write {describe_type(expected)}"
+    return f"write {describe_type(expected_type)}"
 
 
 def report_disagreement(

@@ -94,11 +94,11 @@ def find_reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
     if thing is not None and thing.kind == "items":
         scope.mark_used("thing", name.text)
         scope.bind(name.span, "thing", name.text)
-        return ValueType(TypeKind.ITEM, of=name.text)
+        return ValueType(TypeKind.ITEM, referent=name.text)
     if name.text in declared.species:
         scope.mark_used("species", name.text)
         scope.bind(name.span, "species", name.text)
-        return ValueType(TypeKind.AGENT, of=name.text)
+        return ValueType(TypeKind.AGENT, referent=name.text)
     known = [t.name for t in declared.things.values() if t.kind == "items"] + list(declared.species)
     scope.report.error(
         "unknown-name", f"no items or species `{name.text}`", name.span,
@@ -181,7 +181,7 @@ def _type_element_value(scope: NameScope, name: str, span: Span) -> Expr | None:
 def _type_language_word(scope: NameScope, name: str, span: Span) -> Expr | None:
     if name == "self":
         return ThingRef(
-            ValueType(TypeKind.AGENT, of=scope.species.name if scope.species else None), ChangeRate.AGENT, span, "self"
+            ValueType(TypeKind.AGENT, referent=scope.species.name if scope.species else None), ChangeRate.AGENT, span, "self"
         )
     if name in ("true", "false"):
         return Constant(BOOL_TYPE, ChangeRate.CONST, span, float(name == "true"))
@@ -237,12 +237,12 @@ def _type_world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     if name in declared.species:
         scope.mark_used("species", name)
         scope.bind(span, "species", name)
-        return ThingRef(ValueType(TypeKind.SPECIES, of=name), ChangeRate.CONST, span, name)
+        return ThingRef(ValueType(TypeKind.SPECIES, referent=name), ChangeRate.CONST, span, name)
     thing = declared.things.get(name)
     if thing is not None:
         scope.mark_used("thing", name)
         scope.bind(span, "thing", name)
-        return ThingRef(ValueType(TypeKind(thing.kind), of=name), ChangeRate.CONST, span, name)
+        return ThingRef(ValueType(TypeKind(thing.kind), referent=name), ChangeRate.CONST, span, name)
     if name in declared.events and scope.species is not None:
         scope.mark_used("event", name)
         scope.mark_used("heard", f"{name} {scope.species.name}")
@@ -311,10 +311,10 @@ def _make_foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | Non
 def make_attribute_ref(scope: NameScope, owner: Expr, name: str, type: ValueType, span: Span) -> Expr:
     """Return the expression `owner.name` for a value that is known to exist."""
     if isinstance(owner, ThingRef) and owner.name == "self":
-        scope.mark_used("attribute", f"{owner.type.of}.{name}")
+        scope.mark_used("attribute", f"{owner.type.referent}.{name}")
         return AttributeRef(type, ChangeRate.AGENT, span, None, name)
     if owner.type.kind is TypeKind.AGENT:
-        scope.mark_used("attribute", f"{owner.type.of}.{name}")
+        scope.mark_used("attribute", f"{owner.type.referent}.{name}")
     return AttributeRef(type, max(owner.rate, ChangeRate.AGENT), span, owner, name)
 
 
@@ -334,24 +334,24 @@ def type_member(scope: NameScope, node: nodes.Member, expected_type: ValueType |
     known = find_attributes(scope.declared, owner.type)
     if name in known:
         scope.bind_value(node.name.span, owner.type, name)
-        species = scope.declared.species.get(owner.type.of or "") if kind is TypeKind.AGENT else None
+        species = scope.declared.species.get(owner.type.referent or "") if kind is TypeKind.AGENT else None
         if species is not None and name in species.pair_value_species:
-            return report_pair_value(scope, node.name, owner.type.of or "")
+            return report_pair_value(scope, node.name, owner.type.referent or "")
         return make_attribute_ref(scope, owner, name, known[name], node.span)
     scope.bind_unreadable(node.name, owner.type)
     _report_no_member(scope, owner, node, known)
     return make_bad_expression(node.span)
 
 
-def _report_no_member(scope: NameScope, owner: Expr, node: nodes.Member, known: dict[str, ValueType]) -> None:
+def _report_no_member(scope: NameScope, owner: Expr, node: nodes.Member, known_types: dict[str, ValueType]) -> None:
     name, kind, text = node.name.text, owner.type.kind, " ".join(node.owner.span.text.split())
     if kind is TypeKind.ITEMS:
         advice = f"name one: `nearest({text}).{name}`" if name != "position" else f"`position({text})`"
         scope.report.error(
             "wrong-kind", f"`{text}` means all items of that name, but `{name}` is a value of one item", node.span, advice
         )
-    elif known:
-        advice = suggest_name(name, known, f"there is {list_names(known)}")
+    elif known_types:
+        advice = suggest_name(name, known_types, f"there is {list_names(known_types)}")
         scope.report.error("unknown-name", f"{describe_type(owner.type)} has no `{name}`", node.name.span, advice)
     elif kind is TypeKind.VECTOR:
         message = f"components of a vector have no names, so no `{name}`"
@@ -362,13 +362,13 @@ def _report_no_member(scope: NameScope, owner: Expr, node: nodes.Member, known: 
 
 
 def _type_param(scope: NameScope, owner: Expr, node: nodes.Member) -> Expr:
-    names = scope.declared.species[owner.type.of] if owner.type.of else None
+    names = scope.declared.species[owner.type.referent] if owner.type.referent else None
     if names is not None and node.name.text in names.params:
         scope.mark_used("param", f"{names.name}.{node.name.text}")
         scope.bind(node.name.span, "own", names.name, node.name.text)
         return ParamRef(names.params[node.name.text], ChangeRate.RUN, node.span, f"{names.name}.{node.name.text}")
     scope.bind_unreadable(node.name, owner.type)
-    species = owner.type.of or "species"
+    species = owner.type.referent or "species"
     message = f"`{species}` is a whole species, but `{node.name.text}` is a value of one agent"
     return scope.reject("wrong-kind", message, node.span, f"name one: `nearest({species}).{node.name.text}`")
 

@@ -23,7 +23,7 @@ def type_pair_index(scope: NameScope, node: nodes.Index, expected_type: ValueTyp
         name = owner.name.text
         scope.mark_used("attribute", f"{species.name}.{name}")
         scope.bind(owner.span, "own", species.name, name)
-        expected = ValueType(TypeKind.AGENT, of=species.pair_value_species[name])
+        expected = ValueType(TypeKind.AGENT, referent=species.pair_value_species[name])
         if not is_compatible(index.type, expected):
             report_mismatch(scope.report, node.index, index.type, expected, f"`{name}[…]`")
         return AttributeRef(species.attributes[name], max(index.rate, ChangeRate.AGENT), node.span, index, name)

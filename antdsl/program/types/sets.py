@@ -71,7 +71,7 @@ def type_neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinR
         species = _type_things(scope, name, arguments_by_slot["of"][0].value, (TypeKind.SPECIES,))
         if species is None:
             return make_bad_expression(node.span)
-        of = species.type.of
+        of = species.type.referent
     elif scope.behaviour is None and scope.species is None:
         return scope.reject("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
     _check_reach(scope, radius, node)
@@ -127,11 +127,11 @@ def type_all(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> 
         )
     most = _type_count_limit(scope, name, row, arguments_by_slot, node)
     set_expr = SetExpr(
-        ValueType(TypeKind.SET, Dimension(), things.type.of),
+        ValueType(TypeKind.SET, Dimension(), things.type.referent),
         ChangeRate.AGENT,
         node.span,
         "all",
-        things.type.of or "",
+        things.type.referent or "",
         (within, most),
         element,
         where,
@@ -163,8 +163,8 @@ def type_nearest(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow)
     return _make_nearest(over, node) if isinstance(over, SetExpr) else over
 
 
-def _make_nearest(over: SetExpr, node: nodes.Call) -> ReduceExpr:
-    return ReduceExpr(over.element.type, ChangeRate.AGENT, node.span, "nearest", over, over.element, None)
+def _make_nearest(elements: SetExpr, node: nodes.Call) -> ReduceExpr:
+    return ReduceExpr(elements.element.type, ChangeRate.AGENT, node.span, "nearest", elements, elements.element, None)
 
 
 def type_feelers(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
@@ -185,7 +185,7 @@ def type_feelers(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow)
     )
     spread, reach = (_type_optional(scope, name, arg, arguments_by_slot, node) for arg in row.args[2:])
     element = make_element_binding(ValueType(TypeKind.HIT), "it", node)
-    of = target.type.of or ""
+    of = target.type.referent or ""
     return SetExpr(
         ValueType(TypeKind.SET, Dimension(), "hit"),
         ChangeRate.AGENT,
@@ -248,11 +248,11 @@ def make_complete_set(things: Expr) -> SetExpr:
     """Return the set of all items or agents of a name, such as `food`."""
     element = Binding("it", "element", find_element_type(things.type), ChangeRate.ELEMENT, things.span)
     return SetExpr(
-        ValueType(TypeKind.SET, Dimension(), things.type.of),
+        ValueType(TypeKind.SET, Dimension(), things.type.referent),
         ChangeRate.AGENT,
         things.span,
         "all",
-        things.type.of or "",
+        things.type.referent or "",
         (None,),
         element,
         None,

@@ -41,7 +41,7 @@ def type_state_word(scope: NameScope, owner: Expr | None, word: str, span: Span,
     """Type `state` and similar words, of the agent itself or of the agent `owner`.
 
     With several machines, the word means the machine at this place in the text, or the first."""
-    names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
+    names = scope.species if owner is None or owner.type.referent is None else scope.declared.species.get(owner.type.referent)
     if isinstance(owner, ThingRef) and owner.name == "self":
         owner = None
     if names is None or not names.machines:
@@ -53,7 +53,7 @@ def type_state_word(scope: NameScope, owner: Expr | None, word: str, span: Span,
 
 
 def _type_machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Span) -> Expr:
-    type = TIME_TYPE if word == "time_in_state" else ValueType(TypeKind.STATE, of=machine.key)
+    type = TIME_TYPE if word == "time_in_state" else ValueType(TypeKind.STATE, referent=machine.key)
     rate = ChangeRate.AGENT if owner is None else max(owner.rate, ChangeRate.AGENT)
     return AttributeRef(type, rate, span, owner, f"{machine.name}.{word}")
 
@@ -64,29 +64,31 @@ def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr,
     Return None if `node` is not a bare name."""
     if not isinstance(node, nodes.NameRef) or not isinstance(operand, AttributeRef) or node.name.text in STATE_WORDS:
         return None
-    species, _, machine_name = (operand.type.of or ".").partition(".")
+    species, _, machine_name = (operand.type.referent or ".").partition(".")
     machines = scope.declared.species[species].machines
-    named = "." in operand.span.text and operand.of is None  # `mood.state` names the machine; `state` alone may mean any
+    named = "." in operand.span.text and operand.owner is None  # `mood.state` names the machine; `state` alone may mean any
     order = [machines[machine_name]] + ([] if named else [m for m in machines.values() if m.name != machine_name])
     for machine in order:
         index = machine.states.get(node.name.text)
         if index is not None:
             scope.bind(node.span, "state", species, machine.name, node.name.text)
             word = operand.name.partition(".")[2]
-            return _type_machine_word(machine, operand.of, word, operand.span), StateConstant(
-                ValueType(TypeKind.STATE, of=machine.key), ChangeRate.CONST, node.span, machine.key, index
+            return _type_machine_word(machine, operand.owner, word, operand.span), StateConstant(
+                ValueType(TypeKind.STATE, referent=machine.key), ChangeRate.CONST, node.span, machine.key, index
             )
     known = [state for machine in order for state in machine.states]
     report_unknown_state(scope, node.name, species, known)
     return operand, make_bad_expression(node.span)
 
 
-def report_unknown_state(scope: NameScope, name: nodes.Name, species: str, known: list[str]) -> str | None:
+def report_unknown_state(scope: NameScope, name: nodes.Name, species: str, known_states: list[str]) -> str | None:
     """Report an unknown state name. Return the name that was probably meant, or None."""
-    meant = find_nearest_name(name.text, known)
+    meant = find_nearest_name(name.text, known_states)
     if is_known_missing(scope, "state", name, species):
         return meant
-    advice = suggest_name(name.text, known, f"`{species}` has the states {list_names(known)}" if known else None)
+    advice = suggest_name(
+        name.text, known_states, f"`{species}` has the states {list_names(known_states)}" if known_states else None
+    )
     scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)
     return meant
 

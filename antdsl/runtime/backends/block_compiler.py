@@ -55,14 +55,14 @@ class InstructionKind(Enum):
 class BlockInstruction:
     """One instruction of a block; `subject` is its node or statement.
 
-    `out`, `inputs`: slots of its result and operands.
+    `slot`, `inputs`: slots of its result and operands.
     `dtype`: type of the buffer for its result; None: it allocates an array.
     `span`: the source text that it computes.
     `layer`: number of the first layer that needs it, -1 for none."""
 
     kind: InstructionKind
     subject: ir.PlanNode | ir.PlanStatement
-    out: int
+    slot: int
     inputs: tuple[int, ...]
     dtype: Any
     scope: RowScope
@@ -87,7 +87,7 @@ class RowScope:
     parent_indices: int
     row_count: int
     code: list[BlockInstruction] = field(default_factory=list)
-    known: dict[ir.PlanNode, int] = field(default_factory=dict)
+    slot_by_node: dict[ir.PlanNode, int] = field(default_factory=dict)
     pairs: dict[ir.PlanNode, PairScope] = field(default_factory=dict)
     draw_slots: dict[tuple[str, int], int] = field(default_factory=dict)  # (site, block) -> slot of its four words
     view_slots: dict[tuple[Any, int], int] = field(default_factory=dict)  # (dtype, number of buffer) -> slot of its view
@@ -99,7 +99,7 @@ class PairScope:
     """The pairs of one set in one scope: the slot of the pairs, and the slots of values over them by node."""
 
     slot: int
-    known: dict[ir.PlanNode, int] = field(default_factory=dict)
+    slot_by_node: dict[ir.PlanNode, int] = field(default_factory=dict)
 
 
 class BlockCompiler:
@@ -133,7 +133,7 @@ class BlockCompiler:
         scope: RowScope,
         kind: InstructionKind,
         subject: ir.PlanNode | ir.PlanStatement,
-        out: int,
+        result_slot: int,
         inputs: tuple[int, ...],
         dtype: Any = None,
         *,
@@ -143,7 +143,18 @@ class BlockCompiler:
         order = -1 if isinstance(subject, ir.PlanNode) else self._order[subject]
         scope.code.append(
             BlockInstruction(
-                kind, subject, out, inputs, dtype, scope, subject.span, self._layer_number, inner, result, self.name, order
+                kind,
+                subject,
+                result_slot,
+                inputs,
+                dtype,
+                scope,
+                subject.span,
+                self._layer_number,
+                inner,
+                result,
+                self.name,
+                order,
             )
         )
 
@@ -166,7 +177,7 @@ class BlockCompiler:
             inputs = tuple(self.value(scope, node) for node in list_operands(statement))
             if isinstance(statement, ir.If):
                 inner = self._new_scope(scope)
-                self._compile_block(inner, statement.then, (*path, k))
+                self._compile_block(inner, statement.body, (*path, k))
                 self._layer_number = layer
                 if inner.code:
                     self._emit(scope, InstructionKind.REGION, statement, -1, (inputs[0],), inner=inner)
@@ -223,7 +234,7 @@ class BlockCompiler:
     @staticmethod
     def _find_holding_scope(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
         """Return the innermost scope around `scope`, or itself, that has a value; None if none has it."""
-        while scope is not None and node not in scope.known:
+        while scope is not None and node not in scope.slot_by_node:
             scope = scope.parent
         return scope
 
@@ -233,15 +244,15 @@ class BlockCompiler:
         if node.rate <= ir.UpdateRate.STEP:
             return self._uniform_slot(node)
         holders = [scope]
-        while node not in holders[-1].known:
+        while node not in holders[-1].slot_by_node:
             outer = holders[-1].parent
             assert outer is not None, f"{node!r} is not known"
             holders.append(outer)
         for inner in reversed(holders[:-1]):
             assert inner.parent is not None
-            inner.known[node] = slot = self.allocate_slot()
-            self._emit(inner, InstructionKind.GATHER, node, slot, (inner.parent.known[node],))
-        return scope.known[node]
+            inner.slot_by_node[node] = slot = self.allocate_slot()
+            self._emit(inner, InstructionKind.GATHER, node, slot, (inner.parent.slot_by_node[node],))
+        return scope.slot_by_node[node]
 
     def _emit_node(self, scope: RowScope, node: ir.PlanNode) -> None:
         """Emit the instruction of one node; its operands already have slots."""
@@ -251,13 +262,13 @@ class BlockCompiler:
             does, inputs = InstructionKind.VALUE, tuple(self._known_slot(scope, a) for a in node.args)
         slot = self.allocate_slot()
         self._emit(scope, does, node, slot, inputs, DTYPE_BY_KIND[node.kind] if node.op in UFUNC_BY_NAME else None)
-        scope.known[node] = slot
+        scope.slot_by_node[node] = slot
 
     def _emit_lazy(self, scope: RowScope, node: ir.PlanNode) -> None:
         """Emit a lazy node: computed in an inner scope of the rows without a value, and stored for the step."""
         inner = self._new_scope(scope)
         result = self.value(inner, node, recompute=True)
-        slot = scope.known[node] = self.allocate_slot()
+        slot = scope.slot_by_node[node] = self.allocate_slot()
         self._emit(scope, InstructionKind.CACHED_SENSE, node, slot, (), inner=inner, result=result)
 
     # --- sets ----------------------------------------------------------------------------------------------------------
@@ -267,7 +278,7 @@ class BlockCompiler:
         pairs = self._pair_scope(scope, node.args[0])
         bodies = node.args[1:]
         for each in collect_required_nodes(bodies):
-            if each.rate == ir.UpdateRate.PAIR and each not in pairs.known:
+            if each.rate == ir.UpdateRate.PAIR and each not in pairs.slot_by_node:
                 self._emit_pair_value(scope, pairs, each)
         return pairs.slot, *(self._pair_slot(scope, pairs, body) for body in bodies)
 
@@ -287,16 +298,16 @@ class BlockCompiler:
         """Return the slot of a value over pairs. A value of the agent itself is repeated for its pairs."""
         if node.rate <= ir.UpdateRate.STEP:
             return self._uniform_slot(node)
-        if node in pairs.known:
-            return pairs.known[node]
-        slot = pairs.known[node] = self.allocate_slot()
+        if node in pairs.slot_by_node:
+            return pairs.slot_by_node[node]
+        slot = pairs.slot_by_node[node] = self.allocate_slot()
         self._emit(scope, InstructionKind.SPREAD, node, slot, (self._known_slot(scope, node), pairs.slot))
         return slot
 
     def _emit_pair_value(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> None:
         inputs = tuple(self._pair_slot(scope, pairs, a) for a in node.args)
         does = InstructionKind.PAIR_OPERATION if node.op in FUNCTION_BY_NAME else InstructionKind.PAIR_LEAF
-        slot = pairs.known[node] = self.allocate_slot()
+        slot = pairs.slot_by_node[node] = self.allocate_slot()
         self._emit(scope, does, node, slot, inputs if does is InstructionKind.PAIR_OPERATION else (pairs.slot, *inputs))
 
 
@@ -314,7 +325,7 @@ def _flatten_instructions(scope: RowScope, order: list[tuple[BlockInstruction, b
             order.append((instruction, True))
 
 
-def bind_calls(compiler: BlockCompiler, maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
+def bind_calls(compiler: BlockCompiler, find_maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
     """Assign an output array to each elementwise result, reused after its last use, and make the calls.
 
     This is a linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). No region runs
@@ -328,7 +339,7 @@ def bind_calls(compiler: BlockCompiler, maker: Callable[[BlockInstruction, Block
     for instruction, is_after in reversed(order):
         if instruction.kind is InstructionKind.GATHER and not is_after:  # the result may be the input itself
             (source,) = instruction.inputs
-            last[source] = max(last[source], last.get(instruction.out, -1))
+            last[source] = max(last[source], last.get(instruction.slot, -1))
     free: dict[Any, list[int]] = {}
     held: dict[int, tuple[Any, int]] = {}
     for position, (instruction, is_after) in enumerate(order):
@@ -342,10 +353,10 @@ def bind_calls(compiler: BlockCompiler, maker: Callable[[BlockInstruction, Block
                 spare.append(compiler.buffer_counts.get(instruction.dtype, 0))
                 compiler.buffer_counts[instruction.dtype] = spare[-1] + 1
             number = spare.pop()
-            held[instruction.out] = (instruction.dtype, number)
+            held[instruction.slot] = (instruction.dtype, number)
             buffer = instruction.scope.view_slots.setdefault((instruction.dtype, number), -1)
             if buffer == -1:
                 buffer = instruction.scope.view_slots[instruction.dtype, number] = compiler.allocate_slot()
         if not is_after:
-            make = maker(instruction, compiler)
-            instruction.scope.calls.append(make(instruction.out, instruction.inputs, buffer))
+            make = find_maker(instruction, compiler)
+            instruction.scope.calls.append(make(instruction.slot, instruction.inputs, buffer))

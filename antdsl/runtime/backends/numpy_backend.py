@@ -173,7 +173,7 @@ class NumpyBackend:
         compiler: BlockCompiler,
         rows: Any,
         effects: EffectRequests,
-        spent: list[float] | None,
+        spent_seconds: list[float] | None,
         lane: int,
         is_only_chunk: bool,
     ) -> None:
@@ -185,7 +185,7 @@ class NumpyBackend:
             effects,
             self._stored_senses.get(population.name),
         )
-        v[SPENT_SECONDS_SLOT] = spent
+        v[SPENT_SECONDS_SLOT] = spent_seconds
         v[PAIRS_SLOT] = {} if compiler.name == "born" else self._cached_pairs[population.name]
         v[THREADS_SLOT] = world.options.threads if is_only_chunk else 1
         values = self._uniform_values[population.name]
@@ -223,14 +223,14 @@ def compute_constants(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
 
 
 def compute_uniform_values(
-    world: World, nodes: list[ir.PlanNode], known: dict[ir.PlanNode, Any] | None = None
+    world: World, nodes: list[ir.PlanNode], known_values: dict[ir.PlanNode, Any] | None = None
 ) -> dict[ir.PlanNode, Any]:
-    """Return the values that are equal for all agents, as NumPy scalars, together with those in `known`.
+    """Return the values that are equal for all agents, as NumPy scalars, together with those in `known_values`.
 
-    `nodes`: operands come before the nodes that use them. If it is empty, `known` itself is returned."""
-    if known is not None and not nodes:
-        return known
-    values = dict(known or {})
+    `nodes`: operands come before the nodes that use them. If it is empty, `known_values` itself is returned."""
+    if known_values is not None and not nodes:
+        return known_values
+    values = dict(known_values or {})
     with np.errstate(all="ignore"):
         for node in nodes:
             f = FUNCTION_BY_NAME.get(node.op)

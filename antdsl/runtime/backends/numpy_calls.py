@@ -57,23 +57,23 @@ def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFun
     raise AssertionError(f"no call for {instruction.kind}")
 
 
-def enter_scope(v: SlotValues, scope: RowScope, rows: Any, size: int, picked: NDArray[np.intp] | None) -> None:
+def enter_scope(v: SlotValues, scope: RowScope, rows: Any, size: int, parent_rows: NDArray[np.intp] | None) -> None:
     """Set a scope's rows and the views of its output buffers."""
-    v[scope.rows], v[scope.row_count], v[scope.parent_indices] = rows, size, picked
+    v[scope.rows], v[scope.row_count], v[scope.parent_indices] = rows, size, parent_rows
     buffers = v[BUFFERS_SLOT]
     for (dtype, number), slot in scope.view_slots.items():
         v[slot] = buffers[dtype][number][:size]
 
 
-def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, picked: NDArray[np.intp] | None) -> None:
+def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, parent_rows: NDArray[np.intp] | None) -> None:
     """Run an inner scope for some of a scope's rows (None: all)."""
     rows = v[scope.rows]
-    if picked is None:
+    if parent_rows is None:
         enter_scope(v, inner, rows, v[scope.row_count], None)
     elif isinstance(rows, slice):
-        enter_scope(v, inner, picked + rows.start if rows.start else picked, len(picked), picked)
+        enter_scope(v, inner, parent_rows + rows.start if rows.start else parent_rows, len(parent_rows), parent_rows)
     else:
-        enter_scope(v, inner, rows.take(picked), len(picked), picked)
+        enter_scope(v, inner, rows.take(parent_rows), len(parent_rows), parent_rows)
     for call in inner.calls:
         call(v)
 
@@ -81,7 +81,7 @@ def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, picked: NDA
 def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
     """Return the call of an `If`: it runs the inner scope for the rows for which the condition holds."""
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
         def run(v: SlotValues) -> None:
@@ -103,17 +103,17 @@ def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
     """Return the call that takes a value of the enclosing scope for the rows of this scope."""
     picked = scope.parent_indices
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
         def run(v: SlotValues) -> None:
             p = v[picked]
             if p is None:
-                v[out] = v[a]
+                v[result_slot] = v[a]
             elif is_tuple:
-                v[out] = tuple(part.take(p) for part in v[a])
+                v[result_slot] = tuple(part.take(p) for part in v[a])
             else:
-                v[out] = v[a].take(p)
+                v[result_slot] = v[a].take(p)
 
         return run
 
@@ -123,7 +123,7 @@ def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
 def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> SlotFunctionMaker:
     """Return the call for a sense that is cached for the step. It is computed only for rows without a value."""
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
             has, arrays = v[LAZY_VALUES_SLOT][node]
             rows = v[scope.rows]
@@ -134,7 +134,7 @@ def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, 
                 has[new] = True
                 for array, part in zip(arrays, v[result] if node.kind is ir.ValueKind.TUPLE else (v[result],), strict=True):
                     array[new] = part
-            v[out] = tuple(array[rows] for array in arrays) if node.kind is ir.ValueKind.TUPLE else arrays[0][rows]
+            v[result_slot] = tuple(array[rows] for array in arrays) if node.kind is ir.ValueKind.TUPLE else arrays[0][rows]
 
         return run
 
@@ -148,30 +148,30 @@ def make_elementwise_call(node: ir.PlanNode) -> SlotFunctionMaker | None:
         return None
     buffered = node.op in UFUNC_BY_NAME
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         a = inputs[0]
         b = inputs[1] if len(inputs) > 1 else -1
         if len(inputs) == 3:
             c = inputs[2]
 
             def run(v: SlotValues) -> None:
-                v[out] = f(v[a], v[b], v[c])
+                v[result_slot] = f(v[a], v[b], v[c])
         elif len(inputs) == 2 and buffered and buffer is not None:
 
             def run(v: SlotValues) -> None:
-                v[out] = f(v[a], v[b], v[buffer])
+                v[result_slot] = f(v[a], v[b], v[buffer])
         elif len(inputs) == 2:
 
             def run(v: SlotValues) -> None:
-                v[out] = f(v[a], v[b])
+                v[result_slot] = f(v[a], v[b])
         elif buffered and buffer is not None:
 
             def run(v: SlotValues) -> None:
-                v[out] = f(v[a], v[buffer])
+                v[result_slot] = f(v[a], v[buffer])
         else:
 
             def run(v: SlotValues) -> None:
-                v[out] = f(v[a])
+                v[result_slot] = f(v[a])
 
         return run
 
@@ -183,15 +183,15 @@ def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) 
     rows = scope.rows
     if node.op == "get":
         index = node.attrs[0]
-        return lambda out, inputs, buffer: lambda v: v.__setitem__(out, v[inputs[0]][index])
+        return lambda result_slot, inputs, buffer: lambda v: v.__setitem__(result_slot, v[inputs[0]][index])
     if node.op in ("snap", "load"):
         name, copied = node.attrs[0], node.op == "load" and node.attrs[0] in compiler.stored_registers
 
-        def read(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def read(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
             def run(v: SlotValues) -> None:
                 population = v[POPULATION_SLOT]
                 value = (population.now if node.op == "load" else population.start)[name][v[rows]]
-                v[out] = value.copy() if copied and isinstance(v[rows], slice) else value
+                v[result_slot] = value.copy() if copied and isinstance(v[rows], slice) else value
 
             return run
 
@@ -200,9 +200,9 @@ def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) 
         return _make_draw_call(node, compiler, scope)
     sense = SENSE_FUNCTIONS[node.op]
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
-            v[out] = sense(v[WORLD_SLOT], v[POPULATION_SLOT], node, v[rows], *[v[a] for a in inputs])
+            v[result_slot] = sense(v[WORLD_SLOT], v[POPULATION_SLOT], node, v[rows], *[v[a] for a in inputs])
 
         return run
 
@@ -216,13 +216,13 @@ def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
     fresh = key not in scope.draw_slots
     words = scope.draw_slots.setdefault(key, compiler.allocate_slot()) if fresh else scope.draw_slots[key]
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
             if fresh:
                 world, population = v[WORLD_SLOT], v[POPULATION_SLOT]
                 ids = population.ids[v[scope.rows]]
                 v[words] = randomness.draw_four_words(world.setting.seed, world.frame, population.name, site, index >> 2, ids)
-            v[out] = randomness.to_unit_floats(v[words][index & 3])
+            v[result_slot] = randomness.to_unit_floats(v[words][index & 3])
 
         return run
 
@@ -235,28 +235,30 @@ def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
     A set that several regions use is cached for the step after it was computed for a complete chunk."""
     shared, root, rows = compiler.region_count_by_set, compiler.root_scope.rows, scope.rows
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
             stored_pairs, chunk, mine = v[PAIRS_SLOT], v[root], v[rows]
             known = stored_pairs.get((node, chunk.start)) if isinstance(chunk, slice) else None
             if known is not None:
-                v[out] = known if mine is chunk else known.select_rows(as_row_array(mine) - chunk.start)
+                v[result_slot] = known if mine is chunk else known.select_rows(as_row_array(mine) - chunk.start)
                 return
-            v[out] = sets.find_pairs(v[WORLD_SLOT], v[POPULATION_SLOT], node, mine, tuple(v[a] for a in inputs), v[THREADS_SLOT])
+            v[result_slot] = sets.find_pairs(
+                v[WORLD_SLOT], v[POPULATION_SLOT], node, mine, tuple(v[a] for a in inputs), v[THREADS_SLOT]
+            )
             if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
-                stored_pairs[node, chunk.start] = v[out]
+                stored_pairs[node, chunk.start] = v[result_slot]
 
         return run
 
     return make
 
 
-def make_spread_call(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+def make_spread_call(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
     """Return the call that repeats an agent's value for each of its pairs."""
     value, pair = inputs
 
     def run(v: SlotValues) -> None:
-        v[out] = v[value].take(v[pair].i)
+        v[result_slot] = v[value].take(v[pair].i)
 
     return run
 
@@ -267,13 +269,13 @@ def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker
     A sense is evaluated at the position of the requesting agent."""
     sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
             pair_set = v[inputs[0]]
             if sense is None:
-                v[out] = sets.read_pair_value(pair_set, node)
+                v[result_slot] = sets.read_pair_value(pair_set, node)
             else:
-                v[out] = sense(
+                v[result_slot] = sense(
                     v[WORLD_SLOT], v[POPULATION_SLOT], node, as_row_array(v[rows]).take(pair_set.i), *[v[a] for a in inputs[1:]]
                 )
 
@@ -286,9 +288,9 @@ def make_reduction_call(node: ir.PlanNode) -> SlotFunctionMaker:
     """Return the call for a reduction over the pairs of a set."""
     f = sets.REDUCTION_FUNCTIONS[node.op]
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
-            v[out] = f(v[inputs[0]], node, *[v[a] for a in inputs[1:]])
+            v[result_slot] = f(v[inputs[0]], node, *[v[a] for a in inputs[1:]])
 
         return run
 

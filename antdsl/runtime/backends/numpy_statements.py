@@ -49,7 +49,7 @@ def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFu
     name, infinite, span = statement.register, statement.allows_infinity, statement.span
     number = statement.value.kind is ir.ValueKind.F32
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
         def run(v: SlotValues) -> None:
@@ -72,7 +72,7 @@ def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFu
 
 
 def _select_finite_amounts(
-    v: SlotValues, scope: RowScope, block: str, what: str, span: Any, value: Any
+    v: SlotValues, scope: RowScope, block: str, value_name: str, span: Any, value: Any
 ) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
     """Return the rows with finite values, these values, and the mask of these rows within the scope. Record a fault for all
     others."""
@@ -80,17 +80,17 @@ def _select_finite_amounts(
     good = np.isfinite(value)
     if good.all():
         return rows, value, ALL_ROWS
-    _record_fault(v, block, what, span, rows[~good])
+    _record_fault(v, block, value_name, span, rows[~good])
     return rows[good], value[good], good
 
 
 def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
     """Return the call that adds claims to the effects of the step."""
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
         which, much = (None if node is None else next(slots) for node in (statement.item, statement.amount))
-        what = f"take {statement.attribute or statement.of}"
+        what = f"take {statement.attribute or statement.target}"
 
         def run(v: SlotValues) -> None:
             if much is None:
@@ -99,7 +99,7 @@ def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: in
             else:
                 rows, amount, good = _select_finite_amounts(v, scope, block, what, statement.span, v[much])
             if which is None:
-                item = v[POPULATION_SLOT].cells[statement.of][rows]
+                item = v[POPULATION_SLOT].cells[statement.target][rows]
             else:
                 item = _row_values(v, scope, v[which])[good]
             v[EFFECTS_SLOT].claims.append(ClaimEntry(statement, order, rows, item, amount))
@@ -112,16 +112,16 @@ def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: in
 def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
     """Return the call that subtracts gifts from registers and adds them to the effects of the step."""
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
-            own = v[POPULATION_SLOT].now[statement.own]
+            own = v[POPULATION_SLOT].now[statement.register]
             item = _row_values(v, scope, v[inputs[0]])
             if statement.amount is None:
                 rows = as_row_array(v[scope.rows])
                 amount = own[rows]
             else:
                 rows, amount, good = _select_finite_amounts(
-                    v, scope, block, f"give {statement.own}", statement.span, v[inputs[1]]
+                    v, scope, block, f"give {statement.register}", statement.span, v[inputs[1]]
                 )
                 item = item[good]
             has_item = (item >= 0) & (item < len(v[WORLD_SLOT].items[statement.items]))
@@ -129,7 +129,7 @@ def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunc
             had = own[rows]
             left = had - np.clip(amount, np.float32(0), np.maximum(had, np.float32(0))) + np.float32(0)  # never -0
             own[rows] = left
-            v[EFFECTS_SLOT].gives.append(GiftEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
+            v[EFFECTS_SLOT].gifts.append(GiftEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
 
         return run
 
@@ -139,9 +139,9 @@ def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunc
 def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
     """Return the call for a request to other parts of the world, by row. A value that is not finite is a fault."""
     row = effects.EFFECT_BY_OPERATION[statement.op]
-    refused = row.fault_name.format(of=statement.of)
+    refused = row.fault_name.format(of=statement.target)
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
         which = [None if node is None else next(slots) for node in statement.args]
 

@@ -69,13 +69,13 @@ class AgentRun:
         world: World,
         population: Population,
         row: int,
-        now: dict[str, Any],
+        registers: dict[str, Any],
         register_index: int,
         effects: EffectRequests,
         order: dict[ir.PlanStatement, int],
     ) -> None:
         self.world, self.population, self.row = world, population, row
-        self.now, self.at, self.effects, self.order = now, register_index, effects, order
+        self.now, self.at, self.effects, self.order = registers, register_index, effects, order
         self.rows = np.array([row])
         self.values: dict[ir.PlanNode, Any] = {}
         self.on_fault: Callable[[str, Span | None, ir.PlanNode], None] | None = None
@@ -94,18 +94,18 @@ class AgentRun:
                 self.value(node)
             if isinstance(statement, ir.If):
                 if self.value(statement.condition):
-                    self._run_block(statement.then, (*path, k))
+                    self._run_block(statement.body, (*path, k))
             else:
                 getattr(self, "_" + type(statement).__name__.lower())(statement)
 
-    def _compute_finite_value(self, node: ir.PlanNode, what: str, span: Span | None, infinite: bool = False) -> Any:
+    def _compute_finite_value(self, node: ir.PlanNode, value_name: str, span: Span | None, infinite: bool = False) -> Any:
         """Return a value that may be stored; None after recording a fault if it may not."""
         value = self.value(node)
         if node.kind is not ir.ValueKind.F32 or np.isfinite(value) or (infinite and value == np.inf):
             return value
         if self.on_fault is not None:
-            self.on_fault(what, span, node)
-        self.effects.faults.append(FaultEntry(self.block, what, span, self.rows))
+            self.on_fault(value_name, span, node)
+        self.effects.faults.append(FaultEntry(self.block, value_name, span, self.rows))
         return None
 
     def _store(self, s: ir.Store) -> None:
@@ -114,27 +114,27 @@ class AgentRun:
             self.now[s.register][self.at] = value
 
     def _claim(self, s: ir.Claim) -> None:
-        item = self.population.cells[s.of][self.row] if s.item is None else self.value(s.item)
+        item = self.population.cells[s.target][self.row] if s.item is None else self.value(s.item)
         amount = (
             np.float32(np.inf)
             if s.amount is None
-            else self._compute_finite_value(s.amount, f"take {s.attribute or s.of}", s.span)
+            else self._compute_finite_value(s.amount, f"take {s.attribute or s.target}", s.span)
         )
         if amount is not None:
             self.effects.claims.append(ClaimEntry(s, self.order[s], self.rows, np.array([item]), np.array([amount])))
 
     def _give(self, s: ir.Give) -> None:
-        item, had = self.value(s.item), self.now[s.own][self.at]
-        amount = had if s.amount is None else self._compute_finite_value(s.amount, f"give {s.own}", s.span)
+        item, had = self.value(s.item), self.now[s.register][self.at]
+        amount = had if s.amount is None else self._compute_finite_value(s.amount, f"give {s.register}", s.span)
         if amount is None or not 0 <= item < len(self.world.items[s.items]):
             return
         left = had - min(max(amount, np.float32(0)), max(had, np.float32(0))) + np.float32(0)  # never -0
-        self.now[s.own][self.at] = left
-        self.effects.gives.append(GiftEntry(s, np.array([item]), np.array([float(had) - float(left)])))
+        self.now[s.register][self.at] = left
+        self.effects.gifts.append(GiftEntry(s, np.array([item]), np.array([float(had) - float(left)])))
 
     def _request(self, s: ir.Request) -> None:
         row = EFFECT_BY_OPERATION[s.op]
-        refused = row.fault_name.format(of=s.of)
+        refused = row.fault_name.format(of=s.target)
         values = [
             None if node is None else self._compute_finite_value(node, refused, s.span) if refused else self.value(node)
             for node in s.args
@@ -215,7 +215,7 @@ class AgentRun:
         hx, hy, hz = (self.population.start[f"heading.{axis}"][self.row] for axis in AXES)
         return [m for m in measured if (m[1] * hx + m[2] * hy) + m[3] * hz >= args[1] * m[4]]
 
-    def _compute_pair_values(self, chosen: ir.PlanNode, member: SetMember, roots: list[ir.PlanNode]) -> list[Any]:
+    def _compute_pair_values(self, set_node: ir.PlanNode, member: SetMember, roots: list[ir.PlanNode]) -> list[Any]:
         """Return the values of the nodes `roots` for one other agent or item."""
         pair_values: dict[ir.PlanNode, Any] = {}
         for node in _pair_nodes(tuple(roots)):
@@ -225,23 +225,23 @@ class AgentRun:
             elif node.op in SENSE_FUNCTIONS:
                 pair_values[node] = self._compute_sense(node, args)
             else:
-                pair_values[node] = self._other_value(chosen, member, node)
+                pair_values[node] = self._other_value(set_node, member, node)
         return [pair_values[n] if n in pair_values else self.values[n] for n in roots]
 
-    def _other_value(self, chosen: ir.PlanNode, member: SetMember, node: ir.PlanNode) -> Any:
+    def _other_value(self, set_node: ir.PlanNode, member: SetMember, node: ir.PlanNode) -> Any:
         """Return a leaf that depends on the other agent or item of a pair."""
         row, dx, dy, dz, distance = member
         named = {"pair.x": dx, "pair.y": dy, "pair.z": dz, "pair.distance": distance, "other.row": np.int32(row)}
         if node.op in named:
             return named[node.op]
-        if chosen.op == "set.items":
-            return self.world.items[chosen.attrs[0]].visible_values[node.attrs[0]][row]
-        other = self.world.populations[chosen.attrs[0]]
+        if set_node.op == "set.items":
+            return self.world.items[set_node.attrs[0]].visible_values[node.attrs[0]][row]
+        other = self.world.populations[set_node.attrs[0]]
         return other.ids[row] if node.op == "other.id" else other.start[node.attrs[0]][row]
 
-    def member_id(self, chosen: ir.PlanNode, member: SetMember) -> int:
+    def member_id(self, set_node: ir.PlanNode, member: SetMember) -> int:
         """Return the id of an agent, or the number of an item, in a set."""
-        return member[0] if chosen.op == "set.items" else int(self.world.populations[chosen.attrs[0]].ids[member[0]])
+        return member[0] if set_node.op == "set.items" else int(self.world.populations[set_node.attrs[0]].ids[member[0]])
 
 
 @cache
@@ -269,9 +269,9 @@ def _own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
     return tuple(dict.fromkeys(operands))
 
 
-def _measure_members(positions: list[Any], own: list[Any]) -> list[SetMember]:
+def _measure_members(positions: list[Any], own_position: list[Any]) -> list[SetMember]:
     """Return the row, offset (mm) and distance (mm) of every agent from one position."""
-    dx, dy, dz = (theirs - mine for theirs, mine in zip(positions, own, strict=True))
+    dx, dy, dz = (theirs - mine for theirs, mine in zip(positions, own_position, strict=True))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     return [(k, dx[k], dy[k], dz[k], distance[k]) for k in range(len(distance))]
 
@@ -280,7 +280,7 @@ MemberMatches = list[tuple[SetMember, Any]]
 _INFINITY = np.float32(np.inf)
 
 
-def _reduce_sum(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
+def _reduce_sum(agent: AgentRun, node: ir.PlanNode, set_node: ir.PlanNode, matches: MemberMatches) -> Any:
     quantum = int(node.attrs[0])
     terms = [float(exact_sums.quantise(body, quantum)) for _, body in matches]
     if any(term != term for term in terms):
@@ -288,28 +288,28 @@ def _reduce_sum(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches
     return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # integer multiples of the quantum
 
 
-def _reduce_min(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
+def _reduce_min(agent: AgentRun, node: ir.PlanNode, set_node: ir.PlanNode, matches: MemberMatches) -> Any:
     least = _INFINITY
     for _, body in matches:
         least = body if body < least else least
     return least + np.float32(0)
 
 
-def _reduce_max(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
+def _reduce_max(agent: AgentRun, node: ir.PlanNode, set_node: ir.PlanNode, matches: MemberMatches) -> Any:
     greatest = -_INFINITY
     for _, body in matches:
         greatest = body if body > greatest else greatest
     return greatest + np.float32(0)
 
 
-def _best_label(agent: AgentRun, chosen: ir.PlanNode, matches: MemberMatches) -> int:
-    sound = [(body, agent.member_id(chosen, member)) for member, body in matches if body == body]
+def _best_label(agent: AgentRun, set_node: ir.PlanNode, matches: MemberMatches) -> int:
+    sound = [(body, agent.member_id(set_node, member)) for member, body in matches if body == body]
     return min(sound)[1] if sound else -1
 
 
-def _nth_label(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> int:
+def _nth_label(agent: AgentRun, node: ir.PlanNode, set_node: ir.PlanNode, matches: MemberMatches) -> int:
     number = np.floor(agent.values[node.args[3]])
-    sound = sorted((body, agent.member_id(chosen, member)) for member, body in matches if body == body)
+    sound = sorted((body, agent.member_id(set_node, member)) for member, body in matches if body == body)
     return sound[int(number) - 1][1] if 1 <= number <= len(sound) else -1
 
 
@@ -317,12 +317,12 @@ _REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, Me
     "reduce.sum": _reduce_sum,
     "reduce.min": _reduce_min,
     "reduce.max": _reduce_max,
-    "reduce.count": lambda agent, node, chosen, found: np.float32(len(found)),
-    "reduce.any": lambda agent, node, chosen, found: np.bool_(bool(found)),
-    "reduce.agent": lambda agent, node, chosen, found: np.int64(_best_label(agent, chosen, found)),
-    "reduce.nth_agent": lambda agent, node, chosen, found: np.int64(_nth_label(agent, node, chosen, found)),
-    "reduce.nth_item": lambda agent, node, chosen, found: np.int32(_nth_label(agent, node, chosen, found)),
-    "reduce.item": lambda agent, node, chosen, found: np.int32(_best_label(agent, chosen, found)),
+    "reduce.count": lambda agent, node, set_node, matches: np.float32(len(matches)),
+    "reduce.any": lambda agent, node, set_node, matches: np.bool_(bool(matches)),
+    "reduce.agent": lambda agent, node, set_node, matches: np.int64(_best_label(agent, set_node, matches)),
+    "reduce.nth_agent": lambda agent, node, set_node, matches: np.int64(_nth_label(agent, node, set_node, matches)),
+    "reduce.nth_item": lambda agent, node, set_node, matches: np.int32(_nth_label(agent, node, set_node, matches)),
+    "reduce.item": lambda agent, node, set_node, matches: np.int32(_best_label(agent, set_node, matches)),
 }
 
 
@@ -330,7 +330,7 @@ _REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, Me
 
 
 def find_fault_operands(
-    world: World, population: Population, row: int, block: str, what: str, span: Span | None
+    world: World, population: Population, row: int, block: str, value_name: str, span: Span | None
 ) -> tuple[tuple[str, str], ...]:
     """Run one agent's step again, without effects, up to a rejected value.
 
@@ -341,8 +341,8 @@ def find_fault_operands(
             now[name][0] = register.initial_value
     agent = AgentRun(world, population, row, now, 0, EffectRequests(), number_statements(population.plan))
 
-    def watch(register: str, where: Span | None, node: ir.PlanNode) -> None:
-        if agent.block == block and register == what and where == span:
+    def watch(register: str, operand_span: Span | None, node: ir.PlanNode) -> None:
+        if agent.block == block and register == value_name and operand_span == span:
             raise NodeFault(node)
 
     agent.on_fault = watch
@@ -362,12 +362,12 @@ def apply_claims(agent: AgentRun, population: Population) -> None:
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won_register][agent.row])
         agent.now[claim.statement.won_register][0] = won
-        if won and claim.statement.own is not None:
+        if won and claim.statement.register is not None:
             if np.isinf(claim.amount[0]):
                 got = population.claimed_totals[claim.statement.site][agent.row]
-                agent.now[claim.statement.own][0] = float(agent.now[claim.statement.own][0]) + got
+                agent.now[claim.statement.register][0] = float(agent.now[claim.statement.register][0]) + got
             else:
-                agent.now[claim.statement.own][0] += claim.amount[0]
+                agent.now[claim.statement.register][0] += claim.amount[0]
 
 
 def _find_fault_origin(agent: AgentRun, node: ir.PlanNode) -> tuple[tuple[str, str], ...]:

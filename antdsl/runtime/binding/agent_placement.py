@@ -115,12 +115,12 @@ def _find_rows_in_reach(
     return is_near
 
 
-def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: StartPositionDraws) -> NDArray[np.intp]:
+def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], draws: StartPositionDraws) -> NDArray[np.intp]:
     """Add the agents of one crowd line at drawn positions; return their rows."""
     population = world.populations[crowd.species]
-    rows = add_rows(population, ids, world.display_frame, drawn.position, drawn.footing)
+    rows = add_rows(population, ids, world.display_frame, draws.position, draws.footing)
     for k, axis in enumerate(AXES):
-        population.now[f"up.{axis}"][rows] = drawn.up[:, k]
+        population.now[f"up.{axis}"][rows] = draws.up[:, k]
     population.now["group"][rows] = crowd.line_index
     write_initial_values(world, population, np.arange(rows.start, rows.stop), crowd)
     return np.arange(rows.start, rows.stop)
@@ -178,7 +178,7 @@ def _compute_spacing_radii(
 
 def _place_key(place: PlacementData) -> tuple[object, ...]:
     """Return a key that is equal for two lines that start evenly in the same place."""
-    return place.on, place.disc_centre, place.radius, place.density, place.is_by_area, place.spacing
+    return place.surfaces, place.disc_centre, place.radius, place.density, place.is_by_area, place.spacing
 
 
 def _position_precision(world: World) -> float:
@@ -221,10 +221,10 @@ def _shuffle_rows(world: World, population: Population) -> None:
 
 
 def _choose_headings(
-    world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn: VectorArrays
+    world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn_headings: VectorArrays
 ) -> VectorArrays:
     """Return headings along the ground: the heading of the start point if it has one, else the drawn heading."""
-    heading = drawn
+    heading = drawn_headings
     for crowd in world.setting.crowds:
         if crowd.species != population.name or (crowd.place.headings is None and crowd.place.facing is None):
             continue
@@ -238,7 +238,7 @@ def _choose_headings(
         for component, value in zip(
             heading,
             vec.normalise_or_fallback(
-                vec.project_to_plane(ahead, vec.take_rows(up, own)), vec.take_rows(drawn, own), _MIN_NORMAL_SINE
+                vec.project_to_plane(ahead, vec.take_rows(up, own)), vec.take_rows(drawn_headings, own), _MIN_NORMAL_SINE
             ),
             strict=True,
         ):

@@ -22,13 +22,17 @@ if TYPE_CHECKING:
 
 
 def bind_fields(
-    world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.PlanNode], float], report: Report, built: BindingCache
+    world: World,
+    meshes: dict[str, MeshData],
+    value: Callable[[World, ir.PlanNode], float],
+    report: Report,
+    binding_cache: BindingCache,
 ) -> None:
     """Make all fields of the plan; write errors to the report."""
     cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}
     for plan in world.plan.fields.values():
         size = value(world, plan.cell)
-        keep = 1.0 if plan.keep is None else value(world, plan.keep)
+        keep = 1.0 if plan.retained_share is None else value(world, plan.retained_share)
         diffuse = 0.0 if plan.diffuse is None else value(world, plan.diffuse)
         limit = np.inf if plan.limit is None else value(world, plan.limit)
         if not _check_settings(plan, size, keep, diffuse, limit, world.dt, report):
@@ -39,7 +43,7 @@ def bind_fields(
             try:
                 kind = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
                 make_cells = partial(kind, surfaces, size)
-                keep_all = built.get_deep_copy if kind is GrowingCells else built.get_or_make
+                keep_all = binding_cache.get_deep_copy if kind is GrowingCells else binding_cache.get_or_make
                 cells[key] = keep_all(kind.__name__, (surfaces, size), make_cells)
             except FieldTooFine as error:
                 row = " in a row" if error.is_axis_limit else ""
@@ -57,15 +61,18 @@ def bind_fields(
 
 
 def _check_settings(
-    plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: float, dt: float, report: Report
+    plan: ir.FieldPlan, size: float, retained_share: float, diffuse: float, limit: float, dt: float, report: Report
 ) -> bool:
     """Return whether the settings of a field are valid; write errors to the report."""
     if not (np.isfinite(size) and size > 0):
         report.error("field-setting", f"field `{plan.name}` has no cell size", plan.span, "write `cell 4 mm`")
         return False
-    if not 0 <= keep <= 1:
+    if not 0 <= retained_share <= 1:
         report.error(
-            "field-setting", f"field `{plan.name}` keeps {keep * 100:g} % per step", plan.span, "write a share from 0 to 100 %"
+            "field-setting",
+            f"field `{plan.name}` keeps {retained_share * 100:g} % per step",
+            plan.span,
+            "write a share from 0 to 100 %",
         )
         return False
     if not diffuse >= 0 or not limit >= 0:

@@ -39,8 +39,8 @@ _MAX_BURIED_VOXELS = 0.05  # ground buried deeper in a solid cannot be crossed
 _RAY_HEIGHT_PER_EDGE = 0.25  # height of obstacle rays above the ground, as a share of the edge
 
 
-def bind_flows(world: World, report: Report, built: BindingCache) -> None:
-    """Bind all maps and flows of the setting that the plan uses. Flows that never change are cached in `built`."""
+def bind_flows(world: World, report: Report, binding_cache: BindingCache) -> None:
+    """Bind all maps and flows of the setting that the plan uses. Flows that never change are cached in `binding_cache`."""
     setting = world.setting
     for name, painted in setting.maps.items():
         world.maps[name] = PaintedMap(_corner_values(world, painted)[:, :, 0])
@@ -49,7 +49,7 @@ def bind_flows(world: World, report: Report, built: BindingCache) -> None:
         if isinstance(flow, SolvedFlowData) or world.solids or setting.motion:
             bind_flow(world, name, flow, report)
             continue
-        bound_flow = built.get_or_make("flow", (land, flow), partial(_cached_flow, world, name, flow))
+        bound_flow = binding_cache.get_or_make("flow", (land, flow), partial(_cached_flow, world, name, flow))
         if bound_flow is None:
             bind_flow(world, name, flow, report)  # reports errors
         else:
@@ -67,7 +67,7 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, PaintedValues) and _may_change(world, flow):
-            bound_flow.updater = lambda now: _recompute_flow(now, bound_flow, flow)
+            bound_flow.updater = lambda current_world: _recompute_flow(current_world, bound_flow, flow)
     except LatticeTooFine as error:
         report.error(
             "flow-too-fine",
@@ -93,7 +93,7 @@ def _may_change(world: World, flow: SpreadFlowData | BorderFlowData | SolvedFlow
     moves = world.setting.motion
     moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlowData)]
     dug = bool(world.solids) and isinstance(flow, SolvedFlowData)
-    return bool(moving) or dug or (not isinstance(flow, BorderFlowData) and flow.target.of in {**moves.items, **moves.curves})
+    return bool(moving) or dug or (not isinstance(flow, BorderFlowData) and flow.target.name in {**moves.items, **moves.curves})
 
 
 def _recompute_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> None:
@@ -119,22 +119,22 @@ def _ground_meshes(world: World) -> MeshSurfaces:
 # --- painted ---------------------------------------------------------------------------------------------------------
 
 
-def _corner_values(world: World, painted: PaintedValues) -> Floats:
+def _corner_values(world: World, painted_values: PaintedValues) -> Floats:
     """Return painted values at the corners of all faces of the ground, (3, faces, width); 0 on unpainted surfaces."""
     _, faces, mesh, _ = _ground_meshes(world).triangles
-    own = np.flatnonzero(mesh == world.surface_index[painted.surface])
-    values = painted.values.reshape(len(painted.values), -1)
+    own = np.flatnonzero(mesh == world.surface_index[painted_values.surface])
+    values = painted_values.values.reshape(len(painted_values.values), -1)
     corner_values = np.zeros((3, len(faces), values.shape[1]))
-    local = world.setting.surfaces[painted.surface].faces
+    local = world.setting.surfaces[painted_values.surface].faces
     for k in range(3):
-        corner_values[k, own] = values if painted.is_per_face else values[local[:, k]]
+        corner_values[k, own] = values if painted_values.is_per_face else values[local[:, k]]
     return corner_values
 
 
-def _make_painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
+def _make_painted_flow(world: World, painted_values: PaintedValues) -> SurfaceFlow:
     """Return a flow that interpolates painted vectors."""
     table = _ground_meshes(world).triangles[3]
-    corners = _corner_values(world, painted)
+    corners = _corner_values(world, painted_values)
     parts = [project_to_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
     c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
     return SurfaceFlow(FaceLattice.from_cuts(np.ones(corners.shape[1], np.int64)), c, s)
@@ -143,11 +143,11 @@ def _make_painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
 # --- points over the ground ------------------------------------------------------------------------------------------
 
 
-def _select_faces(world: World, on: tuple[str, ...]) -> Flags:
+def _select_faces(world: World, surfaces: tuple[str, ...]) -> Flags:
     """Return which faces belong to the flow's surfaces, without faces of area 0."""
     _, _, mesh, table = _ground_meshes(world).triangles
-    mesh_numbers = [world.surface_index[name] for name in on] or list(world.surface_index.values())
-    chosen: Flags = table.live & np.isin(mesh, mesh_numbers)
+    mesh_numbers = [world.surface_index[name] for name in surfaces] or list(world.surface_index.values())
+    chosen: Flags = table.is_live & np.isin(mesh, mesh_numbers)
     return chosen
 
 
@@ -159,9 +159,9 @@ def _longest_edges(world: World) -> tuple[Floats, Floats]:
     return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
 
 
-def _make_lattice(world: World, chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
+def _make_lattice(world: World, is_chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
     """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if the flow's cell is too small."""
-    edges = np.where(chosen, _longest_edges(world)[0], 0.0)
+    edges = np.where(is_chosen, _longest_edges(world)[0], 0.0)
     return FaceLattice.from_cuts(count_edge_pieces(flow, edges, _ground_meshes(world).extent))
 
 
@@ -175,17 +175,17 @@ def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
 
 
 def _make_vector_flow(
-    world: World, lattice: FaceLattice, face: Index, vectors: Floats, chosen: Flags, source: VectorSource | None = None
+    world: World, lattice: FaceLattice, face: Index, vectors: Floats, is_chosen: Flags, source: VectorSource | None = None
 ) -> SurfaceFlow:
     table = _ground_meshes(world).triangles[3]
     c, s = project_to_faces(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
-    return SurfaceFlow(lattice, c * chosen[face], s * chosen[face], source)
+    return SurfaceFlow(lattice, c * is_chosen[face], s * is_chosen[face], source)
 
 
 def _locate_target(world: World, target: FlowTarget) -> FlowTarget:
     """Return a target at the current frame, relative to the world's origin."""
     moves = world.setting.motion
-    tracks = (moves.curves if target.line else moves.items).get(target.of)
+    tracks = (moves.curves if target.line else moves.items).get(target.name)
     positions = target.positions if tracks is None else moves.find_positions(tracks, world.frame)
     if tracks is not None and target.item_index is not None:
         positions = positions[target.item_index : target.item_index + 1]
@@ -200,7 +200,7 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
     source = make_spread_source(flow, target)
     if world.ground.meshes is None:
         return SurfaceFlow(FaceLattice.from_cuts(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
-    chosen = near = _select_faces(world, flow.on)
+    chosen = near = _select_faces(world, flow.surfaces)
     if flow.radius is not None:
         longest, middle = _longest_edges(world)
         near = chosen & (find_nearest_on_target(target, middle)[0] <= flow.radius + longest)
@@ -209,11 +209,11 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
     vectors = np.zeros_like(place)
     near_slots = np.flatnonzero(near[face])
     vectors[near_slots] = source(place[near_slots])
-    return _make_vector_flow(world, lattice, face, vectors, chosen, source if not flow.on else None)
+    return _make_vector_flow(world, lattice, face, vectors, chosen, source if not flow.surfaces else None)
 
 
 def _make_border_flow(world: World, flow: BorderFlowData) -> SurfaceFlow:
-    chosen = _select_faces(world, flow.on)
+    chosen = _select_faces(world, flow.surfaces)
     one, two, inward = find_border_edges(_ground_meshes(world), chosen)
     edge = two - one
     length = np.sqrt((edge * edge).sum(axis=1))
@@ -249,25 +249,25 @@ def _make_border_flow(world: World, flow: BorderFlowData) -> SurfaceFlow:
 
 
 def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
-    chosen = _select_faces(world, flow.on)
+    chosen = _select_faces(world, flow.surfaces)
     lattice = _make_lattice(world, chosen, flow)
     grounds = _make_crossable_ground(world, lattice, chosen)
     start, first, gap = _find_goal_points(world, flow, grounds)
-    every = max(1, ceil(flow.every / world.dt - 1e-9))
+    every = max(1, ceil(flow.interval / world.dt - 1e-9))
     changes = bool(flow.crowding or world.setting.motion)
     looked = [_solid_versions(world)]
 
-    def due(now: World) -> bool:
+    def due(current_world: World) -> bool:
         """Return whether a new solution is due and has changed inputs."""
-        if (now.frame - now.setting.first_frame) % every:
+        if (current_world.frame - current_world.setting.first_frame) % every:
             return False
-        previous_state, looked[0] = looked[0], _solid_versions(now)
+        previous_state, looked[0] = looked[0], _solid_versions(current_world)
         return changes or looked[0] != previous_state
 
     solved_flow = PathFlow(
         lattice, np.zeros(0), np.zeros(0), None,
         crossable_ground=grounds, cost=_triangle_costs(world, flow, grounds), start=start, first=first, target_gap=gap,
-        strength=flow.strength, crowding=flow.crowding, every=every, is_due=due,
+        strength=flow.strength, crowding=flow.crowding, interval=every, is_due=due,
         crowd=np.zeros(len(grounds.surface.points), np.int64) if flow.crowding else None,
         stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
     )  # fmt: skip
@@ -280,7 +280,7 @@ def _solid_versions(world: World) -> list[int]:
     return [volume.bricks.steps for volume in world.solids.values()]
 
 
-def _make_crossable_ground(world: World, lattice: FaceLattice, chosen: Flags, point: Index | None = None) -> CrossableGround:
+def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags, point: Index | None = None) -> CrossableGround:
     """Return the surface for paths on a lattice: points merged across faces, open triangles, and links between surfaces.
 
     Triangles are open if no obstacle cuts them and no undug solid buries them. `point`: the point of each slot, if known."""
@@ -296,14 +296,14 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, chosen: Flags, po
     a, b, c = (points[triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     areas = np.sqrt((across * across).sum(axis=1)) / 2
-    open_ = chosen[owner] & (areas > 0) & ~_find_blocked_triangles(world, triangles, points, table.normal.T[owner])
+    open_ = is_chosen[owner] & (areas > 0) & ~_find_blocked_triangles(world, triangles, points, table.normal.T[owner])
     for volume in world.solids.values():
         open_ &= ~(volume.sample(points) < -_MAX_BURIED_VOXELS * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
     land = WalkableSurface(points, triangles, open_, _find_links(points, of, np.unique(triangles[open_]), areas))
     axis1, axis2 = table.axis1.take(face, axis=1), table.axis2.take(face, axis=1)
-    return CrossableGround(lattice, land, point, axis1, axis2, areas, chosen)
+    return CrossableGround(lattice, land, point, axis1, axis2, areas, is_chosen)
 
 
 def _find_blocked_triangles(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
@@ -322,15 +322,15 @@ def _find_blocked_triangles(world: World, triangles: Index, points: Floats, norm
     return cut
 
 
-def _find_links(points: Floats, surface_numbers: NDArray[np.int32], used: Index, areas: Floats) -> Index:
+def _find_links(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
     """Return pairs of points of different surfaces: each with the nearest point of the other within about one triangle's edge."""
     from scipy.spatial import cKDTree
 
-    surfaces = np.unique(surface_numbers[used])
+    surfaces = np.unique(surface_numbers[used_points])
     reach = 2.0 * float(np.sqrt(np.median(areas))) if len(areas) else 0.0
     pairs = [np.empty((0, 2), np.int64)]
     for one in surfaces:
-        mine, others = used[surface_numbers[used] == one], used[surface_numbers[used] > one]
+        mine, others = used_points[surface_numbers[used_points] == one], used_points[surface_numbers[used_points] > one]
         if len(mine) and len(others):
             distance, nearest_one = cKDTree(points[mine]).query(points[others], distance_upper_bound=reach)
             close = np.isfinite(distance)

@@ -59,12 +59,14 @@ def _make_note_run(setting: WorldSetting) -> NoteRun | None:
 
 
 @standard_floats()
-def bind(plan: ir.Plan, setting: WorldSetting, options: Options | None = None, *, built: BindingCache | None = None) -> World:
+def bind(
+    plan: ir.Plan, setting: WorldSetting, options: Options | None = None, *, binding_cache: BindingCache | None = None
+) -> World:
     """Return the world at `setting.first_frame`, with all agents born and none moved.
 
-    `plan`: an optimised and verified plan. `built`: a cache for data made from meshes, for use in other worlds. Raises
+    `plan`: an optimised and verified plan. `binding_cache`: a cache for data made from meshes, for use in other worlds. Raises
         BindError with a report if plan and setting do not match."""
-    world = bind_empty(plan, setting, options, built=built)
+    world = bind_empty(plan, setting, options, binding_cache=binding_cache)
     stages.begin_stage("placing agents")
     with np.errstate(all="ignore"):
         place_crowds(world)
@@ -79,21 +81,21 @@ def bind_empty(
     setting: WorldSetting,
     options: Options | None = None,
     *,
-    built: BindingCache | None = None,
+    binding_cache: BindingCache | None = None,
     origin: NDArray[np.float64] | None = None,
 ) -> World:
     """Return a world as `bind` does, but without agents.
 
     `origin` (mm): an existing origin to which positions are relative. Raises MachineCodeUnavailable if no kernel can run."""
     llvm_compiler.require_llvm()
-    options, built = options or Options(), built or BindingCache()
+    options, binding_cache = options or Options(), binding_cache or BindingCache()
     origin = compute_world_origin(setting) if origin is None else origin
     up = np.asarray(setting.up, np.float64)
     meshes = {name: _translate_mesh(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
-    solids = _make_solids(setting, origin, built)
+    solids = _make_solids(setting, origin, binding_cache)
     surfaces = {name: meshes[name] for name in setting.surfaces}
     stages.begin_stage("ground")
-    ground = _make_ground(surfaces, solids, up, setting.motion.meshes, setting.uses_rays, built)
+    ground = _make_ground(surfaces, solids, up, setting.motion.meshes, setting.uses_rays, binding_cache)
     world = World(
         plan=plan,
         setting=setting,
@@ -106,7 +108,7 @@ def bind_empty(
         items={name: _make_items(setting, items, origin) for name, items in plan.items.items()},
         fields={},
         field_rates={},
-        obstacles=_make_ray_scenes(meshes, solids, built),
+        obstacles=_make_ray_scenes(meshes, solids, binding_cache),
         curves={
             name: make_curve(setting.curves[name] - origin)
             for name in plan.list_things_of_kind("curve")
@@ -126,9 +128,9 @@ def bind_empty(
     _set_params(world)
     stages.begin_stage("fields")
     _bind_fields(
-        world, {**meshes, **{name: _translate_mesh(solid.mesh, origin) for name, solid in setting.solids.items()}}, built
+        world, {**meshes, **{name: _translate_mesh(solid.mesh, origin) for name, solid in setting.solids.items()}}, binding_cache
     )
-    _bind_flows(world, built)
+    _bind_flows(world, binding_cache)
     _bind_detail_levels(world, {name: meshes[name] for name in setting.obstacles})
     return world
 
@@ -144,7 +146,7 @@ def _translate_mesh(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
     return MeshData(mesh.vertices - origin, mesh.faces) if origin.any() else mesh
 
 
-def _make_solids(setting: WorldSetting, origin: NDArray[np.float64], built: BindingCache) -> dict[str, Volume]:
+def _make_solids(setting: WorldSetting, origin: NDArray[np.float64], binding_cache: BindingCache) -> dict[str, Volume]:
     """Return a volume for each solid. Raises BindError if the mesh of a solid is unsuitable."""
     if not setting.solids:
         return {}
@@ -152,7 +154,7 @@ def _make_solids(setting: WorldSetting, origin: NDArray[np.float64], built: Bind
     report = Report()
     for name, solid in setting.solids.items():
         mesh = _translate_mesh(solid.mesh, origin)
-        volume = built.get_deep_copy(
+        volume = binding_cache.get_deep_copy(
             "solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel)
         )
         if isinstance(volume, UnusableMesh):
@@ -173,39 +175,42 @@ def _make_ground(
     meshes: dict[str, MeshData],
     solids: dict[str, Volume],
     up: NDArray[np.float64],
-    moving: Iterable[str],
+    moving_names: Iterable[str],
     has_ray_starts: bool,
-    built: BindingCache,
+    binding_cache: BindingCache,
 ) -> Ground:
     """Return the ground of agents: a plane, meshes, solids, or meshes with solids."""
     if not meshes and not solids:
         return PlaneGround(up)
-    ground = _make_mesh_ground(meshes, moving, has_ray_starts, built)
+    ground = _make_mesh_ground(meshes, moving_names, has_ray_starts, binding_cache)
     if ground is not None and not solids:
         return ground
     return CombinedGround(ground, solids, up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]))
 
 
 def _make_mesh_ground(
-    meshes: dict[str, MeshData], moving: Iterable[str], has_ray_starts: bool, built: BindingCache
+    meshes: dict[str, MeshData], moving_names: Iterable[str], has_ray_starts: bool, binding_cache: BindingCache
 ) -> MeshGround | None:
     """Return the part of the ground that consists of meshes, or None if there are none."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
-    moved = [name for name in moving if name in surfaces]
+    moved = [name for name in moving_names if name in surfaces]
     if moved:
         make_ground = partial(MovingGround, surfaces, moved, has_ray_starts)
-        return built.get_or_make("moving ground", (surfaces, moved, has_ray_starts), make_ground, copy_value=MovingGround.copy)
+        return binding_cache.get_or_make(
+            "moving ground", (surfaces, moved, has_ray_starts), make_ground, copy_value=MovingGround.copy
+        )
     if not surfaces:
         return None
-    return built.get_or_make("ground", (surfaces, has_ray_starts), partial(MeshGround, surfaces, has_ray_starts))
+    return binding_cache.get_or_make("ground", (surfaces, has_ray_starts), partial(MeshGround, surfaces, has_ray_starts))
 
 
-def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], built: BindingCache) -> dict[str, Obstacle]:
+def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], binding_cache: BindingCache) -> dict[str, Obstacle]:
     """Return the targets of raycasts, by name: meshes, and solids in their current state."""
     if not meshes and not solids:
         return {}
     scenes: dict[str, Obstacle] = {
-        name: built.get_or_make("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces)) for name, mesh in meshes.items()
+        name: binding_cache.get_or_make("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces))
+        for name, mesh in meshes.items()
     }
     return scenes | {name: SolidFeelers(volume) for name, volume in solids.items()}
 
@@ -247,13 +252,13 @@ def set_flow(world: World, name: str, flow: FlowData) -> None:
         raise BindError(report)
 
 
-def _bind_flows(world: World, built: BindingCache) -> None:
+def _bind_flows(world: World, binding_cache: BindingCache) -> None:
     if not world.setting.flows and not world.setting.maps:
         return
     from antdsl.runtime.binding.bind_flows import bind_flows
 
     report = Report()
-    bind_flows(world, report, built)
+    bind_flows(world, report, binding_cache)
     if not report.ok:
         raise BindError(report)
 
@@ -267,12 +272,12 @@ def _bind_detail_levels(world: World, obstacles: dict[str, MeshData]) -> None:
     world.detail = DetailLevels(world.setting.level_of_detail, world.origin, obstacles)
 
 
-def _bind_fields(world: World, meshes: dict[str, MeshData], built: BindingCache) -> None:
+def _bind_fields(world: World, meshes: dict[str, MeshData], binding_cache: BindingCache) -> None:
     if not world.plan.fields:
         return
     from antdsl.runtime.binding.bind_fields import bind_fields
 
     report = Report()
-    bind_fields(world, meshes, compute_run_value, report, built)
+    bind_fields(world, meshes, compute_run_value, report, binding_cache)
     if not report.ok:
         raise BindError(report)

@@ -24,21 +24,21 @@ class BindingCache:
         self._values: dict[str, Any] = {}
         self._used_keys: set[str] = set()
 
-    def get_or_make(self, what: str, inputs: object, make: Callable[[], T], *, copy_value: Callable[[T], T] | None = None) -> T:
+    def get_or_make(self, kind: str, inputs: object, make: Callable[[], T], *, copy_value: Callable[[T], T] | None = None) -> T:
         """Return the result of `make`, or the cached result for an equal `inputs`.
 
         `inputs`: arrays, numbers, texts and combinations of these. If `make` raises an exception, it propagates and nothing is
             cached."""
-        key = compute_digest((what, inputs))
+        key = compute_digest((kind, inputs))
         self._used_keys.add(key)
         if key not in self._values:
             self._values[key] = make()
         product: T = self._values[key]
         return product if copy_value is None else copy_value(product)
 
-    def get_deep_copy(self, what: str, inputs: object, make: Callable[[], T]) -> T:
+    def get_deep_copy(self, kind: str, inputs: object, make: Callable[[], T]) -> T:
         """Return a deep copy of the result of `make` or of the cached result, for values that change later."""
-        return self.get_or_make(what, inputs, make, copy_value=deepcopy)
+        return self.get_or_make(kind, inputs, make, copy_value=deepcopy)
 
     def drop_unused(self) -> None:
         """Remove the values that were not used since the last call of this method."""

@@ -12,11 +12,11 @@ from antdsl.ground.protocol import Floats, MeshSurfaces
 
 
 class BorderEdges(NamedTuple):
-    """Edges (m, 3) in mm from `start` to `end`. `inward`: in the face of the edge, perpendicular to it."""
+    """Edges (m, 3) in mm from `start` to `end`. `inward_direction`: in the face of the edge, perpendicular to it."""
 
     start: Floats
     end: Floats
-    inward: Floats
+    inward_direction: Floats
 
 
 def find_border_edges(meshes: MeshSurfaces, is_chosen: NDArray[np.bool_]) -> BorderEdges:

@@ -19,13 +19,13 @@ _FULL_TURN = _F(2 * np.pi)
 
 def write_initial_values(world: World, population: Population, rows: Rows, crowd: CrowdData) -> None:
     """Write the values of a crowd line into registers of `rows`. Values of points override the others."""
-    for name, draw in crowd.each.items():
+    for name, draw in crowd.initial_values.items():
         if (register := ir.birth_register(name)) in population.now:
             population.now[register][rows] = _draw_values(world, population, rows, name, draw)
     for name, column in crowd.place.values.items():
         if (register := ir.birth_register(name)) in population.now:
             point_values = column[population.ids[rows] % len(column)]
-            others = population.now[register][rows] if name in crowd.each else np.inf
+            others = population.now[register][rows] if name in crowd.initial_values else np.inf
             population.now[register][rows] = np.where(np.isfinite(point_values), point_values, others)
 
 
@@ -38,7 +38,7 @@ def _draw_values(world: World, population: Population, rows: Rows, name: str, dr
         meshes = world.ground.meshes
         if meshes is None:
             return np.full(len(rows), low)
-        return low + (high - low) * world.maps[draw.of].sample(meshes, population.footing.take_rows(rows))
+        return low + (high - low) * world.maps[draw.map_name].sample(meshes, population.footing.take_rows(rows))
     u, v = (
         randomness.draw_uniform(world.setting.seed, 0, population.name, f"each {name}", k, population.ids[rows]) for k in range(2)
     )

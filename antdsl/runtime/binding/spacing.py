@@ -285,19 +285,19 @@ def _place_batch(
 
 
 def _score_positions(
-    occupancy: Occupancy, drawn: StartPositionDraws, rows: Rows, radius: Floats, wide: Flags, order: Rows
+    occupancy: Occupancy, draws: StartPositionDraws, rows: Rows, radius: Floats, is_wide: Flags, order: Rows
 ) -> Floats:
     """Return 1 for a free position, less for an occupied one, and -1 for a position at which no agent may start."""
-    score = np.where(drawn.is_allowed, 1.0, -1.0)
-    good_rows = np.flatnonzero(drawn.is_allowed & wide[rows])
-    score[good_rows] = occupancy.measure_freedom(drawn.position[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
+    score = np.where(draws.is_allowed, 1.0, -1.0)
+    good_rows = np.flatnonzero(draws.is_allowed & is_wide[rows])
+    score[good_rows] = occupancy.measure_freedom(draws.position[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
     return score
 
 
-def _join_draws(one: StartPositionDraws, other: StartPositionDraws) -> StartPositionDraws:
-    place, up = np.concatenate([one.position, other.position]), np.concatenate([one.up, other.up])
+def _join_draws(first: StartPositionDraws, second: StartPositionDraws) -> StartPositionDraws:
+    place, up = np.concatenate([first.position, second.position]), np.concatenate([first.up, second.up])
     return StartPositionDraws(
-        Footing.concatenate(one.footing, other.footing), place, up, np.concatenate([one.is_allowed, other.is_allowed])
+        Footing.concatenate(first.footing, second.footing), place, up, np.concatenate([first.is_allowed, second.is_allowed])
     )
 
 

@@ -91,7 +91,7 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
             if line.available_area is None
             else f"{line.covered_area:,.0f} of {line.available_area:,.0f} mm²"
         )
-        words = f"only {line.fit:,} of {line.count:,} `{line.species}` have space at the start"
+        words = f"only {line.fitting_count:,} of {line.count:,} `{line.species}` have space at the start"
         place = scene.model.crowd[line.group].place
         words += f": with a radius of {wide} {'or half of `apart` ' if place.apart is not None else ''}they cover {cover}"
         help = "write a smaller `count`, or a smaller `radius` in the program"

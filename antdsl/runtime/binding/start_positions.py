@@ -36,7 +36,7 @@ class StartPositionSampler:
         self.has_points = (crowd.place.points is not None and len(crowd.place.points) > 0) or crowd.place.ranks is not None
         setting = world.setting
         self._ground_meshes = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
-        self._surface_names = crowd.place.on or tuple(setting.surfaces) or tuple(self._ground_meshes)
+        self._surface_names = crowd.place.surfaces or tuple(setting.surfaces) or tuple(self._ground_meshes)
         self._faces: FaceArea | None = None
         self._density_faces: FaceArea | None = None
         if crowd.place.is_by_area and not self.has_points and self._ground_meshes:
@@ -90,7 +90,7 @@ class StartPositionSampler:
             self.has_points
             or has_shape(place)
             or place.is_by_area
-            or not place.on
+            or not place.surfaces
             or any((place.ray_origin, place.density, place.disc_centre, place.radius))
         ):
             return False
@@ -108,9 +108,9 @@ class StartPositionSampler:
             return self._draw_by_area(self._faces, ids, tries)
         points = np.concatenate([self._target_points(ids, attempt) for attempt in tries])
         if self.has_points and place.is_by_area:
-            footing, has_ground = world.ground.find_nearest(points, place.on or None)[0], np.ones(len(points), np.bool_)
+            footing, has_ground = world.ground.find_nearest(points, place.surfaces or None)[0], np.ones(len(points), np.bool_)
             return StartPositionDraws(footing, world.ground.position(footing), world.ground.normal(footing), has_ground)
-        footing, has_ground = world.ground.place_points(points, world.up, place.on or None)
+        footing, has_ground = world.ground.place_points(points, world.up, place.surfaces or None)
         at = world.ground.position(footing)
         up = np.array(np.broadcast_to(world.up, at.shape))
         return StartPositionDraws(
@@ -124,10 +124,10 @@ class StartPositionSampler:
         points = np.concatenate([self._shape_points(ids, attempt) for attempt in tries])
         has_ground = np.ones(len(points), np.bool_)
         if place.is_by_area or place.volume is not None or place.edge_of is not None:
-            footing = world.ground.find_nearest(points, place.on or None)[0]
+            footing = world.ground.find_nearest(points, place.surfaces or None)[0]
             at, up = world.ground.position(footing), world.ground.normal(footing)
         else:
-            footing, has_ground = world.ground.place_points(points, world.up, place.on or None)
+            footing, has_ground = world.ground.place_points(points, world.up, place.surfaces or None)
             at = world.ground.position(footing)
             up = np.array(np.broadcast_to(world.up, at.shape))
         is_allowed = has_ground if self.has_points else has_ground & ~is_inside_obstacle(world, at)
@@ -168,7 +168,9 @@ class StartPositionSampler:
             return middle + draw_disc(world, radius, u, v)
         if place.density is not None:
             if self._density_faces is None:
-                self._density_faces = find_face_area(world, place.on or tuple(world.surface_index), place.density, None, None)
+                self._density_faces = find_face_area(
+                    world, place.surfaces or tuple(world.surface_index), place.density, None, None
+                )
             return self._density_faces.draw_points(u, v, w, self._draw_uniform(ids, 4 * attempt + 3, site))[3]
         return _draw_points_on_faces([self._ground_meshes[name] for name in self._surface_names], u, v, w) - world.origin
 
@@ -185,7 +187,7 @@ class StartPositionSampler:
         If a ray hits no mesh, or a mesh outside `on`, the result is the surface nearest to its start, marked as not allowed."""
         world, meshes = self._world, self._world.ground.meshes
         assert meshes is not None
-        mesh_numbers = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
+        mesh_numbers = [meshes.names.index(name) for name in (self.place.surfaces or meshes.names) if name in meshes.names]
         far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
         u, v = (np.concatenate([self._draw_uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
         height = 1.0 - 2.0 * u.astype(np.float64)  # directions evenly distributed on the sphere (Archimedes' hat-box theorem)

@@ -110,8 +110,8 @@ def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers
     ahead = normalise(flat[None])[0]
     right = np.cross(ahead, up)
     row, column = numbers // ranks.columns, numbers % ranks.columns
-    across = (column - (ranks.columns - 1) / 2) * ranks.across
-    back = ((ranks.rows - 1) / 2 - row) * ranks.along
+    across = (column - (ranks.columns - 1) / 2) * ranks.spacing_within
+    back = ((ranks.rows - 1) / 2 - row) * ranks.spacing_between
     points: Floats = middle + across[:, None] * right + back[:, None] * ahead
     return points
 
@@ -132,7 +132,7 @@ def compute_facing(world: World, crowd: CrowdData, position: Floats) -> Floats |
         nearest = _find_nearest_edges(border, position)
         if nearest is None:
             return np.zeros_like(position)
-        directions = border.end - border.start if facing.kind == "along" else border.inward
+        directions = border.end - border.start if facing.kind == "along" else border.inward_direction
         return directions[nearest] * (-1.0 if facing.kind == "out" else 1.0)
     if place.line is not None:
         closest = world.curves[place.line].find_closest(*position.T)

@@ -99,13 +99,13 @@ class FaceArea:
 
 
 def find_face_area(
-    world: World, on: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None
+    world: World, names: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None
 ) -> FaceArea:
-    """Return the face area of surfaces and solids `on` in their current position, within a ball and with the density of a map, if
-    given.
+    """Return the face area of surfaces and solids `names` in their current position, within a ball and with the density of a
+    map, if given.
 
     If the ball meets no face, it is enlarged until it reaches its original radius beyond the nearest face."""
-    mesh, local, corner, edge1, edge2, weight = _collect_faces(world, on, density)
+    mesh, local, corner, edge1, edge2, weight = _collect_faces(world, names, density)
     face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNER_WEIGHTS, (len(mesh), 3, 2))
     ball = None
     if around is not None and radius is not None and len(mesh):
@@ -128,14 +128,14 @@ def find_face_area(
 _FaceArrays = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats, Floats]
 
 
-def _collect_faces(world: World, on: tuple[str, ...], density: str | None) -> _FaceArrays:
-    """Return all usable faces of surfaces `on`: mesh, number in the mesh, corner, two edges, and density at the corners (k,
-    3)."""
+def _collect_faces(world: World, surface_names: tuple[str, ...], density: str | None) -> _FaceArrays:
+    """Return all usable faces of surfaces `surface_names`: mesh, number in the mesh, corner, two edges, and density at the
+    corners (k, 3)."""
     ground = world.ground.meshes
     face_groups: list[_FaceArrays] = []
     if ground is not None:
         _, _, mesh, table = ground.triangles
-        rows = np.flatnonzero(table.live & np.isin(mesh, [k for k, name in enumerate(ground.names) if name in on]))
+        rows = np.flatnonzero(table.is_live & np.isin(mesh, [k for k, name in enumerate(ground.names) if name in surface_names]))
         first = np.searchsorted(mesh, np.arange(len(ground.names)))
         weight = np.ones((len(rows), 3))
         if density is not None:
@@ -144,7 +144,7 @@ def _collect_faces(world: World, on: tuple[str, ...], density: str | None) -> _F
         face_groups.append((mesh[rows], (rows - first[mesh[rows]]).astype(np.int32), corner, edge1, edge2, weight))
     names = list(world.setting.surfaces)
     for k, (name, solid) in enumerate(world.setting.solids.items()):
-        if name in on and density is None:
+        if name in surface_names and density is None:
             corners = solid.mesh.vertices[solid.mesh.faces] - world.origin
             n = len(corners)
             which = np.full(n, len(names) + k, np.int32)

@@ -51,8 +51,8 @@ def _saturate_count(count: float) -> int:
     return int(min(count, 2.0**62)) if count > 0 else 0
 
 
-def _make_estimate(thing: str, count: float, parts: str, each: int) -> WorkEstimate:
-    return WorkEstimate(thing, _saturate_count(count), parts, _saturate_count(count * each))
+def _make_estimate(thing: str, count: float, parts: str, factor: int) -> WorkEstimate:
+    return WorkEstimate(thing, _saturate_count(count), parts, _saturate_count(count * factor))
 
 
 def _estimate_meshes(setting: WorldSetting) -> Iterator[WorkEstimate]:
@@ -76,7 +76,9 @@ def _estimate_flows(setting: WorldSetting) -> Iterator[WorkEstimate]:
     for name, flow in setting.flows.items():
         if isinstance(flow, PaintedValues) or not longest:
             continue
-        edges = np.concatenate([each if not flow.on or of in flow.on else np.zeros_like(each) for of, each in longest.items()])
+        edges = np.concatenate(
+            [each if not flow.surfaces or of in flow.surfaces else np.zeros_like(each) for of, each in longest.items()]
+        )
         try:
             count = count_slots(count_edge_pieces(flow, edges, extent))
         except LatticeTooFine:  # binding reports this error

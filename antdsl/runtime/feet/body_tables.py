@@ -83,7 +83,7 @@ class Body(NamedTuple):
     position: Vec3
     ahead: Vec3
     up: Vec3
-    aside: Vec3
+    side_direction: Vec3
     size: F64
 
 

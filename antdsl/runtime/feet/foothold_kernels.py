@@ -39,14 +39,14 @@ SeekerColumns = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1
 def aim_first_rays(
     requests: Array1[I64],
     bodies: Array2[F64],
-    covered: Array3[F32],
+    covered_ground: Array3[F32],
     measures: tuple[LegTable, Array2[F64]],
     trunks: TrunkColumns,
     targets: tuple[Array2[F32], Array2[F32], Array2[F32], Array2[U8]],
-    standing: Array1[I64],
+    start_faces: Array1[I64],
     seekers: SeekerColumns,
     rays: tuple[Array2[F64], Array1[I64]],
-    quick: Array1[BOOL],
+    is_quick: Array1[BOOL],
     begin: I64,
     end: I64,
 ) -> None:
@@ -54,8 +54,8 @@ def aim_first_rays(
 
     Writes to `seekers` the positions of hips at landing and the target positions of feet. Writes to `rays` the first ray from hip
     to target. `measures`: `Gaits.legs` and `Gaits.exact`.
-    `standing`: start faces of the agents, copied to `rays`.
-    `quick`: set for feet that lift; they search again when they land."""
+    `start_faces`: start faces of the agents, copied to `rays`.
+    `is_quick`: set for feet that lift; they search again when they land."""
     legs, exact = measures
     count = legs.shape[1]
     target_x, target_z, left, what = targets
@@ -67,7 +67,7 @@ def aim_first_rays(
         if stop < until:
             following, last = requests[stop] >> LEG_BITS, (requests[until - 1] >> LEG_BITS) + 1
             prefetch_columns(bodies, 13, 8, following, last)
-            prefetch_columns(covered, 2 * count, 16, following, last)
+            prefetch_columns(covered_ground, 2 * count, 16, following, last)
             for each in (target_x, target_z, left):
                 prefetch_columns(each, count, 16, following, last)
         for k in range(group, stop):
@@ -78,7 +78,7 @@ def aim_first_rays(
                 (slope[0, i], slope[1, i]), (legs[HIP_POSITION, leg], legs[HIP_POSITION + 1, leg], legs[HIP_POSITION + 2, leg])
             )
             frames = left[leg, i]
-            a, c = np.float64(x + covered[0, leg, i] * frames), np.float64(z + covered[1, leg, i] * frames)
+            a, c = np.float64(x + covered_ground[0, leg, i] * frames), np.float64(z + covered_ground[1, leg, i] * frames)
             b = np.float64(y + rise[i] / _F(size))
             to_x, to_z = np.float64(target_x[leg, i]), np.float64(target_z[leg, i])
             for axis in range(3):
@@ -87,7 +87,7 @@ def aim_first_rays(
                 hips[axis, k], goals[axis, k], ups[axis, k] = hip, goal, up[axis]
                 steps[axis, k] = (goal - hip) * RAY_LENGTH_FACTOR
             longest[k], soles[k] = exact[0, leg] * size * MAX_LEG_STRETCH, exact[1, leg] * size
-            quick[k], starts[k] = what[leg, i] == LIFTS, standing[i]
+            is_quick[k], starts[k] = what[leg, i] == LIFTS, start_faces[i]
 
 
 @kernel
@@ -191,18 +191,18 @@ def _store_nearer_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) ->
 
 
 @inlined
-def _store_hit_position(hits: Any, k: Any, number: Any, t: Any, at: Any) -> None:
+def _store_hit_position(hits: Any, k: Any, number: Any, t: Any, position: Any) -> None:
     """Write a hit on a mesh that does not move."""
     part, place, on, face, weight = hits
     part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
-    store_column(place, k, at)
+    store_column(place, k, position)
 
 
 @kernel
 def mark_reachable_hits(
     seekers: SeekerColumns,
     hits: HitColumns,
-    quick: Array1[BOOL],
+    is_quick: Array1[BOOL],
     is_reachable: Array1[BOOL],
     rows: Array1[I64],
     begin: I64,
@@ -210,11 +210,11 @@ def mark_reachable_hits(
 ) -> tuple[I64, I64]:
     """Mark in `is_reachable` the hits that legs can reach.
 
-    Writes to `rows`, from index `begin` on, the seekers that are not `quick` and have no reachable hit near the target
+    Writes to `rows`, from index `begin` on, the seekers that are not `is_quick` and have no reachable hit near the target
     position. Returns `begin` and their number."""
     longest, count = seekers[3], 0
     for k in range(begin, end):
-        if quick[k]:
+        if is_quick[k]:
             continue
         is_reachable[k] = _is_in_reach(seekers, hits, k, k)
         if not (is_reachable[k] and _miss_distance(seekers, hits, k, k) <= NEAR_HIT_LEG_SHARE * longest[k]):
@@ -227,9 +227,9 @@ def mark_reachable_hits(
 def aim_detour_rays(
     seekers: SeekerColumns,
     rows: Array1[I64],
-    above: Array2[F64],
+    upper_starts: Array2[F64],
     level: Array2[F64],
-    down: Array2[F64],
+    down_displacement: Array2[F64],
     origins: Array2[F64],
     begin: I64,
     end: I64,
@@ -237,7 +237,7 @@ def aim_detour_rays(
     """Compute two rays for each of the seekers `rows`. The first leads from `origins` to the point above the target position, the
     second down from there.
 
-    `above`, `down`: start and displacement of the second ray. `level`: displacement of the first ray."""
+    `upper_starts`, `down_displacement`: start and displacement of the second ray. `level`: displacement of the first ray."""
     hips, goals, ups, longest, _ = seekers
     for n in range(begin, end):
         k = rows[n]
@@ -245,8 +245,8 @@ def aim_detour_rays(
         height = max(dot(minus(hip, goal), up), _MIN_START_HEIGHT_SHARE * leg)
         for axis in range(3):
             top = goal[axis] + up[axis] * height
-            above[axis, n], level[axis, n], origins[axis, n] = top, top - hip[axis], hip[axis]
-            down[axis, n] = -up[axis] * (2.0 * height + leg)
+            upper_starts[axis, n], level[axis, n], origins[axis, n] = top, top - hip[axis], hip[axis]
+            down_displacement[axis, n] = -up[axis] * (2.0 * height + leg)
 
 
 @kernel
@@ -257,15 +257,16 @@ def choose_nearest_hits(
     is_reachable: Array1[BOOL],
     level_hits: HitColumns,
     down_hits: HitColumns,
-    lost: Array1[I64],
+    lost_rows: Array1[I64],
     reach: Array1[F64],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Choose from three rays the hit nearest to the target position: the first ray, and both rays of `aim_detour_rays`.
 
-    Writes it to `hits`. Seekers without a near enough hit are written to `lost` from index `begin` on, as indices in `rows`. For
-    these, `reach` receives the distance (mm) within which a position would be nearer. Returns `begin` and their number."""
+    Writes it to `hits`. Seekers without a near enough hit are written to `lost_rows` from index `begin` on, as indices in
+    `rows`. For these, `reach` receives the distance (mm) within which a position would be nearer. Returns `begin` and their
+    number."""
     longest = seekers[3]
     count = 0
     for n in range(begin, end):
@@ -287,7 +288,7 @@ def choose_nearest_hits(
                 least = miss
                 _copy_hit(hits, k, down_hits, n)
         if least > 2.0 * NEAR_HIT_LEG_SHARE * longest[k]:
-            lost[begin + count], reach[begin + count] = n, min(longest[k], least)
+            lost_rows[begin + count], reach[begin + count] = n, min(longest[k], least)
             count += 1
     return begin, count
 
@@ -319,7 +320,7 @@ def store_footholds(
     seekers: SeekerColumns,
     hits: HitColumns,
     place: Array3[F64],
-    on: Array2[I16],
+    thing_numbers: Array2[I16],
     face: Array2[I32],
     weight: Array3[F64],
     begin: I64,
@@ -331,7 +332,7 @@ def store_footholds(
         foothold = get_column(seekers[1], k) if hits[2][k] == NO_GROUND else get_column(hits[1], k)
         for axis in range(3):
             place[axis, leg, i] = foothold[axis]
-        on[leg, i], face[leg, i] = hits[2][k], hits[3][k]
+        thing_numbers[leg, i], face[leg, i] = hits[2][k], hits[3][k]
         weight[0, leg, i], weight[1, leg, i] = hits[4][0, k], hits[4][1, k]
 
 
@@ -355,10 +356,10 @@ def _miss_distance(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
 
 
 @inlined
-def _copy_hit(to: Any, k: Any, hits: Any, n: Any) -> None:
-    to[0][k], to[2][k], to[3][k] = hits[0][n], hits[2][n], hits[3][n]
-    to[4][0, k], to[4][1, k] = hits[4][0, n], hits[4][1, n]
-    store_column(to[1], k, get_column(hits[1], n))
+def _copy_hit(target_hits: Any, k: Any, hits: Any, n: Any) -> None:
+    target_hits[0][k], target_hits[2][k], target_hits[3][k] = hits[0][n], hits[2][n], hits[3][n]
+    target_hits[4][0, k], target_hits[4][1, k] = hits[4][0, n], hits[4][1, n]
+    store_column(target_hits[1], k, get_column(hits[1], n))
 
 
 @inlined

@@ -176,10 +176,12 @@ class FootGround:
             hits.replace_rows(rows, self._make_hits(world, k, distance[nearer], place[nearer].T, face[nearer]))
         return hits
 
-    def move_places(self, world: World, on: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors) -> None:
+    def move_places(
+        self, world: World, thing_numbers: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors
+    ) -> None:
         """Move positions [3, …] on moving things to their current position."""
         for k in self.moving_numbers:
-            rows = on == k
+            rows = thing_numbers == k
             if rows.any():
                 vertices = compute_vertices(world, self.names[k], world.display_frame)
                 a, b, c = (vertices[self.meshes[self.names[k]].faces[face[rows], corner]].T for corner in range(3))
@@ -202,17 +204,17 @@ class FootGround:
         world: World,
         k: int,
         obstacle: RayScene,
-        near: Rows,
+        near_rows: Rows,
         rays: tuple[Vectors, Vectors],
         hits: GroundHits,
         most_hit: bool,
     ) -> None:
-        a, w = (each[:, near] for each in rays)
+        a, w = (each[:, near_rows] for each in rays)
         begin, step = np.ascontiguousarray(a.T), np.ascontiguousarray(w.T)
         which, part, _, face = obstacle.find_hits_within(begin, step, world.options.threads, most_hit)
-        nearer = part < hits.ray_part[near[which]]
+        nearer = part < hits.ray_part[near_rows[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
-        hits.replace_rows(near[which], self._make_hits(world, k, part, a[:, which] + w[:, which] * part, face))
+        hits.replace_rows(near_rows[which], self._make_hits(world, k, part, a[:, which] + w[:, which] * part, face))
 
     def _make_hits(self, world: World, k: int, part: NDArray[np.float64], place: Vectors, face: NDArray[np.int32]) -> GroundHits:
         hits = GroundHits(part, place, np.full(len(part), k, np.int16), np.zeros(len(part), np.int32), np.zeros((2, len(part))))
@@ -351,15 +353,15 @@ def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: G
 
 
 def _cast_on_solid(
-    k: int, obstacle: SolidFeelers, near: Rows, origin: Vectors, displacement: Vectors, ground_hits: GroundHits
+    k: int, obstacle: SolidFeelers, near_rows: Rows, origin: Vectors, displacement: Vectors, ground_hits: GroundHits
 ) -> None:
     """Write the hits on a solid, if they are nearer than previous hits."""
-    a, w = origin[:, near], displacement[:, near]
+    a, w = origin[:, near_rows], displacement[:, near_rows]
     length = _vector_lengths(w)
     unit = w / np.maximum(length, 1e-300)
     hits = obstacle.cast_feelers(a, unit, length)
     part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
-    hit_rows = np.flatnonzero(hits.hit & (part < ground_hits.ray_part[near]))
+    hit_rows = np.flatnonzero(hits.hit & (part < ground_hits.ray_part[near_rows]))
     place = a[:, hit_rows] + w[:, hit_rows] * part[hit_rows]
     normal = np.stack([hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows]]).astype(np.float64)
     landed = obstacle.volume.project_to_surface(place.T, _normalise_rows(normal.T), 2 * obstacle.volume.voxel)
@@ -371,7 +373,7 @@ def _cast_on_solid(
         landed.points[good].T,
         np.full(hit_rows.size, k, np.int16),
     )
-    ground_hits.replace_rows(near[hit_rows], solid_hits)
+    ground_hits.replace_rows(near_rows[hit_rows], solid_hits)
 
 
 def _vector_lengths(v: Vectors) -> NDArray[np.float64]:

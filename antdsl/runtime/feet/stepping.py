@@ -85,12 +85,12 @@ def measure_ground_covered(
     last_pose: tuple[Array2[F64], Array2[F32], Array2[F32]],
     legs: LegTable,
     new: Array1[BOOL],
-    covered: Array3[F32],
+    covered_ground: Array3[F32],
     begin: I64,
     end: I64,
 ) -> None:
-    """Write to `covered` [2, L, n] how far the rest position of each foot moved over the ground: ahead and aside of the current
-    body.
+    """Write to `covered_ground` [2, L, n] how far the rest position of each foot moved over the ground: ahead and aside of the
+    current body.
 
     `last_pose`: position, heading and up of bodies at the end of the last frame. For `new` agents the result is 0."""
     position, heading, up = last_pose
@@ -107,14 +107,14 @@ def measure_ground_covered(
             rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
             x = rest_x - ((moved_x + along_x * rest_x) + across_x * rest_z)
             z = rest_z - ((moved_z + along_z * rest_x) + across_z * rest_z)
-            covered[0, leg, i] = x if np.isfinite(x) and not new[i] else _ZERO
-            covered[1, leg, i] = z if np.isfinite(z) and not new[i] else _ZERO
+            covered_ground[0, leg, i] = x if np.isfinite(x) and not new[i] else _ZERO
+            covered_ground[1, leg, i] = z if np.isfinite(z) and not new[i] else _ZERO
 
 
 @kernel
 def plan_steps(
     bodies: Array2[F64],
-    covered: Array3[F32],
+    covered_ground: Array3[F32],
     legs: LegTable,
     gaits: GaitTables,
     times: tuple[F32, F32, F32, F32],
@@ -145,7 +145,7 @@ def plan_steps(
         until = min(stop + _PREFETCH_GROUP_SIZE, end)
         prefetch_columns(place, 3 * count, 8, stop, until)
         prefetch_columns(bodies, 13, 8, stop, until)
-        prefetch_columns(covered, 2 * count, 16, stop, until)
+        prefetch_columns(covered_ground, 2 * count, 16, stop, until)
         prefetch_columns(at, 3 * count, 16, stop, until)
         for each in (swing, rest_offset, target_x, target_z, left, share, off):
             prefetch_columns(each, count, 16, stop, until)
@@ -160,7 +160,7 @@ def plan_steps(
             frame_distance = _ZERO
             for leg in range(count):
                 frame_distance = frame_distance + np.sqrt(
-                    covered[0, leg, i] * covered[0, leg, i] + covered[1, leg, i] * covered[1, leg, i]
+                    covered_ground[0, leg, i] * covered_ground[0, leg, i] + covered_ground[1, leg, i] * covered_ground[1, leg, i]
                 )
             frame_distance = frame_distance / _F(max(1, count))
             gait, long, duty, high = find_gait(gaits, frame_distance / dt, frame_distance, shortest)
@@ -196,7 +196,7 @@ def plan_steps(
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
                 hip = _hip_position(legs, leg, lean, raised)
                 x, z = local_foot[0] - legs[REST_X, leg], local_foot[2] - legs[REST_Z, leg]
-                cover_x, cover_z = covered[0, leg, i], covered[1, leg, i]
+                cover_x, cover_z = covered_ground[0, leg, i], covered_ground[1, leg, i]
                 leg_phase = _wrap_phase(phase[i] + gaits[2][gait, leg])
                 next_phase = leg_phase + advance
                 crosses = (leg_phase < duty and next_phase >= duty) or next_phase >= _ONE + duty
@@ -342,10 +342,10 @@ def _wrap_phase(turns: Any) -> Any:
 
 
 @inlined
-def _hip_position(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
+def _hip_position(legs: Any, leg: Any, slope: Any, rise: Any) -> Any:
     """Return the position of a leg's hip, for a trunk that leans by `slope` and is raised."""
     x, y, z = trunk.tilt_point(slope, (legs[HIP_POSITION, leg], legs[HIP_POSITION + 1, leg], legs[HIP_POSITION + 2, leg]))
-    return x, y + raised, z
+    return x, y + rise, z
 
 
 @inlined
@@ -361,20 +361,21 @@ def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
 
 
 @inlined
-def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, most: Any) -> Any:
-    """Return whether a foot is farther from its hip than the share `most` of its leg length, with the trunk as low as allowed."""
+def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, max_share: Any) -> Any:
+    """Return whether a foot is farther from its hip than the share `max_share` of its leg length, with the trunk as low as
+    allowed."""
     length = legs[LEG_LENGTH, leg]
     x, z = local_foot[0] - hip[0], local_foot[2] - hip[2]
     y = local_foot[1] - hip[1] + legs[FOOT_Y, leg]
     high = max(abs(y) - (_MAX_SINK_SHARE * length if y < _ZERO else _ZERO), _ZERO)
-    far = most * length
+    far = max_share * length
     return (x * x + high * high) + z * z > far * far
 
 
 @inlined
-def _swing_position(legs: Any, leg: Any, ends: Any, progress: Any, stride: Any, lift: Any) -> Any:
+def _swing_position(legs: Any, leg: Any, end_points: Any, progress: Any, stride: Any, lift: Any) -> Any:
     """Return the position of a foot on its arc, no farther from the hip than the leg reaches."""
-    swing_start, local_foot, hip = ends
+    swing_start, local_foot, hip = end_points
     eased = progress * progress * (_THREE - _TWO * progress)
     dx, dy, dz = local_foot[0] - swing_start[0], local_foot[1] - swing_start[1], local_foot[2] - swing_start[2]
     far = np.sqrt((dx * dx + dy * dy) + dz * dz)

@@ -57,14 +57,14 @@ def fit_plane(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
 
 
 @inlined
-def lower_trunk(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, min_rise: Any, i: Any) -> Any:
+def lower_trunk(points: Any, swing_phases: Any, legs: Any, rise: Any, slope: Any, min_rise: Any, i: Any) -> Any:
     """Return the rise of a trunk, lowered as far as the legs of its standing feet require. The trunk leans by `slope`."""
     most = _INFINITE
     for leg in range(legs.shape[1]):
         x, y, z = tilt_point(slope, (legs[HIP_POSITION, leg], legs[HIP_POSITION + 1, leg], legs[HIP_POSITION + 2, leg]))
         dx, dz = points[0, leg, i] - x, points[2, leg, i] - z
         square = legs[SQUARED_LENGTH, leg] - dx * dx - dz * dz
-        if standing[leg, i] == STANDING_SWING and square > _ZERO:
+        if swing_phases[leg, i] == STANDING_SWING and square > _ZERO:
             most = min(most, points[1, leg, i] + legs[FOOT_Y, leg] + np.sqrt(max(square, _ZERO)) - y)
     return max(min(rise, most), min(rise, min_rise))
 

@@ -321,7 +321,7 @@ class _CrowdSubstep:
         moved = self._move_rows(ground, slice(None))
         if self.world.solids:
             moved = limit_fall_speed(self.world, p, moved, self.dt)
-        walked = WalkedPoses(moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        walked = WalkedPoses(moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.is_blocked)
         self._update_arrived(rows, walked, arrival)
         p.footing, p.position, p.normal = moved.footing, moved.position, arrival.normals
 

@@ -26,12 +26,12 @@ _MIN_ITEMS_TO_FILTER = 128  # with more items, those too far away along an axis 
 _RADIUS_SLACK_FACTOR, _MIN_DISTANCE_MM = 1 + 1e-5, 1e-15
 
 
-def find_items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> ItemPairColumns:
+def find_items_within(items: Items, own_positions: tuple[Floats, ...], radius: Any) -> ItemPairColumns:
     """Return pairs of positions (three float32[n]) and items within a radius (mm, one number or float[n])."""
-    reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
+    reach = np.full(len(own_positions[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
     if len(items) > _MIN_ITEMS_TO_FILTER:
-        return measure_filtered(items, own, reach)
-    return measure_all(items, own, reach)
+        return measure_filtered(items, own_positions, reach)
+    return measure_all(items, own_positions, reach)
 
 
 def _visible_positions(items: Items) -> VectorArrays:
@@ -40,11 +40,11 @@ def _visible_positions(items: Items) -> VectorArrays:
     return x, y, z
 
 
-def measure_all(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
+def measure_all(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
     """Return the pairs within `reach` (mm), after measuring all items from all rows."""
     item_points, agent_points, (reach,) = (
         make_contiguous(*_visible_positions(items)),
-        make_contiguous(*own),
+        make_contiguous(*own_positions),
         make_contiguous(reach),
     )
     pairs = tuple(np.empty(max(2 * reach.size, 64), kind) for kind in (np.int64, np.int64, *(np.float32,) * 4))
@@ -55,16 +55,16 @@ def measure_all(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPai
     return tuple(a[:used] for a in pairs)
 
 
-def measure_filtered(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
+def measure_filtered(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
     """Return the pairs within `reach` (mm). Only items in reach along the two axes with the widest spread of items are
     measured."""
-    n, item_points = len(own[0]), _visible_positions(items)
+    n, item_points = len(own_positions[0]), _visible_positions(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]
         order = np.argsort(item_points[one], kind="stable")
         far = reach.astype(np.float64) * _RADIUS_SLACK_FACTOR + _MIN_DISTANCE_MM
         far[~np.isfinite(far)] = np.inf
-        place = np.where(far < np.inf, own[one], np.float32(0)).astype(np.float64)
+        place = np.where(far < np.inf, own_positions[one], np.float32(0)).astype(np.float64)
         first_axis, second_axis = (item_points[axis].astype(np.float64)[order] for axis in (one, two))
         first, last = first_axis.searchsorted(place - far, "left"), first_axis.searchsorted(place + far, "right")
     count = np.maximum(last - first, 0)
@@ -76,10 +76,10 @@ def measure_filtered(items: Items, own: tuple[Floats, ...], reach: Floats) -> It
         b = max(a + 1, int(ends.searchsorted(previous_end + _PAIRS_PER_CHUNK, "right")))
         counts = count[a:b]
         at = np.arange(int(counts.sum())) + np.repeat(first[a:b] - (np.cumsum(counts) - counts), counts)
-        offsets = second_axis.take(at) - np.repeat(own[two][a:b].astype(np.float64), counts)
+        offsets = second_axis.take(at) - np.repeat(own_positions[two][a:b].astype(np.float64), counts)
         near = np.flatnonzero(~(np.abs(offsets) > np.repeat(far[a:b], counts)))
         i, j = np.repeat(np.arange(a, b), counts).take(near), order.take(at.take(near))
-        dx, dy, dz = (t.take(j) - place.take(i) for t, place in zip(item_points, own, strict=True))
+        dx, dy, dz = (t.take(j) - place.take(i) for t, place in zip(item_points, own_positions, strict=True))
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         keep = np.flatnonzero(distance <= reach.take(i))
         keep = keep[np.lexsort((j[keep], i[keep]))]
@@ -98,23 +98,23 @@ def _join_columns(parts: list[ItemPairColumns]) -> ItemPairColumns:
 
 @kernel
 def _fill_pairs(
-    items: VectorColumns, agent_points: VectorColumns, reach: Array1[F32], pairs: PairColumns, row: I64, used: I64
+    items: VectorColumns, agent_points: VectorColumns, reach: Array1[F32], pairs: PairColumns, row: I64, used_count: I64
 ) -> tuple[I64, I64]:
-    """Write pairs from a row on, after `used` earlier pairs, until all rows are done or the arrays are full.
+    """Write pairs from a row on, after `used_count` earlier pairs, until all rows are done or the arrays are full.
 
     Returns the next row and the number of pairs."""
     ix, iy, iz = items
     x, y, z = agent_points
     i, j, dx, dy, dz, distance = pairs
     while row < x.size:
-        if used + ix.size > i.size:
-            return row, used
+        if used_count + ix.size > i.size:
+            return row, used_count
         for k in range(ix.size):
             ux, uy, uz = ix[k] - x[row], iy[k] - y[row], iz[k] - z[row]
             length = np.sqrt((ux * ux + uy * uy) + uz * uz)
             if length <= reach[row]:
-                i[used], j[used] = row, k
-                dx[used], dy[used], dz[used], distance[used] = ux, uy, uz, length
-                used += 1
+                i[used_count], j[used_count] = row, k
+                dx[used_count], dy[used_count], dz[used_count], distance[used_count] = ux, uy, uz, length
+                used_count += 1
         row += 1
-    return row, used
+    return row, used_count

@@ -26,14 +26,14 @@ _PAIRS_PER_CHUNK = 1 << 20  # pairs
 
 
 def find_nearest_agents(
-    world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None
+    world: World, other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None
 ) -> PairColumns | None:
     """Return the nearest other of each requesting agent.
 
-    `own`: x, y and z of the requesting agents, float32[n] mm. `ids`: their ids if both are of the same species, so that no agent
-    finds itself. The result is: ascending indices of agents with a result, rows of the others, offsets x, y, z from the
-    requesting agent, distances. It is None if a position is not finite or its square exceeds float32."""
-    mine, sites = np.stack(own, axis=1).astype(np.float64), _cached_sites(world, other)
+    `own_positions`: x, y and z of the requesting agents, float32[n] mm. `ids`: their ids if both are of the same species, so
+    that no agent finds itself. The result is: ascending indices of agents with a result, rows of the others, offsets x, y, z
+    from the requesting agent, distances. It is None if a position is not finite or its square exceeds float32."""
+    mine, sites = np.stack(own_positions, axis=1).astype(np.float64), _cached_sites(world, other)
     if sites is None or not (np.abs(mine) < _MAX_DISTANCE_MM).all():
         return None
     every = len(sites.first)
@@ -41,7 +41,7 @@ def find_nearest_agents(
     asking = np.arange(len(mine))
     while len(asking):
         if count > _MAX_EQUAL_DISTANCES:
-            parts += _measure_all_agents(other, own, ids, asking)
+            parts += _measure_all_agents(other, own_positions, ids, asking)
             break
         left = []
         at_once = max(1, _PAIRS_PER_CHUNK // count)
@@ -56,11 +56,11 @@ def find_nearest_agents(
             is_complete = (last > reach) | (count == every)
             near = np.isfinite(away) & (away <= reach[:, None]) & is_complete[:, None]
             who, which = np.nonzero(near)
-            parts.append(_measure_pairs(other, own, batch.take(who), row[who, which]))
+            parts.append(_measure_pairs(other, own_positions, batch.take(who), row[who, which]))
             left.append(batch[~is_complete])
         asking, count = np.concatenate(left), min(every, _QUERY_GROWTH_FACTOR * count)
     if not parts:
-        return asking, asking, own[0], own[0], own[0], own[0]
+        return asking, asking, own_positions[0], own_positions[0], own_positions[0], own_positions[0]
     joined = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
     order = np.argsort(joined[0])
     i, j, dx, dy, dz, distance = (array.take(order) for array in joined)
@@ -68,7 +68,7 @@ def find_nearest_agents(
 
 
 def _measure_all_agents(
-    other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, requesting_rows: NDArray[np.intp]
+    other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None, requesting_rows: NDArray[np.intp]
 ) -> list[PairColumns]:
     """Return the nearest of all others for the agents `requesting_rows`, by measuring all pairs."""
     order = other.rows_by_id()
@@ -76,7 +76,7 @@ def _measure_all_agents(
     parts, at_once = [], max(1, _PAIRS_PER_CHUNK // len(order))
     for first in range(0, len(requesting_rows), at_once):
         batch = requesting_rows[first : first + at_once]
-        dx, dy, dz = (theirs - mine.take(batch)[:, None] for theirs, mine in zip(place, own, strict=True))
+        dx, dy, dz = (theirs - mine.take(batch)[:, None] for theirs, mine in zip(place, own_positions, strict=True))
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         if ids is not None:
             distance[known == ids.take(batch)[:, None]] = np.inf
@@ -87,9 +87,9 @@ def _measure_all_agents(
     return parts
 
 
-def _measure_pairs(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> PairColumns:
+def _measure_pairs(other: Population, own_positions: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> PairColumns:
     """Return the nearest of the candidate pairs for each requesting agent."""
-    dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
+    dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own_positions[k].take(i) for k, axis in enumerate(AXES))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     order = np.lexsort((other.ids.take(j), distance, i))
     first = np.concatenate((np.ones(min(1, len(i)), np.bool_), i.take(order[1:]) != i.take(order[:-1])))

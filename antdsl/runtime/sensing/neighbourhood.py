@@ -29,13 +29,13 @@ Rows = NDArray[np.intp]
 
 
 def compute_clear_velocity(
-    world: World, population: Population, rows: Rows, wish: VectorArrays, within: Floats, horizon: Floats, most: Floats
+    world: World, population: Population, rows: Rows, wish: VectorArrays, radius: Floats, horizon: Floats, max_count: Floats
 ) -> tuple[NDArray[np.float32], ...]:
     """Return velocities (mm/s, x y z) along the ground for the given agents, nearest to the velocity `wish`.
 
-    They avoid collisions for `horizon` s with the `most` nearest agents of any species. Only agents within `within` mm on the
-    same side of the ground count. All agents have their state at the start of the step."""
-    crowd, requesters = build_nearest_search(world, population, rows, within, most)
+    They avoid collisions for `horizon` s with the `max_count` nearest agents of any species. Only agents within `radius` mm on
+    the same side of the ground count. All agents have their state at the start of the step."""
+    crowd, requesters = build_nearest_search(world, population, rows, radius, max_count)
     a, b, c = wish
     wished = np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b, np.float64), np.ascontiguousarray(c, np.float64)
     wishes, velocities = VelocityWishes(wished, horizon, population.start["max_speed"]), np.empty((3, len(rows)), np.float32)
@@ -45,14 +45,14 @@ def compute_clear_velocity(
 
 
 def find_widest_gap(
-    world: World, population: Population, rows: Rows, within: Floats, most: Floats
+    world: World, population: Population, rows: Rows, radius: Floats, max_count: Floats
 ) -> tuple[NDArray[np.float32], ...]:
     """Return unit directions (x y z) along the ground for the given agents, into the widest gap between neighbours.
 
-    Neighbours are the `most` nearest agents of any species, within `within` mm on the same side of the ground. Without neighbours
-    the result is 0."""
-    crowd, requesters = build_nearest_search(world, population, rows, within, most)
-    shape = len(rows), int(min(np.max(most, initial=0.0, where=most > 0), MAX_QUERY_NEIGHBOURS))
+    Neighbours are the `max_count` nearest agents of any species, within `radius` mm on the same side of the ground. Without
+    neighbours the result is 0."""
+    crowd, requesters = build_nearest_search(world, population, rows, radius, max_count)
+    shape = len(rows), int(min(np.max(max_count, initial=0.0, where=max_count > 0), MAX_QUERY_NEIGHBOURS))
     x, y, is_present, axes = np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.empty((6, len(rows)))
     parallel.run_in_parts(
         partial(fill_nearest_offsets, crowd, requesters, x, y, is_present, axes), len(rows), world.options.threads
@@ -62,14 +62,14 @@ def find_widest_gap(
 
 
 def build_nearest_search(
-    world: World, population: Population, rows: Rows, within: Floats, most: Floats
+    world: World, population: Population, rows: Rows, radius: Floats, max_count: Floats
 ) -> tuple[CrowdTables, Requesters]:
     """Return all agents as a crowd and the given agents as requesters, for a neighbour search."""
-    widest = float(np.max(within, initial=0.0, where=np.isfinite(within)))
+    widest = float(np.max(radius, initial=0.0, where=np.isfinite(radius)))
     grid = _find_grid(world, _EVERY_SPECIES, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
     positions = grid.order.at.take(grid.first_rows[population.name] + rows)
-    return grid.crowd, Requesters(positions, rows, within, most, vec.get_vector_registers(population.start, "heading"))
+    return grid.crowd, Requesters(positions, rows, radius, max_count, vec.get_vector_registers(population.start, "heading"))
 
 
 class _CrowdGrid(CellGrid):
@@ -108,23 +108,23 @@ def _first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> 
     return {name: end - len(populations[name]) for name, end in zip(names, ends, strict=True)}
 
 
-def find_species_grid(world: World, other: Population, widest: float) -> CellGrid:
-    """Return the agents of a population in cells that suit the radius `widest` (mm)."""
+def find_species_grid(world: World, other: Population, max_radius: float) -> CellGrid:
+    """Return the agents of a population in cells that suit the radius `max_radius` (mm)."""
 
     def sort(cell: float) -> CellGrid:
         x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
         return CellGrid(x, y, z, other.ids, cell, world.options.threads)
 
-    return _find_grid(world, other.name, widest, sort)
+    return _find_grid(world, other.name, max_radius, sort)
 
 
-def _find_grid(world: World, name: str, widest: float, sort: Callable[[float], CellGrid]) -> CellGrid:
-    """Return a grid of this step that suits the radius `widest` (mm). Make one if there is none.
+def _find_grid(world: World, name: str, max_radius: float, sort: Callable[[float], CellGrid]) -> CellGrid:
+    """Return a grid of this step that suits the radius `max_radius` (mm). Make one if there is none.
 
     Searching wider existing cells costs less than sorting again."""
-    size = float(np.ceil(4 * np.log2(widest)))
+    size = float(np.ceil(4 * np.log2(max_radius)))
     known = [(k, grid) for (of, k), grid in list(world.grids.items()) if of == name and size <= k <= size + _MAX_COARSER_QUARTERS]
     if known:
-        return min(known, key=lambda each: each[0])[1]
-    grid = world.grids[name, size] = sort(widest)
+        return min(known, key=lambda entry: entry[0])[1]
+    grid = world.grids[name, size] = sort(max_radius)
     return grid

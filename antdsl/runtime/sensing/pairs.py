@@ -36,10 +36,11 @@ MAX_PAIRS_PER_CHUNK = 1 << 22  # limit for a chunk that compares all agents with
 class PairRows:
     """The pairs of a set.
 
-    `of`: the other agents or items. `count`: the number of requesting rows. `i`: index of the requesting row, from 0. `j`: row in
-    `of`. `dx`, `dy`, `dz`: position of the other minus own position, float32 mm. `distance`: the length of that vector."""
+    `others`: the other agents or items. `count`: the number of requesting rows. `i`: index of the requesting row, from 0. `j`:
+    row in `others`. `dx`, `dy`, `dz`: position of the other minus own position, float32 mm. `distance`: the length of that
+    vector."""
 
-    of: Population | Items
+    others: Population | Items
     count: int  # requesting rows
     i: Index
     j: Index
@@ -55,7 +56,7 @@ class PairRows:
         i = number.take(self.i)
         keep = np.flatnonzero(i >= 0)
         rest: Any = (a.take(keep) for a in (self.j, self.dx, self.dy, self.dz, self.distance))
-        return PairRows(self.of, len(rows), i.take(keep), *rest)
+        return PairRows(self.others, len(rows), i.take(keep), *rest)
 
 
 def find_pairs(
@@ -125,12 +126,14 @@ def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
     return 1 if plain else limits.MAX_QUERY_NEIGHBOURS
 
 
-def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int) -> Floats:
+def _shorten_radii(
+    other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int
+) -> Floats:
     """Return the radii (mm), reduced so that they still reach the nearest `count` others."""
     from scipy.spatial import cKDTree
 
     theirs = np.stack([other.start[f"position.{axis}"] for axis in AXES], axis=1).astype(np.float64)
-    mine = np.stack(own, axis=1).astype(np.float64)
+    mine = np.stack(own_positions, axis=1).astype(np.float64)
     known, is_finite = np.isfinite(theirs).all(axis=1), np.isfinite(mine).all(axis=1)
     away = np.full(len(mine), np.inf)
     away[is_finite] = cKDTree(theirs[known]).query(mine[is_finite], [count + (ids is not None)])[0][:, 0]
@@ -167,7 +170,7 @@ def _read_view_cones(population: Population, rows: Any, cosine: Any, count: int)
 def _find_pairs_within(
     world: World,
     other: Population,
-    own: tuple[Floats, ...],
+    own_positions: tuple[Floats, ...],
     ids: NDArray[np.int64] | None,
     radius: Any,
     view: View | None,
@@ -178,19 +181,27 @@ def _find_pairs_within(
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
     grid = find_species_grid(world, other, widest)
     p = grid.find_pairs(
-        None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.MAX_CANDIDATES_IN_RADIUS
+        None,
+        radius,
+        qx=own_positions[0],
+        qy=own_positions[1],
+        qz=own_positions[2],
+        qid=ids,
+        view=view,
+        threads=threads,
+        limit=limits.MAX_CANDIDATES_IN_RADIUS,
     )
-    return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
+    return PairRows(other, len(own_positions[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 
-def _make_all_pairs(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
+def _make_all_pairs(other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
     """Return the pairs of each requesting row with all agents of a species except itself."""
-    n, m = len(own[0]), len(other)
+    n, m = len(own_positions[0]), len(other)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
     if ids is not None:
         keep = np.flatnonzero(other.ids.take(j) != ids.take(i))
         i, j = i.take(keep), j.take(keep)
-    dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
+    dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own_positions[k].take(i) for k, axis in enumerate(AXES))
     return PairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
 
 
@@ -205,10 +216,10 @@ def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.int
     return (pairs.i, None) if len(keep) == len(pairs.i) else (pairs.i.take(keep), keep)
 
 
-def _select_body_values(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
+def _select_body_values(pairs: PairRows, body: Any, selected_rows: NDArray[np.intp] | None) -> Floats:
     """Return the values of a reduction's body for the selected pairs."""
     values: Floats = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
-    return values if keep is None else values.take(keep)
+    return values if selected_rows is None else values.take(selected_rows)
 
 
 def _reduce_sum(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
@@ -266,8 +277,8 @@ def _best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any],
 
 
 def _best_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
-    assert isinstance(pairs.of, Population)
-    return _best_label(pairs, condition, body, pairs.of.ids.take(pairs.j), NO_AGENT)
+    assert isinstance(pairs.others, Population)
+    return _best_label(pairs, condition, body, pairs.others.ids.take(pairs.j), NO_AGENT)
 
 
 def _best_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
@@ -292,8 +303,8 @@ def _nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: N
 
 
 def _nth_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
-    assert isinstance(pairs.of, Population)
-    return _nth_label(pairs, condition, body, number, pairs.of.ids.take(pairs.j), NO_AGENT)
+    assert isinstance(pairs.others, Population)
+    return _nth_label(pairs, condition, body, number, pairs.others.ids.take(pairs.j), NO_AGENT)
 
 
 def _nth_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
@@ -327,9 +338,9 @@ def read_pair_value(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
         case "other.row":
             return pairs.j.astype(np.int32)
         case "other.id":
-            assert isinstance(pairs.of, Population)
-            return pairs.of.ids.take(pairs.j)
+            assert isinstance(pairs.others, Population)
+            return pairs.others.ids.take(pairs.j)
         case "other":
-            source = pairs.of.start if isinstance(pairs.of, Population) else pairs.of.visible_values
+            source = pairs.others.start if isinstance(pairs.others, Population) else pairs.others.visible_values
             return source[node.attrs[0]].take(pairs.j)
     raise AssertionError(f"{node.op} is not of a pair")

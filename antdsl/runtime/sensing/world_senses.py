@@ -74,9 +74,9 @@ def _sense_age(world: World, population: Population, node: ir.PlanNode, rows: Ro
     return _age_from_birth(world, population.born[rows])
 
 
-def _age_from_birth(world: World, born: NDArray[np.int64]) -> SenseValue:
+def _age_from_birth(world: World, birth_frames: NDArray[np.int64]) -> SenseValue:
     """Return the age (s) of agents from their frame of birth."""
-    steps = np.maximum(world.frame - born, 0)  # at birth, `born` is the next frame
+    steps = np.maximum(world.frame - birth_frames, 0)  # at birth, `born` is the next frame
     return (steps * world.dt).astype(np.float32)
 
 
@@ -182,18 +182,18 @@ def _sense_rays(world: World, population: Population, node: ir.PlanNode, rows: R
 def _cast_remaining_feelers(
     scene: Obstacle,
     columns: Arrays,
-    remaining: Sequence[tuple[int, NDArray[np.intp]]],
+    remaining_feelers: Sequence[tuple[int, NDArray[np.intp]]],
     queries: Sequence[FeelerQuery],
     threads: int,
 ) -> None:
     """Compute the hits of the remaining feelers in one scene, with all rays at once.
 
-    `remaining`, `columns`: the remaining feelers, in the form that `Obstacle.cast_feeler_batch` takes and returns."""
+    `remaining_feelers`, `columns`: the remaining feelers, in the form that `Obstacle.cast_feeler_batch` takes and returns."""
     *place, clear = columns
-    row = np.concatenate([rows for _, rows in remaining])
-    ask_numbers = np.repeat([each for each, _ in remaining], [len(rows) for _, rows in remaining])
+    row = np.concatenate([rows for _, rows in remaining_feelers])
+    ask_numbers = np.repeat([each for each, _ in remaining_feelers], [len(rows) for _, rows in remaining_feelers])
     with np.errstate(all="ignore"):
-        wx, wy, wz, far = (np.concatenate([queries[each][1][k].take(rows) for each, rows in remaining]) for k in range(4))
+        wx, wy, wz, far = (np.concatenate([queries[each][1][k].take(rows) for each, rows in remaining_feelers]) for k in range(4))
         size = np.sqrt((wx * wx + wy * wy) + wz * wz)
         near = (far > 0) & (far < np.inf) & may_touch(clear.take(row), far)
         sound = np.flatnonzero(near & (size > FLOAT32_MIN_VECTOR_LENGTH) & (size < np.inf))
@@ -202,7 +202,7 @@ def _cast_remaining_feelers(
         row, ask_numbers, size, far = (v.take(sound) for v in (row, ask_numbers, size, far))
         positions, directions = [v.take(row) for v in place], [v.take(sound) / size for v in (wx, wy, wz)]
         hits = scene.cast_feelers(positions, directions, far, threads)
-    for each, _ in remaining:
+    for each, _ in remaining_feelers:
         own = (ask_numbers == each).nonzero()[0]
         for into, values in zip(queries[each][2], (hits.hit, hits.t, hits.nx, hits.ny, hits.nz), strict=True):
             into[row[own]] = values[own]
@@ -247,19 +247,19 @@ def _sense_field_ahead(
     footing, position = _pull_inside_border(world, moved)
     place = moving_geometry.compute_rest_positions(world, footing, position)
     cells = field.cells.find_cells_by_side(place, world.ground.find_sides(footing))
-    return field.sample(np.where(moved.lost, -1, cells))
+    return field.sample(np.where(moved.is_lost, -1, cells))
 
 
-def _pull_inside_border(world: World, moved: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
+def _pull_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
     """Return the ends of paths. A path that ends at an open border is moved slightly into the face.
 
     A border may lie between two cells. Exactly on it, one side of a strip would read its own cells, the other side cells outside
     the surface."""
     meshes = world.ground.meshes
-    if meshes is None or not moved.blocked.any():
-        return moved.footing, moved.position
-    rows = np.flatnonzero(moved.blocked & meshes.get_face_numbers(moved.footing)[1])
-    footing, position = moved.footing.copy(), moved.position.copy()
+    if meshes is None or not move.is_blocked.any():
+        return move.footing, move.position
+    rows = np.flatnonzero(move.is_blocked & meshes.get_face_numbers(move.footing)[1])
+    footing, position = move.footing.copy(), move.position.copy()
     inner = footing.take_on_meshes(rows)
     for weight in (inner.b1, inner.b2):
         weight += (1 / 3 - weight) * _PULL_INSIDE_SHARE
@@ -308,10 +308,10 @@ def _sense_clear_velocity(
 
 
 def _sense_widest_gap(
-    world: World, population: Population, node: ir.PlanNode, rows: Rows, within: SenseValue, most: SenseValue
+    world: World, population: Population, node: ir.PlanNode, rows: Rows, radius: SenseValue, max_count: SenseValue
 ) -> SenseValue:
-    within, most = (spread_rows(np.float64(1) * each, rows) for each in (within, most))
-    return find_widest_gap(world, population, _row_numbers(rows), within, most)
+    radius, max_count = (spread_rows(np.float64(1) * each, rows) for each in (radius, max_count))
+    return find_widest_gap(world, population, _row_numbers(rows), radius, max_count)
 
 
 def _sense_clip_value(world: World, population: Population, node: ir.PlanNode, rows: Rows, clip: SenseValue) -> SenseValue:

@@ -37,9 +37,9 @@ class Entry(NamedTuple):
         """Report an error if a file that the entry names does not exist."""
         check_file(self.scene, self.report, text, "world", self.name, *path)
 
-    def report_unknown(self, what: str, known_names: Iterable[str], *path: PathKey) -> None:
+    def report_unknown(self, noun: str, known_names: Iterable[str], *path: PathKey) -> None:
         """Report a value of the entry that is not one of the `known_names` names."""
-        report_unknown(self.report, self.scene, ("world", self.name, *path), what, known_names, key=False)
+        report_unknown(self.report, self.scene, ("world", self.name, *path), noun, known_names, key=False)
 
 
 def report_unknown(

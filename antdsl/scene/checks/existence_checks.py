@@ -67,8 +67,9 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
     if not absent:
         return
     every = list(iterate_parts(tuple(program.species.values())))
+    keys = ("referent", "source_name", "other_species", "target")
     requested_names = {each.name for each in every if isinstance(each, ThingRef)} | {
-        of for each in every if isinstance(of := getattr(each, "of", None), str)
+        name for each in every for key in keys if isinstance(name := getattr(each, key, None), str)
     }
     for name in absent:
         if name in requested_names:

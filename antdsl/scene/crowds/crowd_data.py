@@ -37,12 +37,13 @@ class VolumeData:
 
 @dataclass(frozen=True, slots=True)
 class RanksData:
-    """Ranks of agents, the first one ahead. `across`, `along`: the distances (mm) of neighbours within and between ranks."""
+    """Ranks of agents, the first one ahead. `spacing_within`, `spacing_between`: the distances (mm) of neighbours within and
+    between ranks."""
 
     columns: int
     rows: int
-    across: float
-    along: float
+    spacing_within: float
+    spacing_between: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,7 @@ class PlacementData:
     `centre_item`: the item that is the centre.
     `clumps`: agents stand in discs around positions of the place.
     `facing`: the direction of the heading; None for a random one.
-    `on`: the surfaces; empty for all.
+    `surfaces`: the surfaces; empty for all.
     `is_by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
     nearest surface point.
     `spacing`: the least distance (mm) between centres; inf: as large as the space allows for all lines with equal settings.
@@ -87,7 +88,7 @@ class PlacementData:
     `headings` (n, 3): the unit vector of the heading at each point; nan for a random heading.
     `values` (n,): by name, attributes of the agent at each point, in base units; nan for the species' value."""
 
-    on: tuple[str, ...] = ()
+    surfaces: tuple[str, ...] = ()
     disc_centre: PointMm | None = None
     ray_origin: PointMm | None = None
     radius: float | None = None
@@ -133,14 +134,14 @@ class ValueDraw:
     """The value of an attribute at birth, in base units, or the index of a state.
 
     `uniform`: between `low` and `high`. `normal`: around `low` with the deviation `high`, cut off at three deviations. `choice`:
-    one of `values`, with these weights. `painted`: from `low` to `high`, where the map `of` is 0 to 1. `number`: `low`."""
+    one of `values`, with these weights. `painted`: from `low` to `high`, where the map `map_name` is 0 to 1. `number`: `low`."""
 
     kind: Literal["number", "uniform", "normal", "choice", "painted"]
     low: float = 0.0
     high: float = 0.0
     values: tuple[float, ...] = ()
     weights: tuple[float, ...] = ()
-    of: str = ""
+    map_name: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +154,7 @@ class CrowdData:
     `worn_layers`: for each displayed part of the body, the layers from which one is drawn; "" means none.
     `name`: the name of the line; empty without one.
     `release`: when agents are created; None for all in the first frame.
-    `each`: by name, attributes at birth, and the initial states of machines as `MACHINE.state`."""
+    `initial_values`: by name, attributes at birth, and the initial states of machines as `MACHINE.state`."""
 
     species: str
     count: int
@@ -164,7 +165,7 @@ class CrowdData:
     worn_layers: tuple[tuple[str, ...], ...] = ()
     name: str = ""
     release: ReleaseData | None = None
-    each: Mapping[str, ValueDraw] = field(default_factory=dict)
+    initial_values: Mapping[str, ValueDraw] = field(default_factory=dict)
 
     def count_created(self, frame: int) -> int:
         """Return how many agents of the line were created up to a frame. Each is created once, whenever a run begins."""

@@ -57,7 +57,7 @@ def _find_machine(species: Species, key: str) -> Machine | None:
 
 def is_settable(attribute: AttributeDecl) -> bool:
     """Return whether scenes may set an attribute: it has one number or truth value per agent."""
-    return attribute.each is None and attribute.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
+    return attribute.pair_species is None and attribute.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
 
 
 def _stage_attribute(line: _Line, key: str, value: str | ScenePart, *path: PathKey) -> ValueDraw | None:
@@ -107,12 +107,12 @@ def _stage_painted(line: _Line, value: PaintedDraw, target: AttributeDecl, *path
         line.report.error("missing-key", f"the numbers of `{value.painted}` have no unit", line.scene.span(*path), help)
         return None
     if value.low is None or value.high is None:
-        return ValueDraw("painted", 0.0, 1.0, of=value.painted)
+        return ValueDraw("painted", 0.0, 1.0, map_name=value.painted)
     low, high = (
         _convert_quantity(line, value.low, target, *path, "from"),
         _convert_quantity(line, value.high, target, *path, "to"),
     )
-    return None if low is None or high is None else ValueDraw("painted", low, high, of=value.painted)
+    return None if low is None or high is None else ValueDraw("painted", low, high, map_name=value.painted)
 
 
 def _convert_quantity(
@@ -152,12 +152,12 @@ def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path
     return _convert_quantity(line, quantity, target, *path)
 
 
-def _find_word(line: _Line, text: str, known: Mapping[str, float], words: str, *path: PathKey) -> float | None:
-    if text not in known:
-        near = find_nearest_name(text, known)
-        listed = "known: " + ", ".join(f"`{each}`" for each in known)
+def _find_word(line: _Line, text: str, number_by_word: Mapping[str, float], words: str, *path: PathKey) -> float | None:
+    if text not in number_by_word:
+        near = find_nearest_name(text, number_by_word)
+        listed = "known: " + ", ".join(f"`{each}`" for each in number_by_word)
         is_key = "choice" in path
         span = line.scene.span(*path, key=is_key)
         line.report.error("unknown-thing", f"{words} `{text[:60]}`", span, f"did you mean `{near}`?" if near else listed)
         return None
-    return known[text]
+    return number_by_word[text]

@@ -107,7 +107,7 @@ class GltfDocument:
     def check_index(self, value: Any, kind: str, count: int) -> int:
         """Return a value as an index below `count`. `kind`: its kind, for messages."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
-            raise GltfError(f"names `{kind}` {str(value)[:20]}, of which there are {count:,}", _EXPORT_AGAIN_HELP)
+            raise GltfError(f"names `{kind}` {str(value)[:20]}, but has only {count:,}", _EXPORT_AGAIN_HELP)
         return value
 
     def get_top_list(self, key: str) -> list[dict[str, Any]]:
@@ -155,7 +155,7 @@ class GltfDocument:
         size = np.dtype(kind).itemsize * width
         self._decoded_bytes += count * max(size, 8 * width)
         if self._decoded_bytes > 4 * limits.MAX_BODY_FILE_BYTES:
-            raise GltfError(f"has an accessor {number} of {count:,} values, more than are read", code="too-large")
+            raise GltfError(f"has an accessor {number} of {count:,} values, more than the limit", code="too-large")
         if width == 16 and np.dtype(kind).itemsize < 4:
             raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT_AGAIN_HELP)
         if "bufferView" in accessor:
@@ -256,9 +256,9 @@ def _split_chunks(data: bytes) -> tuple[bytes, bytes | None]:
         raise GltfError("ends before its header", "a part of it is missing")
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise GltfError(f"is a binary glTF {version}, and 2 is read", _EXPORT_AGAIN_HELP)
+        raise GltfError(f"is a binary glTF {version}; only version 2 is supported", _EXPORT_AGAIN_HELP)
     if length > len(data):
-        raise GltfError(f"says it has {length:,} bytes, and has {len(data):,}", "a part of it is missing")
+        raise GltfError(f"declares {length:,} bytes, and has {len(data):,}", "a part of it is missing")
     chunks: list[tuple[int, bytes]] = []
     at = 12
     while at + 8 <= length and len(chunks) < 64:
@@ -297,7 +297,7 @@ def find_node_parents(file: GltfDocument) -> list[int]:
     """Return the parent of each node, -1 for a root. Raises GltfError if the nodes are not a tree."""
     nodes = file.get_top_list("nodes")
     if len(nodes) > _MAX_NODES:
-        raise GltfError(f"has {len(nodes):,} nodes, more than are read", code="too-large")
+        raise GltfError(f"has {len(nodes):,} nodes, more than the limit", code="too-large")
     parents = [-1] * len(nodes)
     for number, node in enumerate(nodes):
         for child in file.get_list(node, "children"):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 class SkippedElement:
     """An element of a file that is not read. `count`: how often it occurs; `line`: its first line, if the file has lines."""
 
-    what: str
+    description: str
     count: int = 0
     line: int | None = None
 
@@ -31,23 +31,25 @@ class ImportNotes:
     concave_polygons: int = 0
     crossing_polygons: int = 0
     crossing_face: int = 0
-    skipped: dict[str, SkippedElement] = field(default_factory=dict)
+    skipped_elements: dict[str, SkippedElement] = field(default_factory=dict)
 
-    def count_skipped(self, what: str, count: int = 1, line: int | None = None) -> None:
-        """Count elements `what` that are not read."""
+    def count_skipped(self, description: str, count: int = 1, line: int | None = None) -> None:
+        """Count elements `description` that are not read."""
         if not count:
             return
-        if what not in self.skipped:
-            if len(self.skipped) >= 100:
-                what = "other content"
-            self.skipped.setdefault(what, SkippedElement(what, 0, line))
-        self.skipped[what].count += count
+        if description not in self.skipped_elements:
+            if len(self.skipped_elements) >= 100:
+                description = "other content"
+            self.skipped_elements.setdefault(description, SkippedElement(description, 0, line))
+        self.skipped_elements[description].count += count
 
     def describe_skipped(self) -> list[str]:
         """Return the skipped elements as phrases, such as `3 × `l` (line 8)`."""
         return [
-            (f"{each.count:,} × " if each.count > 1 else "") + each.what + ("" if each.line is None else f" (line {each.line:,})")
-            for each in self.skipped.values()
+            (f"{each.count:,} × " if each.count > 1 else "")
+            + each.description
+            + ("" if each.line is None else f" (line {each.line:,})")
+            for each in self.skipped_elements.values()
         ]
 
 

@@ -139,7 +139,7 @@ class TextBlock:
         found[(found >= 65) & (found <= 90)] += 32
         return found.view("S8")[:, 0]
 
-    def read_floats(self, word_indices: Integers, what: str) -> Floats:
+    def read_floats(self, word_indices: Integers, noun: str) -> Floats:
         """Return the words at indices `word_indices` as numbers, in the same shape. Raises MeshError with the line of the first
         invalid number."""
         flat = word_indices.ravel()
@@ -154,10 +154,10 @@ class TextBlock:
                 raise ValueError  # a number that only Python accepts
             numbers = np.fromiter(map(float, chosen), np.float64, len(chosen))
         except ValueError:
-            numbers = np.array([self._read_number(word, int(k), what) for word, k in zip(chosen, flat.tolist(), strict=True)])
+            numbers = np.array([self._read_number(word, int(k), noun) for word, k in zip(chosen, flat.tolist(), strict=True)])
         return numbers.reshape(word_indices.shape)
 
-    def _read_number(self, word: bytes, word_index: int, what: str) -> float:
+    def _read_number(self, word: bytes, word_index: int, noun: str) -> float:
         try:
             if len(word) > _MAX_NUMBER_BYTES or b"_" in word:
                 raise ValueError
@@ -165,7 +165,7 @@ class TextBlock:
         except ValueError:
             decimal = re.fullmatch(rb"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?", word)
             help = f"write decimal points, such as `{format_word(word.replace(b',', b'.'))}`" if decimal else _EXPORT_AGAIN_HELP
-            words = f"has in line {self.find_line_number(word_index):,} `{format_word(word)}` for {what}, which is not a number"
+            words = f"has in line {self.find_line_number(word_index):,} `{format_word(word)}` for {noun}, which is not a number"
             raise MeshError(words, help) from None
 
     def find_line_number(self, word_index: int) -> int:

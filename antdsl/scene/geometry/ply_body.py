@@ -192,11 +192,11 @@ class _TextBody:
             self._check_lines(block, at == stop, what)
 
     @staticmethod
-    def _check_lines(block: TextBlock, is_valid: NDArray[np.bool_], what: str) -> None:
+    def _check_lines(block: TextBlock, is_valid: NDArray[np.bool_], noun: str) -> None:
         if not is_valid.all():
             k = int(np.flatnonzero(~is_valid)[0])
             text = format_word(b" ".join(block.line(k)[:6]))
-            raise HeaderError(f"has an incomplete {what} in line {block.number[k]:,}: `{text}`")
+            raise HeaderError(f"has an incomplete {noun} in line {block.number[k]:,}: `{text}`")
 
 
 def _join_columns(parts: list[PlyColumn]) -> PlyColumn:

@@ -241,8 +241,9 @@ def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> 
     return result
 
 
-def _find_corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
-    """Return the corners on the straight line from a to b that `needed` edges connect. Empty if these edges leave the line."""
+def _find_corner_chain(a: int, b: int, needed_edges: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
+    """Return the corners on the straight line from a to b that `needed_edges` edges connect. Empty if these edges leave the
+    line."""
     (ax, ay), (bx, by) = corners[a], corners[b]
     at = a
     chain: list[int] = []
@@ -250,7 +251,7 @@ def _find_corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: li
         x, y = corners[at]
         onward = [
             c
-            for c in sorted(needed.get(at, ()))
+            for c in sorted(needed_edges.get(at, ()))
             if c not in chain
             and c != a
             and (c != b or chain)

@@ -66,7 +66,7 @@ class _NoteCheck:
         for path, target in self._iterate_targets():
             if isinstance(target, FacingDirection) and not any(target.direction):
                 help = "write one that is not zero, such as `{direction: [0, 1, 0]}`"
-                self.report.error("wrong-value", "this is no direction", self.scene.span(*self.path, *path), help)
+                self.report.error("wrong-value", "this is not a direction", self.scene.span(*self.path, *path), help)
             if isinstance(target, AgentName) and (target.first is not None or target.name not in self.names.items):
                 problems += find_problems(target, with_items, *self.path, *path)
         for problem in problems:

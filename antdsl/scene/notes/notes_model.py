@@ -387,7 +387,7 @@ def _check_verb(value: Any) -> Any:
     if known is not None:
         raise make_error(f"`{verb}` comes before the verb of this note", f"write `{{{known}: {value[known]}, {verb}: …}}`")
     near, listed = find_nearest_name(str(verb), NOTE_MODELS), ", ".join(f"`{each}`" for each in NOTE_MODELS)
-    raise make_error(f"`{verb}` is no verb of a note", f"did you mean `{near}`?" if near else f"write one of {listed}")
+    raise make_error(f"`{verb}` is not a verb of notes", f"did you mean `{near}`?" if near else f"write one of {listed}")
 
 
 if TYPE_CHECKING:

@@ -56,7 +56,7 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
     mesh = staging.surfaces.get(thing.on) if thing.on is not None else None
     if mesh is None or thing.on is None:
         return track
-    moves, tall = staging.moves.get(thing.on), 1 if staging.scene.model.up == "y" else 2
+    moves, tall = staging.moves_by_mesh.get(thing.on), 1 if staging.scene.model.up == "y" else 2
     track = track.copy()
     for k, place in enumerate(track):
         frame_mesh = mesh if moves is None or k == 0 else stage_of.MeshData(moves.compute_vertices(mesh.vertices, k), mesh.faces)
@@ -88,7 +88,7 @@ def is_away_from_surfaces(placement: stage_of.PlacementData, things: SceneStagin
         return False
     grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}
     usual = things.surfaces if placement.is_by_area and things.surfaces else grounds
-    meshes = [grounds[name] for name in placement.on or usual if name in grounds]
+    meshes = [grounds[name] for name in placement.surfaces or usual if name in grounds]
     axes = (0, 1, 2) if placement.is_by_area else (0, 2) if up == "y" else (0, 1)
     return len(meshes) > 0 and not any(_is_in_reach(mesh, placement.disc_centre, placement.radius, axes) for mesh in meshes)
 

@@ -76,7 +76,7 @@ def weld_thing(
     """Return the mesh with its vertices welded, if the scene has `weld`. On an error, report it and return the mesh unchanged."""
     if isinstance(value, HeightThing) or value.weld is None:
         return mesh
-    if name in staging.moves:
+    if name in staging.moves_by_mesh:
         words, span = f"`{name}` moves, but only static meshes can be welded", staging.scene.span("world", name, "weld")
         staging.report.error("wrong-value", words, span, "delete `weld`, and weld it in the program that made the mesh")
         return mesh

@@ -71,7 +71,7 @@ def stage_placement(
         if points is not None:
             points = points * scene.model.unit_mm
     return stage_of.PlacementData(
-        on=(placement.on,) if placement.on is not None else (),
+        surfaces=(placement.on,) if placement.on is not None else (),
         disc_centre=stage_point(staging, item_points, placement.around, placement.radius, *path),
         ray_origin=stage_point(staging, item_points, placement.inside, None, *path, key="inside"),
         radius=convert_length(scene, placement.radius),
@@ -96,7 +96,7 @@ def _normalise_rows(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
     """Return the attributes of a species for which the points or empties of the file have values, by name."""
     declared = file.staging.program.species[species].attributes
-    own = {a.name: a.type.dimension for a in declared if a.type.kind is TypeKind.NUMBER and not a.each}
+    own = {a.name: a.type.dimension for a in declared if a.type.kind is TypeKind.NUMBER and not a.pair_species}
     own |= {a.name: Dimension() for a in declared if a.type.kind is TypeKind.BOOL}
     columns = {name: read_in_base_units(file, name, dim) for name, dim in own.items()}
     warn_misspelled_names(file, species, own)

@@ -68,7 +68,7 @@ def _stage_target(staging: SceneStaging, name: str, key: str, target: model.Targ
         return FlowTarget(points, np.zeros(len(points)), line=len(points) > 1)
     if target in staging.curves:
         points = staging.curves[target][0]
-        return FlowTarget(points, np.zeros(len(points)), line=True, of=target)
+        return FlowTarget(points, np.zeros(len(points)), line=True, name=target)
     of, which, target_items = target, None, items.get(target) or ()
     if not target_items:
         own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == target]
@@ -78,7 +78,7 @@ def _stage_target(staging: SceneStaging, name: str, key: str, target: model.Targ
         of, which = own[0]
         target_items = (items[of][which],)
     positions, radii = (np.array([getattr(i, key) for i in target_items], np.float64) for key in ("position", "radius"))
-    return FlowTarget(positions, radii, of=of, item_index=which)
+    return FlowTarget(positions, radii, name=of, item_index=which)
 
 
 def _report_no_target(staging: SceneStaging, name: str, key: str, target: str) -> None:

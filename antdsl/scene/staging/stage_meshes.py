@@ -52,7 +52,7 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
             rest, moves = moving
             mesh = make_limited_mesh(rest, mesh.faces)
             if moves is not None:
-                staging.moves[name] = moves
+                staging.moves_by_mesh[name] = moves
     except MeshError as error:
         report.error("bad-mesh", f"the mesh `{display_name}` {error}", span, error.help)
         return None

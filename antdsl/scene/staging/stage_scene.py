@@ -56,7 +56,7 @@ class SceneStaging:
     flows: dict[str, stage_of.FlowData] = field(default_factory=dict)
     maps: dict[str, stage_of.PaintedValues] = field(default_factory=dict)
     raw_meshes: dict[str, RawMesh] = field(default_factory=dict)  # meshes as in their files
-    moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
+    moves_by_mesh: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
     # mm, for height surfaces: the largest distance of triangles from bilinear patches
     deviations: dict[str, float] = field(default_factory=dict)
     closures: dict[str, Any] = field(default_factory=dict)  # collected USD files, by name
@@ -188,7 +188,7 @@ def build_setting(
         field_start=starts,
         motion=GeometryMoves(
             first=model.frames.first - model.preroll,
-            meshes={name: moves for name, moves in staging.moves.items() if name not in staging.solids},
+            meshes={name: moves for name, moves in staging.moves_by_mesh.items() if name not in staging.solids},
             items=staging.item_tracks,
             curves={name: positions for name, positions in staging.curves.items() if len(positions) > 1},
         ),

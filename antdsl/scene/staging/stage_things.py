@@ -333,7 +333,7 @@ def stage_usd_places(staging: SceneStaging, value: UsdPositions, *path: PathKey)
     return read_usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
 
 
-def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, point: stage_of.PointMm) -> Floats:
+def follow_surface(mesh: stage_of.MeshData, mesh_moves: MeshMoves, point: stage_of.PointMm) -> Floats:
     """Return the positions (frames, 3) of a point that is attached to its triangle on a moving surface."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -347,8 +347,8 @@ def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, point: stage_of.Po
     )
     face = int(off.argmin())
     positions = []
-    for k in range(moves.frames):
-        p = moves.compute_vertices(mesh.vertices, k)[mesh.faces[face]]
+    for k in range(mesh_moves.frames):
+        p = mesh_moves.compute_vertices(mesh.vertices, k)[mesh.faces[face]]
         positions.append(p[0] + w1[face] * (p[1] - p[0]) + w2[face] * (p[2] - p[0]))
     return np.array(positions)
 

@@ -166,7 +166,7 @@ def _make_column(
     machine, _, word = key.rpartition(".")
     if word == "state" and machine:
         value_name = "state" if machine == "main" else key
-        return FingerprintColumn(owner, value_name, 1, ids, values, ValueType(TypeKind.STATE, of=f"{owner}.{machine}"))
+        return FingerprintColumn(owner, value_name, 1, ids, values, ValueType(TypeKind.STATE, referent=f"{owner}.{machine}"))
     base, axis = (machine, f".{word}") if word in ("x", "y", "z") else (key, "")
     if base in type_by_attribute or base in BUILTIN_ATTRIBUTE_BY_NAME:
         type = type_by_attribute.get(base) or parse_type_words(BUILTIN_ATTRIBUTE_BY_NAME[base].type) or _PLAIN_NUMBER_TYPE

@@ -57,7 +57,7 @@ class BracketSlot:
 class BracketGroup:
     """`( … )` or `[ … ]`. `end_comments`: comments before its end."""
 
-    open: TokenLeaf
+    opening: TokenLeaf
     slots: list[BracketSlot]
     closing_leaf: TokenLeaf
     end_comments: list[n.Comment] = field(default_factory=list)
@@ -117,12 +117,12 @@ class BracketReader:
         return _measure_bracket(found), index + 1
 
     def place_comment(
-        self, comment: n.Comment, slots: list[BracketSlot], token: ScannedToken, remaining: list[n.Comment]
+        self, comment: n.Comment, slots: list[BracketSlot], token: ScannedToken, remaining_comments: list[n.Comment]
     ) -> None:
-        """Assign a comment before `token` to the slots so far, or to `remaining` if it comes after the last of them."""
+        """Assign a comment before `token` to the slots so far, or to `remaining_comments` if it comes after the last of them."""
         slot = slots[-1]
         assert self.last is not None
-        is_on_same_line = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not remaining
+        is_on_same_line = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not remaining_comments
         if not slot.nodes:
             previous_slot = slots[-2] if len(slots) > 1 else None
             if (
@@ -133,14 +133,14 @@ class BracketReader:
             ):
                 previous_slot.trailing_comment = comment
             elif token.kind == "close":
-                remaining.append(comment)
+                remaining_comments.append(comment)
             else:
                 slot.leading_comments.append(comment)
         elif token.kind == "close" or self.scan.clean_characters[token.start] == ",":
             if is_on_same_line and slot.trailing_comment is None:
                 slot.trailing_comment = comment
             else:
-                remaining.append(comment)
+                remaining_comments.append(comment)
         else:
             slot.inner_comments.append((len(slot.nodes), comment, is_on_same_line))
 
@@ -250,6 +250,6 @@ def _measure_bracket(bracket: BracketGroup) -> BracketGroup:
     """Record a bracket's flat text and whether it must be broken, so that no later call descends into it again."""
     bracket.is_forced_open = bool(bracket.end_comments) or any(slot.is_broken for slot in bracket.slots)
     bracket.flat_text = (
-        bracket.open.flat_text + " ".join(slot.flat_text for slot in bracket.slots) + bracket.closing_leaf.flat_text
+        bracket.opening.flat_text + " ".join(slot.flat_text for slot in bracket.slots) + bracket.closing_leaf.flat_text
     )
     return bracket

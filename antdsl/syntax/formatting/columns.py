@@ -131,5 +131,9 @@ def _compute_next_column(texts: Sequence[str], gap: int) -> int:
     return max((len(text) + gap for text in texts if len(text) <= MAX_ALIGNED_CHARACTERS), default=0)
 
 
-def _pad_text(text: str, column: int, following: str, gap: int) -> str:
-    return (text + " " * gap).ljust(column) + following if len(text) <= MAX_ALIGNED_CHARACTERS else text + " " * gap + following
+def _pad_text(text: str, column: int, following_text: str, gap: int) -> str:
+    return (
+        (text + " " * gap).ljust(column) + following_text
+        if len(text) <= MAX_ALIGNED_CHARACTERS
+        else text + " " * gap + following_text
+    )

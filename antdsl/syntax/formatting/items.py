@@ -172,7 +172,7 @@ class _ItemReader:
         inner = (
             "weight" if group.is_choice else BODY_RULE_BY_LINE.get((rule, first_word)) or BODY_RULE_BY_LINE.get((rule, "*")) or ""
         )
-        start, end = group.open.end, group.closing_brace.start
+        start, end = group.opening.end, group.closing_brace.start
         head = None
         comments = self.scan.comments
         limit = group.lines[0].start if group.lines else end
@@ -194,6 +194,6 @@ class _ItemReader:
                 return False
         if opening_comment is not None:
             return False
-        ends = [group.open.end, *(line.end for line in group.lines)]
+        ends = [group.opening.end, *(line.end for line in group.lines)]
         starts = [*(line.start for line in group.lines), group.closing_brace.start]
         return not any(self.count_line_ends(end, start) for end, start in zip(ends, starts, strict=True))

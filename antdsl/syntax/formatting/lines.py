@@ -100,7 +100,7 @@ def _compute_required_width(parts: Sequence[LayoutPart], start: int, suffix: int
     count = len(_format_flat([parts[start]]))
     for part in parts[start + 1 :]:
         if isinstance(part, BracketGroup):
-            return count + len(part.open.flat_text)
+            return count + len(part.opening.flat_text)
         if not (part is parts[-1] and isinstance(part, TokenLeaf) and part.kind == "text"):
             count += len(_format_flat([part]))
     return count + suffix
@@ -110,7 +110,7 @@ def _format_bracket(bracket: BracketGroup, indent: int) -> list[str]:
     """Return a bracket with each slot on separate lines."""
     if not bracket.slots and not bracket.end_comments:
         return [bracket.flat_text]
-    lines = [bracket.open.flat_text]
+    lines = [bracket.opening.flat_text]
     for slot in bracket.slots:
         lines += _format_slot(
             slot,

@@ -37,7 +37,7 @@ def read_clips(
     """
     animations = file.get_top_list("animations")
     if len(animations) > limits.MAX_BODY_PARTS:
-        raise BodyError(f"has {len(animations):,} animations, more than are read", code="too-large")
+        raise BodyError(f"has {len(animations):,} animations, more than the limit", code="too-large")
     clips: dict[str, Clip] = {}
     left = limits.MAX_CLIP_BYTES
     for number, animation in enumerate(animations):
@@ -84,7 +84,7 @@ def _read_clip(
     if not moved and not shares:
         return None, 0
     if seconds * rate > limits.MAX_CLIP_SAMPLES:
-        raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
+        raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than the limit", code="too-large")
     extras = animation.get("extras")
     own = extras.get(EXTRAS_KEY) if isinstance(extras, dict) else None
     settings = None if own is None else read_settings(own, "extras", name)

@@ -47,11 +47,11 @@ class GltfBody:
         self.textures = Textures(self.file)
 
 
-def make_unused_name(name: str, taken: Iterable[str]) -> str:
-    """Return a name that is not in `taken`: the name itself, or the name with the first free number appended."""
-    taken = taken if isinstance(taken, set | dict) else set(taken)
+def make_unused_name(name: str, used_names: Iterable[str]) -> str:
+    """Return a name that is not in `used_names`: the name itself, or the name with the first free number appended."""
+    used_names = used_names if isinstance(used_names, set | dict) else set(used_names)
     candidate, count = name, 2
-    while candidate in taken:
+    while candidate in used_names:
         candidate, count = f"{name}_{count}", count + 1
     return candidate
 
@@ -60,10 +60,10 @@ def make_unused_name(name: str, taken: Iterable[str]) -> str:
 class _MeshPieces:
     """The primitives of a mesh in sequence. Primitives with identical points store them once.
 
-    `of`: for each primitive, the index of its points."""
+    `point_indices`: for each primitive, the index of its points."""
 
-    known: dict[str, int] = field(default_factory=dict)
-    of: list[int] = field(default_factory=list)
+    index_by_points: dict[str, int] = field(default_factory=dict)
+    point_indices: list[int] = field(default_factory=list)
     point_sets: list[Floats] = field(default_factory=list)
     faces: list[NDArray[np.int64]] = field(default_factory=list)
     normals: list[Floats | None] = field(default_factory=list)
@@ -86,7 +86,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
         return False
     counts = [len(points) for points in pieces.point_sets]
     starts = np.cumsum([0, *counts[:-1]])
-    faces = np.concatenate([f + starts[of] for f, of in zip(pieces.faces, pieces.of, strict=True)]).astype(np.int32)
+    faces = np.concatenate([f + starts[of] for f, of in zip(pieces.faces, pieces.point_indices, strict=True)]).astype(np.int32)
     points = np.concatenate(pieces.point_sets).astype(np.float32)
     with_normals = all(each is not None for each in pieces.normals)
     normals = None
@@ -129,8 +129,10 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
         return
     shared = repr((sorted(map(str, attributes.items())), file.get_list(primitive, "targets")))
     points = file.read_accessor(attributes["POSITION"], 3).astype(np.float64)
-    if shared in pieces.known:
-        _read_faces(body, pieces, primitive, make_primitive_triangles(file, primitive, len(points))[0], pieces.known[shared])
+    if shared in pieces.index_by_points:
+        _read_faces(
+            body, pieces, primitive, make_primitive_triangles(file, primitive, len(points))[0], pieces.index_by_points[shared]
+        )
         return
     body.point_count += len(points) * (1 + len(file.get_list(primitive, "targets")))
     if body.point_count > limits.MAX_BODY_POINTS:
@@ -141,7 +143,7 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
         body, pieces, primitive, make_primitive_triangles(file, primitive, len(points))[0], len(pieces.point_sets)
     ):
         return
-    pieces.known[shared] = len(pieces.point_sets)
+    pieces.index_by_points[shared] = len(pieces.point_sets)
 
     def of_points(key: str, width: int) -> Floats | None:
         if key not in attributes:
@@ -192,7 +194,7 @@ def _point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> ND
         vertex_colours, uvs = pieces.colours[number], pieces.uvs[number]
         own = np.ones((count, 3)) if vertex_colours is None else vertex_colours
         is_coloured = is_coloured or vertex_colours is not None
-        material = next((m for m, of in zip(pieces.material, pieces.of, strict=True) if of == number), None)
+        material = next((m for m, of in zip(pieces.material, pieces.point_indices, strict=True) if of == number), None)
         pbr = {} if material is None else file.get_object(known[material], "pbrMetallicRoughness")
         if material is not None and "baseColorTexture" in pbr:
             name = file.name(known[material], f"material{material}")
@@ -202,7 +204,7 @@ def _point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> ND
                 own = own * body.textures.colours(file.get_object(pbr, "baseColorTexture"), uvs)
                 is_coloured = True
             except (TextureError, GltfError) as error:
-                body.omissions[f"the texture of `{name}` is not read, its base colour is: {error}"] = None
+                body.omissions[f"the texture of `{name}` is not read, only its base colour: {error}"] = None
         colours.append(own)
     return np.concatenate(colours).astype(np.float32) if is_coloured else None
 
@@ -212,7 +214,7 @@ def _read_faces(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
     triangles."""
     if len(faces):
         pieces.faces.append(faces)
-        pieces.of.append(point_set)
+        pieces.point_indices.append(point_set)
         pieces.material.append(body.file.get_index(primitive, "material", len(body.file.get_top_list("materials"))))
     return len(faces) > 0
 

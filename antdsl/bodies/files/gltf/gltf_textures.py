@@ -73,7 +73,7 @@ class Textures:
             except ImageError as error:
                 raise TextureError(f"its image {error}") from None
             if image.samples is None:
-                raise TextureError(f"its image has {image.rows * image.columns:,} pixels, more than are read")
+                raise TextureError(f"its image has {image.rows * image.columns:,} pixels, more than the limit")
             self._left -= image.rows * image.columns
             self._images[number] = image.samples
         return self._images[number]

@@ -193,8 +193,8 @@ class ShapeParts:
         """Return the largest distance of the points that follow each of some `joints` from it, offsets of targets included."""
         capture, shape = self.shape.capture, self.shape
         assert capture is not None
-        at = np.einsum("pkij,pj->pki", capture.inverse[capture.joints][..., :3, :3], shape.points.astype(np.float64))
-        at += capture.inverse[capture.joints][..., :3, 3]
+        at = np.einsum("pkij,pj->pki", capture.inverse_matrices[capture.joints][..., :3, :3], shape.points.astype(np.float64))
+        at += capture.inverse_matrices[capture.joints][..., :3, 3]
         distances = np.where(capture.weights > 0, np.sqrt((at**2).sum(axis=2)) + self._measure_offsets(), 0.0)
         captured = np.zeros(len(capture.names))
         np.maximum.at(captured, capture.joints, distances)
@@ -223,7 +223,7 @@ class ShapeParts:
         name."""
         capture = self.shape.capture
         assert capture is not None
-        inverse = self.writer.add_accessor(capture.inverse.transpose(0, 2, 1).reshape(-1, 16))
+        inverse = self.writer.add_accessor(capture.inverse_matrices.transpose(0, 2, 1).reshape(-1, 16))
         joints = [nodes[name] for name in capture.names]
         return self.writer.add_part("skins", {"joints": joints, "inverseBindMatrices": inverse, "skeleton": top})
 

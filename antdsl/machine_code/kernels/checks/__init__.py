@@ -64,26 +64,26 @@ class CheckRenderer:
         self._messages: list[str] = []
         self._numbers = 0
 
-    def lines(self, function: IrFunction, each: Instruction) -> list[str]:
+    def lines(self, function: IrFunction, instruction: Instruction) -> list[str]:
         """Return the lines of a check, and of the return from the function if the check fails."""
-        self._messages.append(check_message(function.file, each.line, each.op))
+        self._messages.append(check_message(function.file, instruction.line, instruction.op))
         self._numbers += 1
         lines, fine = [], f"%c{self._numbers}"
-        first, *others = each.operands
-        if each.op == "divisor" and not first.wide:
+        first, *others = instruction.operands
+        if instruction.op == "divisor" and not first.wide:
             lines.append(f"  {fine} = icmp ne {first.typed}, 0")
-        elif each.op == "divisor":
+        elif instruction.op == "divisor":
             lines.append(f"  {fine}.each = icmp ne {first.typed}, zeroinitializer")
             lines.append(f"  {fine} = call i1 @check.all({_MASK_TYPE} {fine}.each, {_mask(others)})")
         elif first.wide:
-            passed = f"{first.typed}, {others[0].typed}, i64 {each.immediate}, {_mask(others[1:])}"
+            passed = f"{first.typed}, {others[0].typed}, i64 {instruction.immediate}, {_mask(others[1:])}"
             lines.append(f"  {fine} = call i1 @check.indices({passed})")
         else:
             length = others[0].name
-            for k, other in enumerate(others[1:] if each.op == "span" else ()):
+            for k, other in enumerate(others[1:] if instruction.op == "span" else ()):
                 lines.append(f"  {fine}.of{k} = mul i64 {length}, {other.name}")
                 length = f"{fine}.of{k}"
-            lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {each.immediate})")
+            lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {instruction.immediate})")
         return [*lines, *self._return_lines(function, fine, f"  store i64 {len(self._messages)}, ptr @{_FAULT_VARIABLE}")]
 
     def render_call_check(self, function: IrFunction) -> list[str]:

@@ -106,25 +106,25 @@ def make_builtin(
     )  # keeps these objects alive with the built-in function
 
 
-def _pack_argument(each: ArgumentSpec) -> bytes:
+def _pack_argument(argument: ArgumentSpec) -> bytes:
     """Return the words that describe how to read an argument."""
-    depth, index = len(each.path) - 1, each.path[-1]
-    if each.count is not None:
-        return struct.pack(f"={reading.WORDS_PER_ARGUMENT}q", reading.TUPLE_ARGUMENT, depth, index, 0, each.count, 0, 0, 0)
-    if each.dtype is None:
+    depth, index = len(argument.path) - 1, argument.path[-1]
+    if argument.count is not None:
+        return struct.pack(f"={reading.WORDS_PER_ARGUMENT}q", reading.TUPLE_ARGUMENT, depth, index, 0, argument.count, 0, 0, 0)
+    if argument.dtype is None:
         return struct.pack(
-            f"={reading.WORDS_PER_ARGUMENT}q", reading.NUMBER_ARGUMENT, depth, index, each.word_index, each.kind, 0, 0, 0
+            f"={reading.WORDS_PER_ARGUMENT}q", reading.NUMBER_ARGUMENT, depth, index, argument.word_index, argument.kind, 0, 0, 0
         )
-    flags = _ALIGNED_FLAG | (0 if each.is_strided else _CONTIGUOUS_FLAG) | (_WRITEABLE_FLAG if each.is_written else 0)
-    size = each.dtype.itemsize if each.is_strided else 0
+    flags = _ALIGNED_FLAG | (0 if argument.is_strided else _CONTIGUOUS_FLAG) | (_WRITEABLE_FLAG if argument.is_written else 0)
+    size = argument.dtype.itemsize if argument.is_strided else 0
     return struct.pack(
         f"={reading.WORDS_PER_ARGUMENT}q",
         reading.ARRAY_ARGUMENT,
         depth,
         index,
-        each.word_index,
-        id(each.dtype),
-        each.axes,
+        argument.word_index,
+        id(argument.dtype),
+        argument.axes,
         flags,
         size,
     )

@@ -94,10 +94,12 @@ class MirrorLayer(EditLayer):
     def _pair_legs(self, key: str) -> NDArray[np.intp]:
         """Return for each leg of a body the leg on the other side."""
         number = next(k for k, entry in enumerate(self.manifest.species) if entry.name == species_of_key(key))
-        body = self._bodies.body(number, which=number_of_key(key))
+        body = self._bodies.body(number, body_index=number_of_key(key))
         feet = [body.definition.rig.joint(leg.foot) for leg in body.definition.legs]
         poses = body.compute_poses((), 1)
-        feet_rest = np.asarray(poses.world[0, feet, :, 3], np.float64) @ body.definition.compute_base_matrix()[:3, :3].T
+        feet_rest = (
+            np.asarray(poses.world_transforms[0, feet, :, 3], np.float64) @ body.definition.compute_base_matrix()[:3, :3].T
+        )
         square = ((feet_rest[:, None] - feet_rest[None] * _LOCAL_SIGN) ** 2).sum(axis=2)
         pairs: NDArray[np.intp] = square.argmin(axis=1)
         return pairs

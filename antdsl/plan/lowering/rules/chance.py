@@ -46,7 +46,7 @@ def _lower_random_agent(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     assert e.args[0] is not None
     of = lower_expression(w, e.args[0])
     if not isinstance(of, NamedThing) or not e.site:
-        raise PlanError(f"random of no species: {e.span.text!r}")
+        raise PlanError(f"random without a species: {e.span.text!r}")
     return EntityRef(model.TypeKind.AGENT, of.name, w.b("draw.agent", attrs=(e.site, of.name)))
 
 

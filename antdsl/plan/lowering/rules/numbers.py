@@ -116,7 +116,7 @@ def _lower_mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         return values.zip_with(lambda p, q: _interpolate(w, p, q, t), first, second)
     if isinstance(first, PlanNode) and isinstance(second, PlanNode):
         return _interpolate(w, first, second, t)
-    raise PlanError("mix of two unlike values")
+    raise PlanError("mix of two values of different types")
 
 
 def _lower_rising(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
@@ -189,7 +189,7 @@ def _lower_angle(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 def _lower_unit_direction(w: PlanWriter, e: model.Expr) -> VectorNodes:
     """Return a direction of length 1. `up` and `heading` already have this length."""
-    if isinstance(e, model.AttributeRef) and e.of is None and e.name in ("up", "heading"):
+    if isinstance(e, model.AttributeRef) and e.owner is None and e.name in ("up", "heading"):
         return lower_vector(w, e)
     return values.normalise(w.b, lower_vector(w, e))
 

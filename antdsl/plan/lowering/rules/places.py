@@ -86,11 +86,11 @@ def _find_nearest_member(w: PlanWriter, value: LoweredValue) -> LoweredValue:
 def _read_ref_position(w: PlanWriter, ref: EntityRef) -> tuple[PlanNode, VectorNodes]:
     b = w.b
     if ref.kind is model.TypeKind.ITEM:
-        is_present = b("item.alive", ref.node, attrs=(ref.of,))
-        return is_present, VectorNodes(*(b("item.get", ref.node, attrs=(ref.of, axis), kind=ValueKind.F32) for axis in AXES))
-    is_present = b("agent.alive", ref.node, attrs=(ref.of,))
+        is_present = b("item.alive", ref.node, attrs=(ref.owner,))
+        return is_present, VectorNodes(*(b("item.get", ref.node, attrs=(ref.owner, axis), kind=ValueKind.F32) for axis in AXES))
+    is_present = b("agent.alive", ref.node, attrs=(ref.owner,))
     return is_present, VectorNodes(
-        *(b("agent.get", ref.node, attrs=(ref.of, f"position.{axis}"), kind=ValueKind.F32) for axis in AXES)
+        *(b("agent.get", ref.node, attrs=(ref.owner, f"position.{axis}"), kind=ValueKind.F32) for axis in AXES)
     )
 
 
@@ -148,7 +148,7 @@ def _lower_velocity(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     value = _find_nearest_member(w, value)
     if isinstance(value, EntityRef) and value.kind is model.TypeKind.AGENT:
         return VectorNodes(
-            *(w.b("agent.get", value.node, attrs=(value.of, f"velocity.{axis}"), kind=ValueKind.F32) for axis in AXES)
+            *(w.b("agent.get", value.node, attrs=(value.owner, f"velocity.{axis}"), kind=ValueKind.F32) for axis in AXES)
         )
     if isinstance(value, SetElement) and value.kind is model.TypeKind.AGENT:
         return VectorNodes(*(w.b("other", attrs=(f"velocity.{axis}",), kind=ValueKind.F32) for axis in AXES))
@@ -176,7 +176,7 @@ def _lower_touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         radius = b("add", b("other", attrs=("radius",), kind=ValueKind.F32), radius)
     if isinstance(value, EntityRef):
         op = "item.get" if value.kind is model.TypeKind.ITEM else "agent.get"
-        radius = b("add", b(op, value.node, attrs=(value.of, "radius"), kind=ValueKind.F32), radius)
+        radius = b("add", b(op, value.node, attrs=(value.owner, "radius"), kind=ValueKind.F32), radius)
     return b("le", compute_distance(w, value, expr), radius)
 
 

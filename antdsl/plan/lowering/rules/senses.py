@@ -31,9 +31,9 @@ def _make_sense_rule(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter,
     first, size = sense.find_result_index(word.part)
 
     def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-        rest = e.args[1:] if sense.of else e.args
+        rest = e.args[1:] if sense.thing_kind else e.args
         operands = [node for arg in rest if arg is not None for node in _list_operands(lower_expression(w, arg), arg)]
-        sense_node = w.b(sense.op, *operands, attrs=(_get_thing_name(w, e),) if sense.of else ())
+        sense_node = w.b(sense.op, *operands, attrs=(_get_thing_name(w, e),) if sense.thing_kind else ())
         if len(sense.kinds) == 1:
             return sense_node
         components = [w.b("get", sense_node, attrs=(first + i,)) for i in range(size)]

@@ -14,9 +14,9 @@ class CheckContext:
     """The input of a check: a program, the uses of its names, and its files."""
 
     program: Program
-    declared: Declarations
+    declarations: Declarations
     files: Sequence[FileNames]
 
     def is_used(self, kind: str, name: str) -> bool:
         """Return whether the program uses a name of a kind, such as `param`."""
-        return (kind, name) in self.declared.used_names
+        return (kind, name) in self.declarations.used_names

@@ -54,40 +54,41 @@ UNREADABLE_CONDITION_ERRORS = (TooManyCases, RecursionError)
 
 @dataclass(slots=True)
 class ConditionReader:
-    """Reads the conditions of one species. `known`: by the key of an expression, a range that always contains its number."""
+    """Reads the conditions of one species. `range_by_key`: by the key of an expression, a range that always contains its
+    number."""
 
     params: Mapping[str, Param]
-    known: dict[str, Interval] = field(default_factory=dict)
+    range_by_key: dict[str, Interval] = field(default_factory=dict)
     key_by_id: dict[int, str] = field(default_factory=dict)
     retained_parts: list[object] = field(default_factory=list)  # keeps objects alive, because `keys` contains their ids
     # A let may be used in many places and may use other lets, so each is analysed only once.
     range_by_id: dict[int, Interval] = field(default_factory=dict)
     cached_cases: dict[tuple[int, bool], ConditionCases] = field(default_factory=dict)
 
-    def read_cases(self, test: Expr | None, holds: bool = True) -> ConditionCases:
-        """Return the cases in which a condition is true, or the cases in which it is false if `holds` is False.
+    def read_cases(self, test: Expr | None, is_true: bool = True) -> ConditionCases:
+        """Return the cases in which a condition is true, or the cases in which it is false if `is_true` is False.
 
         Raises TooManyCases."""
         if test is None:
-            return [ConditionCase()] if holds else []
+            return [ConditionCase()] if is_true else []
         if isinstance(test, BindingRef) and test.binding.role in ("let", "argument") and test.binding.value is not None:
-            found = self.cached_cases.get((id(test.binding), holds))
+            found = self.cached_cases.get((id(test.binding), is_true))
             if found is None:
-                found = self.cached_cases[id(test.binding), holds] = self.read_cases(test.binding.value, holds)
+                found = self.cached_cases[id(test.binding), is_true] = self.read_cases(test.binding.value, is_true)
             return found
         if isinstance(test, Constant):
-            return [ConditionCase()] if (test.number != 0) == holds else []
+            return [ConditionCase()] if (test.number != 0) == is_true else []
         if isinstance(test, OperationExpr) and test.type.kind is TypeKind.BOOL:
             if test.name == "not":
-                return self.read_cases(test.args[0], not holds)
+                return self.read_cases(test.args[0], not is_true)
             if test.name in ("and", "or"):
-                left, right = (self.read_cases(arg, holds) for arg in test.args)
-                return _combine_cases(left, right) if (test.name == "and") == holds else _check_case_count(left + right)
+                left, right = (self.read_cases(arg, is_true) for arg in test.args)
+                return _combine_cases(left, right) if (test.name == "and") == is_true else _check_case_count(left + right)
             if test.name in _SWAPPED_COMPARISONS:
-                return self._read_comparison(test, test.name if holds else _NEGATED_COMPARISONS[test.name])
+                return self._read_comparison(test, test.name if is_true else _NEGATED_COMPARISONS[test.name])
             if test.name == "is_some":
-                return [ConditionCase(truth_by_test={f"is_none({self.make_key(test.args[0])})": not holds})]
-        return [ConditionCase(truth_by_test={self.make_key(test): holds})]
+                return [ConditionCase(truth_by_test={f"is_none({self.make_key(test.args[0])})": not is_true})]
+        return [ConditionCase(truth_by_test={self.make_key(test): is_true})]
 
     def _read_comparison(self, test: OperationExpr, name: str) -> ConditionCases:
         left, right = test.args
@@ -107,15 +108,15 @@ class ConditionReader:
         subject, edge, name = _isolate_variable(left, edge, name)
         return self._compare_with_edge(self.make_key(subject), compute_range(subject, self.params, self.range_by_id), edge, name)
 
-    def _compare_with_edge(self, key: str, known: Interval, limit: float, name: str) -> ConditionCases:
-        if not (math.isnan(known.low) or math.isnan(known.high)):
-            self.known[key] = known
+    def _compare_with_edge(self, key: str, known_range: Interval, limit: float, name: str) -> ConditionCases:
+        if not (math.isnan(known_range.low) or math.isnan(known_range.high)):
+            self.range_by_key[key] = known_range
         below, above = Interval(high=limit, is_high_open=True), Interval(low=limit, is_low_open=True)
         alternatives = {
             "lt": (below,), "gt": (above,), "eq": (Interval(limit, limit),), "ne": (below, above),
             "le": (Interval(high=limit),), "ge": (Interval(low=limit),),
         }[name]  # fmt: skip
-        intervals = [interval.intersect(self.known.get(key, Interval())) for interval in alternatives]
+        intervals = [interval.intersect(self.range_by_key.get(key, Interval())) for interval in alternatives]
         return [ConditionCase(intervals={key: interval}) for interval in intervals if not interval.is_empty]
 
     def make_key(self, part: object) -> str:

@@ -33,13 +33,13 @@ class StepInfluence(IntEnum):
 @dataclass(frozen=True, slots=True)
 class ShortStepValue:
     """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; if `power` is above 0, it vanishes.
-    - `to`: the limit, if it is known. `changers`: the first two operations that change the previous value.
+    - `limit`: the limit, if it is known. `changers`: the first two operations that change the previous value.
     - `deviation_power`: the deviation from the limit or previous value goes with `dt ** off`; infinite if `dt` has no influence.
     - `cause`: the operation that causes the deviation, or in which the value vanishes."""
 
     influence: StepInfluence = StepInfluence.NONE
     power: float = 0.0
-    to: float | None = None
+    limit: float | None = None
     deviation_power: float = math.inf
     changers: tuple[Expr, ...] = ()
     cause: Expr | None = None
@@ -87,7 +87,7 @@ def depends_on_step(value: Expr) -> bool:
 
 def is_own_value(part: Expr, own_value: OwnValue) -> bool:
     if isinstance(own_value, str):
-        return isinstance(part, AttributeRef) and part.of is None and part.name == own_value
+        return isinstance(part, AttributeRef) and part.owner is None and part.name == own_value
     return isinstance(part, BindingRef) and part.binding is own_value
 
 
@@ -165,14 +165,14 @@ def _analyse_constant(part: Constant) -> ShortStepValue:
         return _make_vanishing_value(math.inf)
     if part.step:
         return _make_vanishing_value(part.step) if part.step > 0 else ShortStepValue(power=part.step)
-    return ShortStepValue(to=None if part.unit_power else part.number)
+    return ShortStepValue(limit=None if part.unit_power else part.number)
 
 
 # --- one operation ---------------------------------------------------------------------------------------------------
 
 
-def _make_vanishing_value(power: float, how: StepInfluence = StepInfluence.NONE, cause: Expr | None = None) -> ShortStepValue:
-    return ShortStepValue(how, power, 0.0, power, cause=cause)
+def _make_vanishing_value(power: float, kind: StepInfluence = StepInfluence.NONE, cause: Expr | None = None) -> ShortStepValue:
+    return ShortStepValue(kind, power, 0.0, power, cause=cause)
 
 
 def _collect_changers(operands: Iterable[ShortStepValue], *extra: Expr) -> tuple[Expr, ...]:
@@ -184,10 +184,10 @@ def _make_changed_value(op: Expr, operands: OperandValues) -> ShortStepValue:
     return ShortStepValue(StepInfluence.CHANGED, power, changers=_collect_changers(operands, op))
 
 
-def _make_offset_value(own: ShortStepValue, deviation_power: float, cause: Expr | None) -> ShortStepValue:
+def _make_offset_value(previous_value: ShortStepValue, deviation_power: float, cause: Expr | None) -> ShortStepValue:
     """Return the previous value with an added deviation proportional to `dt ** off`."""
-    is_greater = own.influence is StepInfluence.SAME and deviation_power < own.deviation_power
-    return replace(own, deviation_power=deviation_power, cause=cause) if is_greater else own
+    is_greater = previous_value.influence is StepInfluence.SAME and deviation_power < previous_value.deviation_power
+    return replace(previous_value, deviation_power=deviation_power, cause=cause) if is_greater else previous_value
 
 
 def _find_strongest_influence(operands: OperandValues) -> StepInfluence:
@@ -213,10 +213,10 @@ def _analyse_sum(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
             return _make_changed_value(op, operands)
         return _make_offset_value(own, other.power, op)
     off = min(a.deviation_power, b.deviation_power)
-    to = None if a.to is None or b.to is None else a.to - b.to if op.name == "sub" else a.to + b.to
+    to = None if a.limit is None or b.limit is None else a.limit - b.limit if op.name == "sub" else a.limit + b.limit
     if _is_near(to, 0):
         return _make_vanishing_value(off, own.influence, own.cause)
-    return ShortStepValue(power=min(a.power, b.power, 0.0), to=to, deviation_power=off)
+    return ShortStepValue(power=min(a.power, b.power, 0.0), limit=to, deviation_power=off)
 
 
 def _analyse_product(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
@@ -229,9 +229,9 @@ def _analyse_product(op: OperationExpr, operands: OperandValues) -> ShortStepVal
         cause = op if own.influence >= StepInfluence.SAME else own.cause
         return _make_vanishing_value(power, min(own.influence, StepInfluence.VANISHING), cause)
     if own.influence is StepInfluence.NONE:
-        to = a.to * b.to if a.to is not None and b.to is not None and power == 0 else None
-        return ShortStepValue(power=power, to=to, deviation_power=min(a.deviation_power, b.deviation_power))
-    if own.influence >= StepInfluence.SAME and other.influence is StepInfluence.NONE and _is_near(other.to, 1):
+        to = a.limit * b.limit if a.limit is not None and b.limit is not None and power == 0 else None
+        return ShortStepValue(power=power, limit=to, deviation_power=min(a.deviation_power, b.deviation_power))
+    if own.influence >= StepInfluence.SAME and other.influence is StepInfluence.NONE and _is_near(other.limit, 1):
         return _make_offset_value(own, other.deviation_power, op)
     return replace(_make_changed_value(op, operands), power=power)
 
@@ -242,7 +242,7 @@ def _analyse_quotient(op: OperationExpr, operands: OperandValues) -> ShortStepVa
         return _analyse_product(op, (a, b if b.influence is StepInfluence.UNSURE else _make_changed_value(op, (b,))))
     if b.power == math.inf:
         return _UNSURE_VALUE
-    to, off = (1 / b.to, b.deviation_power) if b.to else (None, math.inf)
+    to, off = (1 / b.limit, b.deviation_power) if b.limit else (None, math.inf)
     inverse = ShortStepValue(b.influence, -b.power, to, off, cause=b.cause)
     return _analyse_product(op, (a, inverse))
 
@@ -250,7 +250,7 @@ def _analyse_quotient(op: OperationExpr, operands: OperandValues) -> ShortStepVa
 def _analyse_negative(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
     a = operands[0]
     if a.influence is StepInfluence.UNSURE or a.influence <= StepInfluence.VANISHING:
-        return replace(a, to=None if a.to is None else -a.to)
+        return replace(a, limit=None if a.limit is None else -a.limit)
     return _make_changed_value(op, operands)
 
 
@@ -259,18 +259,18 @@ def _analyse_power(op: OperationExpr, operands: OperandValues) -> ShortStepValue
     if StepInfluence.UNSURE in (a.influence, b.influence) or b.influence is StepInfluence.VANISHING:
         return _UNSURE_VALUE
     if b.influence > StepInfluence.VANISHING or a.influence > StepInfluence.VANISHING:
-        if a.influence is StepInfluence.SAME and _is_near(b.to, 1):
+        if a.influence is StepInfluence.SAME and _is_near(b.limit, 1):
             return a if b.deviation_power == math.inf else _UNSURE_VALUE
         return _UNSURE_VALUE if b.depends_on_dt else _make_changed_value(op, operands)
-    if b.to is None:
+    if b.limit is None:
         return _UNSURE_VALUE if a.depends_on_dt or b.depends_on_dt else ShortStepValue()
     if b.is_vanishing:
-        return ShortStepValue(to=1.0, deviation_power=b.deviation_power) if a.power == 0 else _UNSURE_VALUE
+        return ShortStepValue(limit=1.0, deviation_power=b.deviation_power) if a.power == 0 else _UNSURE_VALUE
     if a.power and not b.depends_on_dt:
-        power = a.power * b.to
+        power = a.power * b.limit
         return _make_vanishing_value(power, a.influence, a.cause) if power > 0 else ShortStepValue(power=power)
-    to = None if a.to is None else _evaluate(lambda x: x ** (b.to or 0.0), a.to)
-    return ShortStepValue(to=to, deviation_power=min(a.deviation_power, b.deviation_power))
+    to = None if a.limit is None else _evaluate(lambda x: x ** (b.limit or 0.0), a.limit)
+    return ShortStepValue(limit=to, deviation_power=min(a.deviation_power, b.deviation_power))
 
 
 def _evaluate(function: Callable[[float], float], argument: float) -> float | None:
@@ -282,15 +282,15 @@ def _evaluate(function: Callable[[float], float], argument: float) -> float | No
 
 
 def _make_function_rule(function: Callable[[float], float]) -> Callable[[OperationExpr, OperandValues], ShortStepValue]:
-    def rule(op: OperationExpr, below: OperandValues) -> ShortStepValue:
-        a = below[0]
+    def rule(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+        a = operands[0]
         if a.influence > StepInfluence.VANISHING:
-            return _UNSURE_VALUE if a.influence is StepInfluence.UNSURE else _make_changed_value(op, below)
+            return _UNSURE_VALUE if a.influence is StepInfluence.UNSURE else _make_changed_value(op, operands)
         if a.power < 0:
             return _UNSURE_VALUE
-        to = None if a.to is None else _evaluate(function, a.to)
-        off = a.deviation_power
-        return _make_vanishing_value(off, a.influence, a.cause) if _is_near(to, 0) else ShortStepValue(to=to, deviation_power=off)
+        limit = None if a.limit is None else _evaluate(function, a.limit)
+        vanishing = _make_vanishing_value(a.deviation_power, a.influence, a.cause)
+        return vanishing if _is_near(limit, 0) else ShortStepValue(limit=limit, deviation_power=a.deviation_power)
 
     return rule
 
@@ -300,7 +300,7 @@ def _analyse_mix(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
     if share.influence is StepInfluence.UNSURE:
         return _UNSURE_VALUE
     for side, end in ((a, 0), (b, 1)):
-        if share.influence <= StepInfluence.VANISHING and _is_near(share.to, end):
+        if share.influence <= StepInfluence.VANISHING and _is_near(share.limit, end):
             if side.influence is StepInfluence.NONE:
                 power = min(side.power, share.deviation_power) if side.power else 0.0
                 return replace(side, deviation_power=min(side.deviation_power, share.deviation_power), power=power)
@@ -340,20 +340,20 @@ def _analyse_pass_through(op: OperationExpr, operands: OperandValues) -> ShortSt
     if influence is StepInfluence.CHANGED:
         return replace(next(each for each in operands if each.influence is influence), changers=_collect_changers(operands))
     if influence is StepInfluence.SAME:
-        return min((each for each in operands if each.influence is influence), key=lambda each: each.deviation_power)
+        return min((each for each in operands if each.influence is influence), key=lambda operand: operand.deviation_power)
     return _analyse_unknown(op, operands)
 
 
 def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
     """Analyse `min`, `max` and `clamp`. If all operands are known numbers, the result is known."""
-    tos = [each.to for each in operands if each.to is not None]
+    tos = [each.limit for each in operands if each.limit is not None]
     if _find_strongest_influence(operands) > StepInfluence.VANISHING or len(tos) < len(operands):
         return _analyse_pass_through(op, operands)
     to = min(max(tos[0], tos[1]), tos[2]) if op.name == "clamp" else min(tos) if op.name == "min" else max(tos)
-    left = [each for each in operands if each.to == to]
+    left = [each for each in operands if each.limit == to]
     off = min(each.deviation_power for each in left)
     how, by = _find_strongest_influence(left), next((each.cause for each in left if each.cause), None)
-    return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(to=to, deviation_power=off)
+    return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(limit=to, deviation_power=off)
 
 
 def _analyse_if(op: OperationExpr, operands: OperandValues, own_value: OwnValue, has_other_change: bool) -> ShortStepValue:
@@ -388,7 +388,7 @@ def _analyse_unknown(op: OperationExpr, operands: OperandValues) -> ShortStepVal
 _ANALYSIS_RULES: dict[str, Callable[[OperationExpr, OperandValues], ShortStepValue]] = {
     "add": _analyse_sum, "sub": _analyse_sum, "mul": _analyse_product, "div": _analyse_quotient, "dot": _analyse_product,
     "cross": _analyse_product, "neg": _analyse_negative, "pow": _analyse_power,
-    "sqrt": lambda op, operands: _analyse_power(op, (*operands, ShortStepValue(to=0.5))),
+    "sqrt": lambda op, operands: _analyse_power(op, (*operands, ShortStepValue(limit=0.5))),
     "exp": _make_function_rule(math.exp), "log": _make_function_rule(math.log), "sin": _make_function_rule(math.sin),
     "cos": _make_function_rule(math.cos), "mix": _analyse_mix, "rotate": _analyse_rotation,
     "run": lambda op, operands: _make_vanishing_value(1.0) if _is_dt(op) else ShortStepValue(),

@@ -47,9 +47,9 @@ class WatchedArrays:
         self,
         find_holder: HolderFinder,
         get: Callable[[Any], Iterable[NDArray[Any]]],
-        put: Callable[[World, Population, Any, TableWords], None],
+        store_words: Callable[[World, Population, Any, TableWords], None],
     ) -> None:
-        self.find_holder, self.get, self.put = find_holder, get, put
+        self.find_holder, self.get, self.put = find_holder, get, store_words
         self.seen: Iterable[Any] = repeat(None)
 
 
@@ -86,7 +86,7 @@ class AddressTables:
         self._grid_entries = [
             (int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid" and key[2] != "widest"
         ]
-        self._written_sources: list[Any] = [None] * (1 + len(code.near))  # stored senses and grids of the last fill
+        self._written_sources: list[Any] = [None] * (1 + len(code.searches))  # stored senses and grids of the last fill
         groups: dict[AddressKey, list[tuple[AddressKey, int]]] = {}
         self._finder_entries: list[tuple[AddressFinder, int]] = []
         for key, place in pointers:
@@ -138,7 +138,7 @@ class AddressTables:
 
     def largest_species(self, world: World) -> int:
         """Return the number of agents of the largest species, or 0 if the block does not search for other agents."""
-        return max([len(other) for other in world.populations.values()]) if self.code.near else 0
+        return max([len(other) for other in world.populations.values()]) if self.code.searches else 0
 
     def prepare_lanes(self, parts: int, rows: int, others: int) -> list[LaneMemory]:
         """Return lanes for `parts` parts of `rows` rows each, ready to run with the filled tables.
@@ -146,10 +146,10 @@ class AddressTables:
         `others`: the number of agents of the largest searched species."""
         return self.lanes.prepare_lanes(parts, rows, others, self.pointers)
 
-    def _update_numbers(self, world: World, values: Mapping[ir.PlanNode, Any], lasting: Any) -> None:
+    def _update_numbers(self, world: World, values: Mapping[ir.PlanNode, Any], constant_values: Any) -> None:
         """Write the numbers of the step. Unchanged numbers, and those of the run, are not written again."""
-        if lasting is not self._written_values:
-            self._written_values = lasting
+        if constant_values is not self._written_values:
+            self._written_values = constant_values
             for node, place in self._run_entries:
                 self._write_number(place, values[node])
         for node, place in self._step_entries:
@@ -219,14 +219,14 @@ class AddressTables:
         find: HolderFinder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
         return WatchedArrays(find, _make_getter(names), put)
 
-    def _watch_mapping(self, of: HolderFinder, names: NamedIndices) -> WatchedArrays:
+    def _watch_mapping(self, find_holder: HolderFinder, names: NamedIndices) -> WatchedArrays:
         """Return the watcher of the arrays in a mapping."""
 
         def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
                 holder[name], words[place] = self._padded_arrays.pad_array(holder[name])
 
-        return WatchedArrays(of, _make_getter(names), put)
+        return WatchedArrays(find_holder, _make_getter(names), put)
 
     # --- functions for other kinds of keys, which find the address in each step
     # --------------------------------------------------

@@ -47,34 +47,34 @@ StageCalls = list[tuple[bool, list[tuple[BlockInstruction, int]]]]
 class BlockRunner:
     """The machine code of one block of a species, which can be run in each step."""
 
-    def __init__(self, ready: ReadyCode, species: str, name: str, padded_arrays: PaddedArrays) -> None:
-        self.code, self.compiler = ready.block_codes[species, name], ready.blocks[species, name]
+    def __init__(self, ready_code: ReadyCode, species: str, name: str, padded_arrays: PaddedArrays) -> None:
+        self.code, self.compiler = ready_code.block_codes[species, name], ready_code.blocks[species, name]
         self.tables = AddressTables(self.code, padded_arrays)
-        self.numpy_calls = ready.calls
+        self.numpy_calls = ready_code.calls
         self.uniform_nodes = {slot: node for node, slot in self.compiler.uniform_slots.items()}
-        numbers = {each: number for number, each in enumerate(self.code.needs)}
+        numbers = {each: number for number, each in enumerate(self.code.optional_calls)}
         self._prepared_for: tuple[int, ...] = ()
         self._part_groups: list[PartGroup] = []
         self.stages: list[tuple[Any, StageCalls]] = []  # the function of each stage, and the calls after it
         for stage, function in enumerate(self.code.names):
-            groups = ready.call_groups[species, name, stage]
+            groups = ready_code.call_groups[species, name, stage]
             calls = [(_is_batched_sense(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
-            self.stages.append((ready.function(function), calls))
+            self.stages.append((ready_code.function(function), calls))
 
     def run(
-        self, world: World, population: Population, values: dict[ir.PlanNode, Any], timed: MeteredBlock | None
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock | None
     ) -> list[tuple[int, int]]:
         """Run all rows through the block, and add their requests to the population's effects in row order.
 
-        `values`: the values that are equal for all agents. `timed`: collects times by line, if lines are timed.
+        `values`: the values that are equal for all agents. `metered_block`: collects times by line, if lines are timed.
         Returns the parts, as first row and end row, in which an agent has too many neighbours within a radius."""
         count, others = len(population), self.tables.largest_species(world)
         of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
         if of != self._prepared_for:
             self._prepare_lanes(*of)
             self._prepared_for = of
-        if timed is not None:
-            return self._run_timed(world, population, values, timed)
+        if metered_block is not None:
+            return self._run_timed(world, population, values, metered_block)
         return self._run_parts(world, population, values)
 
     def _prepare_lanes(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
@@ -88,18 +88,20 @@ class BlockRunner:
         self._part_groups = [PartGroup(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
 
     def _run_timed(
-        self, world: World, population: Population, values: dict[ir.PlanNode, Any], timed: MeteredBlock
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock
     ) -> list[tuple[int, int]]:
-        """Run all rows, and add the times by line to `timed`."""
+        """Run all rows, and add the times by line to `metered_block`."""
         lines, chunks, began = self.code.lines, self._part_groups[0].chunks, perf_counter()
         for each in chunks:
-            each.line_times = None if lines is None else LineTimes(lines, each.lane.ticks, timed.new_counters())
+            each.line_times = None if lines is None else LineTimes(lines, each.lane.ticks, metered_block.new_counters())
         bad = self._run_parts(world, population, values)
         counted = [each.line_times for each in chunks if each.line_times is not None]
         if counted:
             for spent in counted:
                 spent.distribute_to_lines()
-            timed.add_counters([spent.counters for spent in counted], perf_counter() - began if len(chunks) > 1 else np.inf)
+            metered_block.add_counters(
+                [spent.counters for spent in counted], perf_counter() - began if len(chunks) > 1 else np.inf
+            )
         return bad
 
     def _run_parts(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
@@ -109,9 +111,13 @@ class BlockRunner:
         return bad
 
 
-def _is_batched_sense(each: BlockInstruction) -> bool:
+def _is_batched_sense(instruction: BlockInstruction) -> bool:
     """Return whether a sense reads and writes the arrays of machine code itself."""
-    return each.kind is InstructionKind.VALUE and isinstance(each.subject, ir.PlanNode) and each.subject.op in BATCHED_SENSES
+    return (
+        instruction.kind is InstructionKind.VALUE
+        and isinstance(instruction.subject, ir.PlanNode)
+        and instruction.subject.op in BATCHED_SENSES
+    )
 
 
 def _part_size(count: int, chunk: int, threads: int) -> int:
@@ -196,7 +202,7 @@ class PartGroup:
             block.tables.lanes.build_query(each, self._end - self._begin, block.uniform_nodes, values) for each in instructions
         ]
         for each, (_, _, results) in zip(instructions, queries, strict=True):
-            if each not in block.code.guarded:
+            if each not in block.code.mask_slot_by_call:
                 for array, value in zip(results, nothing, strict=True):
                     array.fill(value)
         answer(world, population, node, slice(self._begin, self._end), queries)
@@ -252,10 +258,10 @@ class RowChunk:
         del self.world, self.population, self.values  # not needed once no other thread uses them
         return not crowded
 
-    def add_call_time(self, began: float, instructions: list[BlockInstruction], rows: list[int]) -> None:
-        """Divide the time since `began` among completed calls, in proportion to the rows of each."""
+    def add_call_time(self, start_time: float, instructions: list[BlockInstruction], rows: list[int]) -> None:
+        """Divide the time since `start_time` among completed calls, in proportion to the rows of each."""
         if self.line_times is not None:
-            each_row = (perf_counter() - began) / max(sum(rows), 1)
+            each_row = (perf_counter() - start_time) / max(sum(rows), 1)
             for each, count in zip(instructions, rows, strict=True):
                 self.line_times.add_call(each, count * each_row)
 
@@ -302,13 +308,13 @@ class RowChunk:
             return array.take(rows)
         return self._numpy_slots()[source]
 
-    def _run_call(self, each: BlockInstruction, rows: NDArray[np.intp]) -> Any:
+    def _run_call(self, instruction: BlockInstruction, rows: NDArray[np.intp]) -> Any:
         """Return the result of a NumPy call for the given rows."""
         v = self._numpy_slots()
-        for slot in each.inputs:
+        for slot in instruction.inputs:
             v[slot] = self._operand_values(slot, rows)
-        self.runner.numpy_calls[each](v)
-        return v[each.out]
+        self.runner.numpy_calls[instruction](v)
+        return v[instruction.slot]
 
     def run_calls(self, stage_calls: Sequence[list[tuple[BlockInstruction, int]]]) -> None:
         """Run calls, each for the rows that need it."""
@@ -322,7 +328,7 @@ class RowChunk:
     def _run_call_group(self, instructions: list[BlockInstruction]) -> None:
         """Run one call, or several calls of one sense with one name. A row appears once for each of its requests."""
         code, began = self.runner.code, perf_counter()
-        if len(instructions) == 1 and instructions[0] not in code.guarded:
+        if len(instructions) == 1 and instructions[0] not in code.mask_slot_by_call:
             rows = self._scope_rows(instructions[0].scope)
             if len(rows):
                 self._store_results(instructions[0], rows, self._run_call(instructions[0], rows))
@@ -348,9 +354,9 @@ class RowChunk:
                 self._store_results(each, rows, tuple(part[end - len(rows) : end] for part in parts_of))
         self.add_call_time(began, instructions, [len(rows) for rows in chosen])
 
-    def _store_results(self, each: BlockInstruction, rows: NDArray[np.intp], results: Any) -> None:
+    def _store_results(self, instruction: BlockInstruction, rows: NDArray[np.intp], results: Any) -> None:
         """Write the results of a call to the arrays that the next stage reads."""
         for part, value in enumerate(results if isinstance(results, tuple) else (results,)):
-            array = self.lane.arrays.get((each.out, part))
+            array = self.lane.arrays.get((instruction.slot, part))
             if array is not None:
                 array[rows] = value

@@ -72,7 +72,7 @@ class FunctionWriter:
     def add_to_module(self, name: str) -> None:
         """Add the function to the module under a name that can be called from outside."""
         outer = write_outer_function(self.module, name)
-        self.builder.end(name, (self.table, self.begin, self.end), attribute="noinline", outer=outer)
+        self.builder.end(name, (self.table, self.begin, self.end), attribute="noinline", caller_text=outer)
 
 
 @dataclass(slots=True, eq=False)
@@ -95,17 +95,17 @@ class BlockCode:
     schedule: StageSchedule
     lines: LineCounters | None = None  # only for code that is timed by line
     faults: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name of the value and its instruction
-    near: list[NeighbourSearch] = field(default_factory=list)
+    searches: list[NeighbourSearch] = field(default_factory=list)
     lazy_nodes: list[ir.PlanNode] = field(default_factory=list)
     scent_bounds: dict[int, ir.PlanNode] = field(default_factory=dict)  # `scents.bounds`
     lists: list[BlockInstruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
-    needs: list[BlockInstruction] = field(default_factory=list)  # calls for which the code records whether an agent needs them
-    guarded: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that only some agents need, with their mask slot
+    optional_calls: list[BlockInstruction] = field(default_factory=list)  # calls for which the code records if agents need them
+    mask_slot_by_call: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that only some agents need
 
-    def call_mask_slot(self, each: BlockInstruction) -> int:
+    def call_mask_slot(self, instruction: BlockInstruction) -> int:
         """Return the slot of the mask of rows for which a call is made."""
-        guarded = self.guarded.get(each)
-        return self.schedule.resolve_slot(each.scope.rows) if guarded is None else guarded
+        guarded = self.mask_slot_by_call.get(instruction)
+        return self.schedule.resolve_slot(instruction.scope.rows) if guarded is None else guarded
 
 
 NodeLowerer = Callable[["BlockWriter", ir.PlanNode, tuple[Any, ...]], Any]
@@ -138,12 +138,12 @@ class BlockWriter(FunctionWriter):
         for each in scope.code:
             if each.kind is InstructionKind.REDUCE and each in self.schedule.native_instructions:
                 self._reductions.append(each)
-            if isinstance(each.subject, ir.PlanNode) and each.out >= 0:
-                self._instruction_by_slot[each.out] = each
+            if isinstance(each.subject, ir.PlanNode) and each.slot >= 0:
+                self._instruction_by_slot[each.slot] = each
                 kinds = ir.TUPLE_KINDS_BY_OPERATION.get(each.subject.op, (each.subject.kind,))
-                self._kinds_by_slot[each.out] = tuple(LANE_TYPE_BY_KIND.get(kind, "") for kind in kinds)
+                self._kinds_by_slot[each.slot] = tuple(LANE_TYPE_BY_KIND.get(kind, "") for kind in kinds)
                 if each.kind is InstructionKind.CACHED_SENSE and each not in self.schedule.inlined_senses:
-                    self._cached_senses[each.out] = each.subject
+                    self._cached_senses[each.slot] = each.subject
             if each.inner is not None:
                 self._kinds_by_slot[each.inner.rows] = (BOOL,)
                 self._index_scope(each.inner)
@@ -176,9 +176,9 @@ class BlockWriter(FunctionWriter):
 
     # --- instructions --------------------------------------------------------------------------------------------------
 
-    def _timed_instruction(self, each: BlockInstruction) -> AbstractContextManager[None]:
+    def _timed_instruction(self, instruction: BlockInstruction) -> AbstractContextManager[None]:
         """Return a context in which written code is timed for an instruction, if lines are timed."""
-        return nullcontext() if self.code.lines is None else self._time_with_counter(self.code.lines.find_counter(each))
+        return nullcontext() if self.code.lines is None else self._time_with_counter(self.code.lines.find_counter(instruction))
 
     @contextmanager
     def _time_with_counter(self, counter: int) -> Iterator[None]:
@@ -195,44 +195,44 @@ class BlockWriter(FunctionWriter):
                     case InstructionKind.CACHED_SENSE:
                         self._write_lazy(each)
                     case InstructionKind.STATEMENT:
-                        if self.schedule.at[each] == self.stage:
+                        if self.schedule.stage_by_instruction[each] == self.stage:
                             self._write_statement(each)
                     case InstructionKind.VALUE if each in self.schedule.calls_after_stage[self.stage]:
                         self._write_guard(each)
                     case InstructionKind.VALUE | InstructionKind.REDUCE if each in self.schedule.native_instructions:
-                        if self.schedule.stage_by_slot.get(each.out) == self.stage:
-                            self.slot_value(each.out)
+                        if self.schedule.stage_by_slot.get(each.slot) == self.stage:
+                            self.slot_value(each.slot)
 
-    def _write_need_note(self, each: BlockInstruction, mask: Lanes) -> None:
+    def _write_need_note(self, instruction: BlockInstruction, mask: Lanes) -> None:
         """Emit code that records whether any agent needs a call."""
         e = self.builder
-        place = e.address(self.array_address("needs"), len(self.code.needs), I8)
-        self.code.needs.append(each)
+        place = e.address(self.array_address("needs"), len(self.code.optional_calls), I8)
+        self.code.optional_calls.append(instruction)
         e.store_number(place, e.load(place, I8) | e.mask_to_i8(mask))
 
-    def _write_guard(self, each: BlockInstruction) -> None:
+    def _write_guard(self, instruction: BlockInstruction) -> None:
         """Emit code that records which agents need a call, if that is known, and stores the result for the others."""
-        assert isinstance(each.subject, ir.PlanNode)
-        guard = self.guards.get(each.subject.op)
+        assert isinstance(instruction.subject, ir.PlanNode)
+        guard = self.guards.get(instruction.subject.op)
         if guard is None:
-            self._write_need_note(each, self.mask[-1])
+            self._write_need_note(instruction, self.mask[-1])
             return
         asks, others = guard
-        needed = self.mask[-1] & asks(self, each.subject, tuple(self.slot_value(k) for k in each.inputs))
-        self._write_need_note(each, needed)
-        slot = self.code.guarded.setdefault(each, _FIRST_GUARD_SLOT - len(self.code.guarded))
+        needed = self.mask[-1] & asks(self, instruction.subject, tuple(self.slot_value(k) for k in instruction.inputs))
+        self._write_need_note(instruction, needed)
+        slot = self.code.mask_slot_by_call.setdefault(instruction, _FIRST_GUARD_SLOT - len(self.code.mask_slot_by_call))
         self._cleared_masks.append(slot)
         self.builder.store_lanes(self.stage_array_address(slot, 0, BOOL), self.offset, needed)
         e = self.builder
-        for part, (value, kind) in enumerate(zip(others, self._kinds_by_slot[each.out], strict=True)):
-            e.store_lanes(self.stage_array_address(each.out, part, kind), self.offset, e.make_constant(value, kind))
+        for part, (value, kind) in enumerate(zip(others, self._kinds_by_slot[instruction.slot], strict=True)):
+            e.store_lanes(self.stage_array_address(instruction.slot, part, kind), self.offset, e.make_constant(value, kind))
 
-    def _write_region(self, each: BlockInstruction) -> None:
-        inner = each.inner
+    def _write_region(self, instruction: BlockInstruction) -> None:
+        inner = instruction.inner
         assert inner is not None
         if not self.schedule.is_run_in_stage(inner, self.stage):
             return
-        mask = self._find_scope_mask(inner, lambda: self.mask[-1] & self.slot_value(each.inputs[0]))
+        mask = self._find_scope_mask(inner, lambda: self.mask[-1] & self.slot_value(instruction.inputs[0]))
         with self.builder.write_if(self.builder.any_lane(mask)):
             self.mask.append(mask)
             self._write_scope(inner)
@@ -250,10 +250,10 @@ class BlockWriter(FunctionWriter):
             self._store_slot(inner.rows, mask)
         return mask
 
-    def _write_lazy(self, each: BlockInstruction) -> None:
-        inner, node = each.inner, each.subject
+    def _write_lazy(self, instruction: BlockInstruction) -> None:
+        inner, node = instruction.inner, instruction.subject
         assert inner is not None and isinstance(node, ir.PlanNode)
-        if each in self.schedule.inlined_senses:
+        if instruction in self.schedule.inlined_senses:
             self._write_scope(inner)
             return
         if not self.schedule.is_run_in_stage(inner, self.stage):
@@ -265,21 +265,21 @@ class BlockWriter(FunctionWriter):
 
         def missing() -> Lanes:
             asks = self.mask[-1] & ~e.load_lanes(has, self.row, BOOL)
-            bound = self.code.scent_bounds.get(each.out)
+            bound = self.code.scent_bounds.get(instruction.slot)
             return asks if bound is None else asks & may_reach_bound(self, node, bound)
 
         mask = self._find_scope_mask(inner, missing)
         with e.write_if(e.any_lane(mask)):
             self.mask.append(mask)
             self._write_scope(inner)
-            if self.schedule.at[each] == self.stage:
-                result = self.slot_value(each.result)
+            if self.schedule.stage_by_instruction[instruction] == self.stage:
+                result = self.slot_value(instruction.result)
                 for part, value in enumerate(result if isinstance(result, tuple) else (result,)):
                     e.store_masked(mask, self.array_address("kept", number, part), self.row, value)
                 e.store_masked(mask, has, self.row, e.make_constant(True, BOOL))
             self.mask.pop()
-        if self.schedule.at[each] == self.stage and each.out in self.schedule.stored_slots:
-            self.slot_value(each.out)
+        if self.schedule.stage_by_instruction[instruction] == self.stage and instruction.slot in self.schedule.stored_slots:
+            self.slot_value(instruction.slot)
 
     # --- values --------------------------------------------------------------------------------------------------------
 
@@ -346,7 +346,7 @@ class BlockWriter(FunctionWriter):
                 continue
             if node.args[0].op != of.op or node.args[0].attrs[0] != of.attrs[0]:
                 continue
-            if self.schedule.stage_by_slot.get(each.out) != self.stage or any(each.out in names for names in self.builder.known):
+            if self.schedule.stage_by_slot.get(each.slot) != self.stage or any(each.slot in k for k in self.builder.known):
                 continue
             if each.scope is not first.scope and of.op != "set.agents":
                 continue
@@ -368,33 +368,33 @@ class BlockWriter(FunctionWriter):
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
-    def _write_statement(self, each: BlockInstruction) -> None:
-        what = each.subject
+    def _write_statement(self, instruction: BlockInstruction) -> None:
+        what = instruction.subject
         if isinstance(what, ir.Store):
-            self._write_store(each, what)
+            self._write_store(instruction, what)
         else:
-            self.write_request(self, each)
+            self.write_request(self, instruction)
 
-    def _write_store(self, each: BlockInstruction, what: ir.Store) -> None:
-        value, mask = self.slot_value(each.inputs[0]), self.mask[-1]
+    def _write_store(self, instruction: BlockInstruction, store: ir.Store) -> None:
+        value, mask = self.slot_value(instruction.inputs[0]), self.mask[-1]
         if value.kind == F32:
             good = np.isfinite(value)
-            if what.allows_infinity:
+            if store.allows_infinity:
                 good = good | (value == float("inf"))
-            self.write_fault_record(mask & ~good, what.register, each)
+            self.write_fault_record(mask & ~good, store.register, instruction)
             mask = mask & good
-        self.builder.store_masked(mask, self.array_address("now", what.register), self.row, value)
+        self.builder.store_masked(mask, self.array_address("now", store.register), self.row, value)
 
-    def write_fault_record(self, bad: Lanes, what: str, by: BlockInstruction) -> None:
+    def write_fault_record(self, is_bad: Lanes, value_name: str, instruction: BlockInstruction) -> None:
         """Emit code that records eight rows with a value that is not finite: the first row, and a mask of the faulty rows.
         The number of the rejected value is stored above the bits of the mask."""
         e, faults = self.builder, self.code.faults
-        with e.write_if(e.any_lane(bad)):
-            faults.append((what, by))  # one entry per place; its notes have space for one of each eight rows
+        with e.write_if(e.any_lane(is_bad)):
+            faults.append((value_name, instruction))  # one entry per place; its notes have space for one of each eight rows
             notes = self.array_address("notes")
             count = e.load_scalar(notes, 0, I64)
             first = e.address(notes, count * 2, I64)
-            note_word = e.mask_to_i64(bad) | ((len(faults) - 1) << LANE_COUNT)
+            note_word = e.mask_to_i64(is_bad) | ((len(faults) - 1) << LANE_COUNT)
             for k, value in enumerate((self.row, note_word)):
                 e.store_number(e.address(first, k + 1, I64), value)
             e.store_number(notes, count + 1)

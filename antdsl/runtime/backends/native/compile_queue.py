@@ -62,19 +62,19 @@ def find_ready_code(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
 
 
 def _build_ready(
-    plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, known: stored_blocks.StoredBlocks | None
+    plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, stored: stored_blocks.StoredBlocks | None
 ) -> Generator[None, None, ReadyCode]:
     """Compile a plan's blocks for this processor. The generator does one piece of work per step. Raises CodeUnavailable."""
     if why := llvm_compiler.unavailability_reason():
         raise CodeUnavailable(why)
     host = llvm_compiler.host_target()
     text = cache(lambda: write_program(plan, blocks, facts, host))
-    if known is None:
+    if stored is None:
         subject = stored_blocks.make_subject(plan, blocks, facts, host)
-        known = {name: stored_blocks.text_key(each) for name, each in text().units.items()}, dict(text().blocks)
+        stored = {name: stored_blocks.text_key(each) for name, each in text().units.items()}, dict(text().blocks)
         if subject is not None:
             stored_blocks.write_blocks(subject, text())
-    units, written = known
+    units, written = stored
     yield
     calls: dict[BlockInstruction, SlotFunction] = {}
     together: dict[tuple[str, str, int], list[list[BlockInstruction]]] = {}
@@ -82,7 +82,7 @@ def _build_ready(
         for stage, called in enumerate(code.schedule.calls_after_stage):
             together[(*key, stage)] = _group_calls(called)
         for each in (each for called in code.schedule.calls_after_stage for each in called):
-            calls[each] = numpy_calls.make_call(each, blocks[key])(each.out, each.inputs, None)
+            calls[each] = numpy_calls.make_call(each, blocks[key])(each.slot, each.inputs, None)
     machine_codes = {}
     for name, named in units.items():
         machine_codes[name] = code_cache.load_code(named, partial(_unit_text, text, name))
@@ -106,16 +106,16 @@ def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts)
 
 
 def start_building(
-    plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, known: stored_blocks.StoredBlocks | None = None
+    plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, stored: stored_blocks.StoredBlocks | None = None
 ) -> Future[ReadyCode]:
     """Build machine code for a plan's blocks in a thread, and return a future. Its result may be the error CodeUnavailable.
 
     The latest request is built first, because a user waits for it. Building stops once the caller drops the future, for
     example because the program was saved again.
-    `known`: the result of `find_stored_blocks`."""
+    `stored`: the result of `find_stored_blocks`."""
     coming: Future[ReadyCode] = Future()
     with _requests_lock:
-        _pending_requests.append((ref(coming), _build_ready(plan, blocks, facts, known)))
+        _pending_requests.append((ref(coming), _build_ready(plan, blocks, facts, stored)))
     _compile_thread().submit(_run_next_piece)
     return coming
 
@@ -131,10 +131,10 @@ def _run_next_piece() -> None:
         next(making)
     except StopIteration as made:
         ready: ReadyCode = made.value
-        _finish_request(future_reference, lambda coming: coming.set_result(ready))
+        _finish_request(future_reference, lambda future: future.set_result(ready))
     except Exception as problem:
         why = problem
-        _finish_request(future_reference, lambda coming: coming.set_exception(why))
+        _finish_request(future_reference, lambda future: future.set_exception(why))
     with suppress(RuntimeError):  # the program is exiting, so no caller waits
         _compile_thread().submit(_run_next_piece)
 

@@ -59,13 +59,13 @@ def find_bounds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, i
         if (
             each.kind is InstructionKind.CACHED_SENSE
             and _operation_name(each) == "field.strongest"
-            and each.out not in schedule.stored_slots
+            and each.slot not in schedule.stored_slots
         ):
-            scents.append(each.out)
+            scents.append(each.slot)
     scent_bounds = {}
     for scent in scents:
         parts = readers.get(scent, [])
-        numbers = {schedule.resolve_slot(part.out) for part in parts}
+        numbers = {schedule.resolve_slot(part.slot) for part in parts}
         compared = [by for number in numbers for by in readers.get(number, [])]
         if (
             not compared
@@ -79,17 +79,17 @@ def find_bounds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, i
     return scent_bounds
 
 
-def _operation_name(each: BlockInstruction) -> str:
-    return each.subject.op if isinstance(each.subject, ir.PlanNode) else ""
+def _operation_name(instruction: BlockInstruction) -> str:
+    return instruction.subject.op if isinstance(instruction.subject, ir.PlanNode) else ""
 
 
-def _is_strength_part(each: BlockInstruction) -> bool:
+def _is_strength_part(instruction: BlockInstruction) -> bool:
     """Return whether an instruction selects the strength from the result of `field.strongest`."""
     return (
-        each.kind is InstructionKind.VALUE
-        and isinstance(each.subject, ir.PlanNode)
-        and each.subject.op == "get"
-        and each.subject.attrs[0] == _STRENGTH_PART
+        instruction.kind is InstructionKind.VALUE
+        and isinstance(instruction.subject, ir.PlanNode)
+        and instruction.subject.op == "get"
+        and instruction.subject.attrs[0] == _STRENGTH_PART
     )
 
 

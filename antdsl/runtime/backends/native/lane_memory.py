@@ -38,10 +38,13 @@ class LaneMemory:
         self.arrays: Arrays = {}
         self.list_columns: list[list[NDArray[Any]]] = []
         self.fault_notes = np.zeros(1, np.int64)
-        self.counts, self.needed_calls = np.zeros(1 + len(code.lists), np.int64), np.zeros(max(len(code.needs), 1), np.uint8)
+        self.counts, self.needed_calls = (
+            np.zeros(1 + len(code.lists), np.int64),
+            np.zeros(max(len(code.optional_calls), 1), np.uint8),
+        )
         self.ticks = np.zeros(0 if code.lines is None else len(code.lines.instruction_numbers), np.int64)
         self.deposit_flags: dict[str, NDArray[np.bool_]] = {}
-        self.widest = [np.zeros(LANE_COUNT, np.float32) for _ in code.near]
+        self.widest = [np.zeros(LANE_COUNT, np.float32) for _ in code.searches]
         self._candidates = np.zeros(0, np.int32)
         self._keys = [
             (key, place)
@@ -60,7 +63,7 @@ class LaneMemory:
         """Set all counters to 0."""
         self.fault_notes[0] = 0
         self.counts.fill(0)
-        if self.code.needs:
+        if self.code.optional_calls:
             self.needed_calls.fill(0)
 
     def allocate(self, arrays: Arrays, rows: int, others: int) -> None:
@@ -148,24 +151,26 @@ class LaneMemories:
             lane.allocate(own, rows, self._largest_species)
 
     def build_query(
-        self, each: BlockInstruction, rows: int, uniform: Mapping[int, ir.PlanNode], values: Mapping[ir.PlanNode, Any]
+        self, instruction: BlockInstruction, rows: int, uniform: Mapping[int, ir.PlanNode], values: Mapping[ir.PlanNode, Any]
     ) -> FeelerQuery:
         """Return the query for a call: which of `rows` rows of all parts need it, its arguments, and the arrays for its
         results.
 
         `uniform`: by slot, the nodes that have one value for all agents."""
-        known = self._queries.get(each)
+        known = self._queries.get(instruction)
         if known is not None:
             request, same = known
             if len(request[0]) == rows and all([values[node] is value for node, value in same]):
                 return request
-        slots = [self.code.schedule.resolve_slot(slot) for slot in each.inputs]
+        slots = [self.code.schedule.resolve_slot(slot) for slot in instruction.inputs]
         same = [(uniform[slot], values[uniform[slot]]) for slot in slots if (slot, 0) not in self.arrays]
         operands = [
             self.arrays[slot, 0][:rows] if (slot, 0) in self.arrays else np.full(rows, values[uniform[slot]]) for slot in slots
         ]
-        assert isinstance(each.subject, ir.PlanNode)
-        results = [self.arrays[each.out, part][:rows] for part in range(len(ir.TUPLE_KINDS_BY_OPERATION[each.subject.op]))]
-        request = (self.arrays[self.code.call_mask_slot(each), 0][:rows], tuple(operands), tuple(results))
-        self._queries[each] = (request, same)
+        assert isinstance(instruction.subject, ir.PlanNode)
+        results = [
+            self.arrays[instruction.slot, part][:rows] for part in range(len(ir.TUPLE_KINDS_BY_OPERATION[instruction.subject.op]))
+        ]
+        request = (self.arrays[self.code.call_mask_slot(instruction), 0][:rows], tuple(operands), tuple(results))
+        self._queries[instruction] = (request, same)
         return request

@@ -112,7 +112,7 @@ class NativeBackend(NumpyBackend):
             return
         if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.host_target().x86:
             return  # other processors may forbid reading the counter
-        facts = WorldFacts.from_setting(world.setting, timed=self._is_timed)
+        facts = WorldFacts.from_setting(world.setting, is_timed=self._is_timed)
         ready = find_ready_code(world.plan, facts)
         pays = len(world) >= _MIN_AGENTS_FOR_CODE or sum(world.cpu_seconds.values()) >= _MIN_STEP_SECONDS
         if ready is None and self._pending_code is None and (must_wait or pays):
@@ -147,7 +147,7 @@ class NativeBackend(NumpyBackend):
         if code is None or (code.code.lines is None) != (metered is None):
             super().run(world, population, block, rows)
             return
-        near = code.code.near
+        near = code.code.searches
         grids = [self._find_search_grid(world, population, block, each, number) for number, each in enumerate(near)]
         values, tables = self._uniform_values[name], code.tables
         tables.fill(world, population, values, self._run_values[name], self._stored_senses[name], grids)

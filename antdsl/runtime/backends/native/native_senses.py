@@ -41,9 +41,9 @@ def _emit_age(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
     return _emit_age_from_birth(w, w.builder.load_lanes(w.array_address("born"), w.row, I64))
 
 
-def _emit_age_from_birth(w: Any, born: Lanes) -> Lanes:
+def _emit_age_from_birth(w: Any, birth_frames: Lanes) -> Lanes:
     """Return the age (s) of agents from their frame of birth."""
-    frames = w.read_uniform(I64, "frame") - born
+    frames = w.read_uniform(I64, "frame") - birth_frames
     frame_count = w.builder.convert(
         w.builder.select_lanes(frames > 0, frames, w.builder.make_constant(0, I64)), I32
     )  # a run has far fewer than 2**31 frames
@@ -214,7 +214,7 @@ def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1)
         _prefetch_elements(e, array, e.extract_lane(cells, lane), size)
 
 
-def _prefetch_neighbour_cells(w: Any, field: str, held: Lanes, positions: Lanes, block: Lanes, count: int) -> None:
+def _prefetch_neighbour_cells(w: Any, field: str, amounts: Lanes, positions: Lanes, block: Lanes, count: int) -> None:
     """Prefetch amounts and positions of the cells around the next eight agents, and the cell lists of the eight after them."""
     e: LaneBuilder = w.builder
     prefetch_cells(w, field, block, 4 * count, 2)
@@ -224,11 +224,11 @@ def _prefetch_neighbour_cells(w: Any, field: str, held: Lanes, positions: Lanes,
         around = e.address(block, e.convert(e.extract_lane(known, lane), I64) * count, I32)
         for k in range(0, count, _CELL_STRIDE):
             cell = e.load_scalar(around, k, I32)
-            _prefetch_elements(e, held, cell, 8)
+            _prefetch_elements(e, amounts, cell, 8)
             _prefetch_elements(e, positions, cell, 16)
 
 
-def _emit_first_strongest(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own: Lanes) -> tuple[Lanes, Lanes]:
+def _emit_first_strongest(e: LaneBuilder, cell_amounts: Lanes, cells: Lanes, count: int, own_cells: Lanes) -> tuple[Lanes, Lanes]:
     """Return the greatest amount in the `count` cells of a list, and the first cell that has it. NaN counts as 0.
 
     If no amount is above 0, return 0 and the own cell."""
@@ -237,7 +237,7 @@ def _emit_first_strongest(e: LaneBuilder, held: Lanes, cells: Lanes, count: int,
     for first in range(0, count, LANE_COUNT):
         indices = range(first, min(first + LANE_COUNT, count))
         amounts = e.combine_lanes(
-            (e.load_scalar(held, e.convert(e.load_scalar(cells, k, I32), I64), F64) for k in indices), onto=none
+            (e.load_scalar(cell_amounts, e.convert(e.load_scalar(cells, k, I32), I64), F64) for k in indices), base_vector=none
         )
         eights.append(e.select_lanes(amounts > none, amounts, none))
     most = eights[0]
@@ -251,7 +251,7 @@ def _emit_first_strongest(e: LaneBuilder, held: Lanes, cells: Lanes, count: int,
         where = where | (e.mask_to_i64(each == most) << LANE_COUNT * first)
     at = e.load_scalar(cells, e.op("cttz", I64, where), I32)
     best = e.extract_lane(most, 0)
-    return best, e.select_lanes(best > 0.0, at, own)
+    return best, e.select_lanes(best > 0.0, at, own_cells)
 
 
 def _emit_field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Any:

@@ -50,7 +50,7 @@ def format_listing(native_program: NativeProgram) -> str:
                     of = f"({each.subject.attrs[0]})" if each.subject.attrs else ""
                     called[f"{each.subject.op}{of}{_source_location(each.subject)}"] += 1
             lines += [f"    then NumPy: {what}{f', {count} times' if count > 1 else ''}" for what, count in called.items()]
-        for search in code.near:
+        for search in code.searches:
             lines.append(f"    searches {search.species} for {len(search.sets)} set{'s' if len(search.sets) > 1 else ''}")
         lines += [f"    asks for {_instruction_name(each.subject)}{_source_location(each.subject)}" for each in code.lists]
     shared = sorted(set(size) - named)
@@ -58,10 +58,10 @@ def format_listing(native_program: NativeProgram) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _instruction_name(what: ir.PlanNode | ir.PlanStatement) -> str:
-    return what.op if isinstance(what, ir.Request) else type(what).__name__.lower()
+def _instruction_name(node: ir.PlanNode | ir.PlanStatement) -> str:
+    return node.op if isinstance(node, ir.Request) else type(node).__name__.lower()
 
 
-def _source_location(what: ir.PlanNode | ir.PlanStatement) -> str:
-    span = what.span
+def _source_location(node: ir.PlanNode | ir.PlanStatement) -> str:
+    span = node.span
     return "" if span is None else f", {Path(span.source.path).name}:{span.source.find_line_column(span.start)[0]}"

@@ -65,18 +65,18 @@ class WorldFacts:
     is_timed: bool = False
 
     @classmethod
-    def from_setting(cls, setting: WorldSetting, *, timed: bool = False) -> WorldFacts:
+    def from_setting(cls, setting: WorldSetting, *, is_timed: bool = False) -> WorldFacts:
         """Return the properties of a world that is bound to a setting."""
-        return cls(any(name in setting.surfaces for name in setting.motion.meshes), setting.level_of_detail is not None, timed)
+        return cls(any(name in setting.surfaces for name in setting.motion.meshes), setting.level_of_detail is not None, is_timed)
 
 
 def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCode]:
     """Return all blocks of a plan, with their instructions assigned to stages. Births are left out, because they are few."""
     senses = _native_senses(facts)
 
-    def lowers(of: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
+    def lowers(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
         if node.op.startswith("reduce."):
-            return reduction_loops.has_machine_code(node, PAIR_SENSES) and not is_nearest_only(of, node.args[0])
+            return reduction_loops.has_machine_code(node, PAIR_SENSES) and not is_nearest_only(species, node.args[0])
         return node.op == "get" or node.op in FUNCTION_BY_NAME or node.op in senses
 
     def costly(node: ir.PlanNode) -> bool:
@@ -112,7 +112,7 @@ def write_program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, targ
         for each in (each for group in order.calls_after_stage for each in group):
             if each.kind not in PAIR_INSTRUCTION_KINDS and isinstance(each.subject, ir.PlanNode):
                 for part, kind in enumerate(ir.TUPLE_KINDS_BY_OPERATION.get(each.subject.op, (each.subject.kind,))):
-                    code.layout.array_index(each.out, part, LANE_TYPE_BY_KIND[kind])
+                    code.layout.array_index(each.slot, part, LANE_TYPE_BY_KIND[kind])
     return NativeProgram(
         module.text(), module.functions, {name: module.extract_unit_text(name) for name in module.entry_names()}, output
     )

@@ -38,9 +38,13 @@ class PairValues:
     """Values of nodes over pairs. `own_value` returns a value of the requesting agent, `leaf_value` a value of the pair."""
 
     def __init__(
-        self, w: FunctionWriter, own: Callable[[ir.PlanNode], Lanes], leaf: Callable[[ir.PlanNode], Lanes], senses: Any
+        self,
+        w: FunctionWriter,
+        own_value: Callable[[ir.PlanNode], Lanes],
+        leaf_value: Callable[[ir.PlanNode], Lanes],
+        senses: Any,
     ) -> None:
-        self.w, self.own_value, self.leaf_value, self.senses = w, own, leaf, senses
+        self.w, self.own_value, self.leaf_value, self.senses = w, own_value, leaf_value, senses
 
     def value(self, node: ir.PlanNode) -> Lanes:
         """Return the value of a node for eight pairs. Each node is computed once."""
@@ -113,22 +117,22 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
                 each, node, pairs, near, (lambda: e.broadcast(number)) if of_items else (lambda: read("unsorted ids", I64))
             )
     for each, instruction in zip(sums, instructions, strict=True):
-        b.known(instruction.out, each.result())
+        b.known(instruction.slot, each.result())
 
 
-def test_pairs(node: ir.PlanNode, pairs: PairValues, near: Lanes) -> tuple[Lanes, Lanes | None]:
+def test_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tuple[Lanes, Lanes | None]:
     """Return the mask of pairs that count in a reduction, and the value of its body."""
     condition = node.args[1]
     if condition.op != "const.bool" or not condition.attrs[0]:
-        near = near & pairs.value(condition)
-    return near, pairs.value(node.args[2]) if len(node.args) > 2 else None
+        near_mask = near_mask & pairs.value(condition)
+    return near_mask, pairs.value(node.args[2]) if len(node.args) > 2 else None
 
 
 def accumulate_pairs(
-    each: RunningReduction, node: ir.PlanNode, pairs: PairValues, near: Lanes, label: Callable[[], Lanes]
+    reduction: RunningReduction, node: ir.PlanNode, pairs: PairValues, near_mask: Lanes, label: Callable[[], Lanes]
 ) -> None:
     """Emit code that adds the pairs that count to a reduction."""
-    each.add_term(*test_pairs(node, pairs, near), label() if node.op in ("reduce.agent", "reduce.item") else None)
+    reduction.add_term(*test_pairs(node, pairs, near_mask), label() if node.op in ("reduce.agent", "reduce.item") else None)
 
 
 def reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tuple[int, ...]]:
@@ -144,7 +148,7 @@ def reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tu
 
 def find_own_values(b: BlockWriter, instructions: list[BlockInstruction]) -> dict[ir.PlanNode, Callable[[], Any]]:
     """Return the requesting agents' own values that the reductions need."""
-    makers = {each.out: each for each in instructions[0].scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
+    makers = {each.slot: each for each in instructions[0].scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     value_makers: dict[ir.PlanNode, Callable[[], Any]] = {}
     for instruction in instructions:
         pending, visited = list(instruction.inputs), set()

@@ -21,12 +21,12 @@ from antdsl.runtime.backends.native.native_senses import prefetch_cells
 from antdsl.runtime.requests import ClaimEntry, EffectRequests, GiftEntry, RequestEntry
 
 
-def _emit_deposit(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
+def _emit_deposit(b: BlockWriter, instruction: BlockInstruction, statement: ir.Request) -> None:
     """Emit a deposit, with the result of `fields.pheromone.PheromoneField.deposit`: whole multiples of a unit, which add in
     any order."""
-    e, mask, name = b.builder, b.mask[-1], what.of
-    amount: Lanes = b.slot_value(each.inputs[0])
-    mask = _emit_finite_check(b, mask, amount, EFFECT_BY_OPERATION[what.op].fault_name.format(of=name), each)
+    e, mask, name = b.builder, b.mask[-1], statement.target
+    amount: Lanes = b.slot_value(instruction.inputs[0])
+    mask = _emit_finite_check(b, mask, amount, EFFECT_BY_OPERATION[statement.op].fault_name.format(of=name), instruction)
     cell = e.load_lanes(b.array_address("cell", name), b.row, I32)
     laid = mask & (cell >= 0) & (amount != 0)
     prefetch_cells(b, name, b.array_address("field", name, "pending_deposits"), 8)
@@ -52,10 +52,10 @@ def _emit_deposit(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> N
         e.store_number(b.array_address("laid", name), e.make_constant(1, I8, 1))
 
 
-def _emit_list_append(b: BlockWriter, each: BlockInstruction, mask: Lanes, values: list[Lanes]) -> None:
+def _emit_list_append(b: BlockWriter, instruction: BlockInstruction, mask: Lanes, values: list[Lanes]) -> None:
     """Emit code that appends to a statement's list: the rows of eight agents for which a condition holds, and their `values`."""
     e, number = b.builder, len(b.code.lists)
-    b.code.lists.append(each)
+    b.code.lists.append(instruction)
     with e.write_if(e.any_lane(mask)):
         stored = [e.to_stored_form(value) for value in values]
         columns = [
@@ -82,83 +82,87 @@ def _emit_list_append(b: BlockWriter, each: BlockInstruction, mask: Lanes, value
         e.store_number(total, old_total + count)
 
 
-def _emit_finite_check(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, by: BlockInstruction) -> Lanes:
+def _emit_finite_check(b: BlockWriter, mask: Lanes, amount: Lanes, value_name: str, instruction: BlockInstruction) -> Lanes:
     """Return the mask of agents with a finite amount; record a fault for the others."""
     good: Lanes = np.isfinite(amount)
-    b.write_fault_record(mask & ~good, what, by)
+    b.write_fault_record(mask & ~good, value_name, instruction)
     return mask & good
 
 
-def _emit_world_request(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
+def _emit_world_request(b: BlockWriter, instruction: BlockInstruction, statement: ir.Request) -> None:
     """Emit a request, with the result of `numpy_statements`."""
-    row, slots = EFFECT_BY_OPERATION[what.op], iter(each.inputs)
-    args: list[Lanes] = [b.slot_value(next(slots)) for node in what.args if node is not None]
+    row, slots = EFFECT_BY_OPERATION[statement.op], iter(instruction.inputs)
+    args: list[Lanes] = [b.slot_value(next(slots)) for node in statement.args if node is not None]
     mask = b.mask[-1]
     numbers = [arg for arg in args if arg.kind in FLOAT_KINDS] if row.fault_name else []
     if numbers:
         good = np.isfinite(numbers[0])
         for arg in numbers[1:]:
             good = good & np.isfinite(arg)
-        b.write_fault_record(mask & ~good, row.fault_name.format(of=what.of), each)
+        b.write_fault_record(mask & ~good, row.fault_name.format(of=statement.target), instruction)
         mask = mask & good
-    if row.needs_positive_operand and what.args[0] is not None:
+    if row.needs_positive_operand and statement.args[0] is not None:
         mask = mask & (args[0] > 0)
-    _emit_list_append(b, each, mask, args)
+    _emit_list_append(b, instruction, mask, args)
 
 
-def _emit_claim(b: BlockWriter, each: BlockInstruction, what: ir.Claim) -> None:
+def _emit_claim(b: BlockWriter, instruction: BlockInstruction, statement: ir.Claim) -> None:
     """Emit a claim, with the result of `numpy_statements`."""
-    e, mask, slots = b.builder, b.mask[-1], iter(each.inputs)
-    item: Lanes = e.load_lanes(b.array_address("cell", what.of), b.row, I32) if what.item is None else b.slot_value(next(slots))
+    e, mask, slots = b.builder, b.mask[-1], iter(instruction.inputs)
+    item: Lanes = (
+        e.load_lanes(b.array_address("cell", statement.target), b.row, I32)
+        if statement.item is None
+        else b.slot_value(next(slots))
+    )
     amount = e.make_constant(np.inf, F32)
-    if what.amount is not None:
+    if statement.amount is not None:
         amount = b.slot_value(next(slots))
-        mask = _emit_finite_check(b, mask, amount, f"take {what.attribute or what.of}", each)
-    _emit_list_append(b, each, mask, [item, amount])
+        mask = _emit_finite_check(b, mask, amount, f"take {statement.attribute or statement.target}", instruction)
+    _emit_list_append(b, instruction, mask, [item, amount])
 
 
-def _emit_gift(b: BlockWriter, each: BlockInstruction, what: ir.Give) -> None:
+def _emit_gift(b: BlockWriter, instruction: BlockInstruction, statement: ir.Give) -> None:
     """Emit a gift, with the result of `numpy_statements`."""
-    e, mask, own = b.builder, b.mask[-1], b.array_address("now", what.own)
-    item: Lanes = b.slot_value(each.inputs[0])
+    e, mask, own = b.builder, b.mask[-1], b.array_address("now", statement.register)
+    item: Lanes = b.slot_value(instruction.inputs[0])
     had = e.load_lanes(own, b.row, F32)
     amount = had
-    if what.amount is not None:
-        amount = b.slot_value(each.inputs[1])
-        mask = _emit_finite_check(b, mask, amount, f"give {what.own}", each)
-    is_valid = mask & (item >= 0) & (item < b.read_uniform(I32, "items", what.items))
+    if statement.amount is not None:
+        amount = b.slot_value(instruction.inputs[1])
+        mask = _emit_finite_check(b, mask, amount, f"give {statement.register}", instruction)
+    is_valid = mask & (item >= 0) & (item < b.read_uniform(I32, "items", statement.items))
     zero = e.make_constant(0.0, F32)
     most = e.select_lanes(had > zero, had, zero)
     cut = e.select_lanes(amount > zero, amount, zero)
     left = had - e.select_lanes(cut < most, cut, most) + zero
     e.store_masked(is_valid, own, b.row, left)
-    _emit_list_append(b, each, is_valid, [item, e.convert(had, F64) - e.convert(left, F64)])
+    _emit_list_append(b, instruction, is_valid, [item, e.convert(had, F64) - e.convert(left, F64)])
 
 
-def emit_request(b: BlockWriter, each: BlockInstruction) -> None:
+def emit_request(b: BlockWriter, instruction: BlockInstruction) -> None:
     """Emit a statement that requests something from the world."""
-    match each.subject:
+    match instruction.subject:
         case ir.Request(op="deposit") as what:
-            _emit_deposit(b, each, what)
+            _emit_deposit(b, instruction, what)
         case ir.Request() as what:
-            _emit_world_request(b, each, what)
+            _emit_world_request(b, instruction, what)
         case ir.Claim() as what:
-            _emit_claim(b, each, what)
+            _emit_claim(b, instruction, what)
         case ir.Give() as what:
-            _emit_gift(b, each, what)
+            _emit_gift(b, instruction, what)
 
 
-def record_request(each: BlockInstruction, columns: Sequence[NDArray[Any]], effects: EffectRequests) -> None:
+def record_request(instruction: BlockInstruction, columns: Sequence[NDArray[Any]], effects: EffectRequests) -> None:
     """Add the contents of a statement's list to the effects of a step. `columns`: rows, then the values stored for them."""
-    what = each.subject
+    what = instruction.subject
     match what:
         case ir.Claim():
             rows, item, amount = columns
-            effects.claims.append(ClaimEntry(what, each.order, rows, item, amount))
+            effects.claims.append(ClaimEntry(what, instruction.order, rows, item, amount))
         case ir.Give():
             _, item, amount = columns
-            effects.gives.append(GiftEntry(what, item, amount))
+            effects.gifts.append(GiftEntry(what, item, amount))
         case ir.Request():
             rest = iter(columns[1:])
             args = tuple(None if node is None else next(rest) for node in what.args)
-            effects.add_request(RequestEntry(what, each.order, columns[0], args))
+            effects.add_request(RequestEntry(what, instruction.order, columns[0], args))

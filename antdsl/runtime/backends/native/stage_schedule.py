@@ -34,7 +34,7 @@ class StageSchedule:
     stage_by_slot: dict[int, int]
     stored_slots: set[int]
     use_stages: dict[int, set[int]]
-    at: dict[BlockInstruction, int]  # stage of statements, or of the end of a cached sense
+    stage_by_instruction: dict[BlockInstruction, int]  # stage of statements, or of the end of a cached sense
     calls_after_stage: list[list[BlockInstruction]]
     slot_aliases: dict[int, int]
     native_instructions: frozenset[BlockInstruction]  # values and reductions with machine code
@@ -63,7 +63,7 @@ class _ScheduleBuilder:
     last_store_stages: dict[object, int] = field(default_factory=dict)
     last_load_stages: dict[object, int] = field(default_factory=dict)
     slot_aliases: dict[int, int] = field(default_factory=dict)
-    at: dict[BlockInstruction, int] = field(default_factory=dict)
+    stage_by_instruction: dict[BlockInstruction, int] = field(default_factory=dict)
     native_instructions: set[BlockInstruction] = field(default_factory=set)
     inlined_senses: set[BlockInstruction] = field(default_factory=set)
     calls_by_stage: dict[int, list[BlockInstruction]] = field(default_factory=dict)
@@ -93,82 +93,86 @@ def _all_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
             yield from _all_instructions(instruction.inner)
 
 
-def _find_pair_slots(maker: _ScheduleBuilder, reduce: BlockInstruction) -> None:
+def _find_pair_slots(builder: _ScheduleBuilder, reduce: BlockInstruction) -> None:
     """Record the slots over pairs that a called reduction needs."""
-    makers = {each.out: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
+    makers = {each.slot: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     pending = [slot for slot in reduce.inputs if slot in makers]
     while pending:
         slot = pending.pop()
-        if slot not in maker.pair_slots:
-            maker.pair_slots.add(slot)
+        if slot not in builder.pair_slots:
+            builder.pair_slots.add(slot)
             pending += [each for each in makers[slot].inputs if each in makers]
 
 
-def _resolve_alias(maker: _ScheduleBuilder, slot: int) -> int:
-    while slot in maker.slot_aliases:
-        slot = maker.slot_aliases[slot]
+def _resolve_alias(builder: _ScheduleBuilder, slot: int) -> int:
+    while slot in builder.slot_aliases:
+        slot = builder.slot_aliases[slot]
     return slot
 
 
-def _earliest_stage(maker: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
+def _earliest_stage(builder: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
     """Return the first stage in which all slots are known."""
-    return max((maker.first.get(_resolve_alias(maker, slot), 0) for slot in slots), default=0)
+    return max((builder.first.get(_resolve_alias(builder, slot), 0) for slot in slots), default=0)
 
 
-def _assign_stages(maker: _ScheduleBuilder, scope: RowScope, mask_stage: int) -> None:
+def _assign_stages(builder: _ScheduleBuilder, scope: RowScope, mask_stage: int) -> None:
     """Compute the first stage in which each value can be known, and the stage of each statement.
 
     `mask_stage`: the first stage in which the scope's mask is known."""
-    maker.first[scope.rows] = mask_stage
+    builder.first[scope.rows] = mask_stage
     for each in scope.code:
-        stage, what = max(mask_stage, _earliest_stage(maker, each.inputs)), each.subject
+        stage, what = max(mask_stage, _earliest_stage(builder, each.inputs)), each.subject
         match each.kind:
             case InstructionKind.GATHER:
-                maker.slot_aliases[each.out] = each.inputs[0]
+                builder.slot_aliases[each.slot] = each.inputs[0]
             case InstructionKind.REGION:
                 assert each.inner is not None
-                _assign_stages(maker, each.inner, stage)
+                _assign_stages(builder, each.inner, stage)
             case InstructionKind.CACHED_SENSE:
                 assert each.inner is not None and isinstance(what, ir.PlanNode)
                 key = ("kept", what)
-                stage = max(mask_stage, maker.last_store_stages.get(key, 0))
-                if maker.has_machine_code(what) and not maker.is_costly(what):
-                    maker.inlined_senses.add(each)
-                    maker.slot_aliases[each.out], maker.slot_aliases[each.inner.rows] = each.result, scope.rows
-                    _assign_stages(maker, each.inner, mask_stage)
+                stage = max(mask_stage, builder.last_store_stages.get(key, 0))
+                if builder.has_machine_code(what) and not builder.is_costly(what):
+                    builder.inlined_senses.add(each)
+                    builder.slot_aliases[each.slot], builder.slot_aliases[each.inner.rows] = each.result, scope.rows
+                    _assign_stages(builder, each.inner, mask_stage)
                 else:
-                    maker.last_load_stages[key] = stage
-                    _assign_stages(maker, each.inner, stage)
-                    result = maker.first.get(_resolve_alias(maker, each.result), 0)
-                    maker.at[each] = maker.last_store_stages[key] = maker.first[each.out] = max(stage, result)
+                    builder.last_load_stages[key] = stage
+                    _assign_stages(builder, each.inner, stage)
+                    result = builder.first.get(_resolve_alias(builder, each.result), 0)
+                    builder.stage_by_instruction[each] = builder.last_store_stages[key] = builder.first[each.slot] = max(
+                        stage, result
+                    )
             case InstructionKind.STATEMENT:
-                register = what.register if isinstance(what, ir.Store) else what.own if isinstance(what, ir.Give) else None
+                register = what.register if isinstance(what, ir.Store) else what.register if isinstance(what, ir.Give) else None
                 if register is not None:
-                    stage = max(stage, maker.last_store_stages.get(register, 0), maker.last_load_stages.get(register, 0))
-                    maker.last_store_stages[register] = stage
-                maker.at[each] = stage
-            case InstructionKind.VALUE | InstructionKind.REDUCE if isinstance(what, ir.PlanNode) and maker.has_machine_code(what):
+                    stage = max(stage, builder.last_store_stages.get(register, 0), builder.last_load_stages.get(register, 0))
+                    builder.last_store_stages[register] = stage
+                builder.stage_by_instruction[each] = stage
+            case InstructionKind.VALUE | InstructionKind.REDUCE if isinstance(what, ir.PlanNode) and builder.has_machine_code(
+                what
+            ):
                 if what.op == "load":
-                    stage = max(stage, maker.last_store_stages.get(what.attrs[0], 0))
-                    maker.last_load_stages[what.attrs[0]] = max(stage, maker.last_load_stages.get(what.attrs[0], 0))
+                    stage = max(stage, builder.last_store_stages.get(what.attrs[0], 0))
+                    builder.last_load_stages[what.attrs[0]] = max(stage, builder.last_load_stages.get(what.attrs[0], 0))
                 elif each.kind is InstructionKind.REDUCE:
-                    stage = max(mask_stage, _earliest_stage(maker, reduction_operands(each)))
-                maker.native_instructions.add(each)
-                maker.first[each.out] = stage
+                    stage = max(mask_stage, _earliest_stage(builder, reduction_operands(each)))
+                builder.native_instructions.add(each)
+                builder.first[each.slot] = stage
             case _:
-                if each.kind in PAIR_INSTRUCTION_KINDS and each.out not in maker.pair_slots:
+                if each.kind in PAIR_INSTRUCTION_KINDS and each.slot not in builder.pair_slots:
                     if each.kind is InstructionKind.SPREAD:
-                        maker.slot_aliases[each.out] = each.inputs[0]
+                        builder.slot_aliases[each.slot] = each.inputs[0]
                     else:
-                        maker.first[each.out] = stage
+                        builder.first[each.slot] = stage
                     continue
-                maker.calls_by_stage.setdefault(stage, []).append(each)
-                maker.first[each.out] = stage if each.kind in PAIR_INSTRUCTION_KINDS else stage + 1
+                builder.calls_by_stage.setdefault(stage, []).append(each)
+                builder.first[each.slot] = stage if each.kind in PAIR_INSTRUCTION_KINDS else stage + 1
 
 
 def reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
     """Return the slots of the agents' own values that a reduction with machine code needs."""
-    makers = {each.out: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
+    makers = {each.slot: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     operands: dict[int, None] = {}
     pending = list(reduce.inputs)
     visited: set[int] = set()
@@ -187,10 +191,12 @@ def reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
     return tuple(operands)
 
 
-def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
+def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
     """Find the stages that use each value, from the last instruction to the first, and return the schedule."""
-    stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.calls_by_stage)], default=0)
-    calls = [maker.calls_by_stage.get(k, []) for k in range(stages)]
+    stages = 1 + max(
+        [*builder.first.values(), *builder.stage_by_instruction.values(), *(k + 1 for k in builder.calls_by_stage)], default=0
+    )
+    calls = [builder.calls_by_stage.get(k, []) for k in range(stages)]
     called = {each for group in calls for each in group}
     use_stages: dict[int, set[int]] = {}
     home: dict[int, int] = {}
@@ -198,50 +204,50 @@ def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
 
     def want(slots: tuple[int, ...], stage: int, array: bool = False) -> None:
         for slot in slots:
-            slot = _resolve_alias(maker, slot)
-            if slot in maker.uniform_slots:
+            slot = _resolve_alias(builder, slot)
+            if slot in builder.uniform_slots:
                 continue
             use_stages.setdefault(slot, set()).add(stage)
             if array:
                 left.add(slot)
 
-    made_by_calls = {each.out for each in called}
+    made_by_calls = {each.slot for each in called}
     reread_slots: set[int] = set()
-    for each in reversed(list(_iterate_run_order(maker.compiler.root_scope))):
+    for each in reversed(list(_iterate_run_order(builder.compiler.root_scope))):
         instruction, ending = each
-        scope, out = instruction.scope, instruction.out
+        scope, out = instruction.scope, instruction.slot
         if instruction.kind is InstructionKind.REGION:
             assert instruction.inner is not None
             mask = instruction.inner.rows
             if not ending and mask in use_stages:
                 home[mask] = min(use_stages[mask])
                 want((instruction.inputs[0], scope.rows), home[mask])
-                _propagate_outwards(maker, scope, use_stages, use_stages[mask])
+                _propagate_outwards(builder, scope, use_stages, use_stages[mask])
         elif instruction.kind is InstructionKind.CACHED_SENSE:
             assert instruction.inner is not None
             mask = instruction.inner.rows
-            if instruction in maker.inlined_senses:
+            if instruction in builder.inlined_senses:
                 continue
             if ending:
                 if out in use_stages:
-                    want((instruction.result, mask), maker.at[instruction])
+                    want((instruction.result, mask), builder.stage_by_instruction[instruction])
             elif mask in use_stages:
                 home[mask] = min(use_stages[mask])  # no earlier stage runs the scope that computes it
                 want((scope.rows,), home[mask])
-                _propagate_outwards(maker, scope, use_stages, use_stages[mask])
+                _propagate_outwards(builder, scope, use_stages, use_stages[mask])
         elif ending:
             continue
         elif instruction in called:
             stage = next(k for k, group in enumerate(calls) if instruction in group)
             inputs = tuple(
-                slot for slot in instruction.inputs if _resolve_alias(maker, slot) not in made_by_calls | maker.pair_slots
+                slot for slot in instruction.inputs if _resolve_alias(builder, slot) not in made_by_calls | builder.pair_slots
             )
             want(inputs, stage, array=True)
             want((scope.rows,), stage, array=True)
             home[out] = stage + 1
         elif instruction.kind is InstructionKind.STATEMENT:
-            want((*instruction.inputs, scope.rows), maker.at[instruction])
-        elif instruction in maker.native_instructions and out in use_stages:
+            want((*instruction.inputs, scope.rows), builder.stage_by_instruction[instruction])
+        elif instruction in builder.native_instructions and out in use_stages:
             what = instruction.subject
             assert isinstance(what, ir.PlanNode)
             inputs = reduction_operands(instruction) if instruction.kind is InstructionKind.REDUCE else instruction.inputs
@@ -251,7 +257,7 @@ def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
                 for stage in use_stages[out]:
                     want((scope.rows,), stage)
                 continue
-            home[out] = maker.first[out] if what.op == "load" else min(use_stages[out])
+            home[out] = builder.first[out] if what.op == "load" else min(use_stages[out])
             want((*inputs, scope.rows), home[out])
             if max(use_stages[out]) > home[out]:
                 left.add(out)
@@ -263,17 +269,17 @@ def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
         home,
         left,
         use_stages,
-        maker.at,
+        builder.stage_by_instruction,
         calls,
-        maker.slot_aliases,
-        frozenset(maker.native_instructions),
-        frozenset(maker.inlined_senses),
+        builder.slot_aliases,
+        frozenset(builder.native_instructions),
+        frozenset(builder.inlined_senses),
     )
 
 
-def _propagate_outwards(maker: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
+def _propagate_outwards(builder: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
     """Mark the scopes that enclose an inner scope as needed in the same stages."""
-    use_stages.setdefault(_resolve_alias(maker, scope.rows), set()).update(stages)
+    use_stages.setdefault(_resolve_alias(builder, scope.rows), set()).update(stages)
 
 
 def _iterate_run_order(scope: RowScope) -> Iterator[tuple[BlockInstruction, bool]]:

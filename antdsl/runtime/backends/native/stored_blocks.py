@@ -102,11 +102,11 @@ def _block_to_json(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructio
         "numbers": [_key_to_json(key, nodes) for key in layout.number_indices],
         "arrays": [[*key, kind] for key, kind in layout.array_kinds.items()],
         "faults": [[what, numbers[each]] for what, each in code.faults],
-        "near": [[each.species, [nodes[node] for node in each.sets], each.extra_registers] for each in code.near],
+        "near": [[each.species, [nodes[node] for node in each.sets], each.extra_registers] for each in code.searches],
         "kept": [nodes[node] for node in code.lazy_nodes],
         "lists": [numbers[each] for each in code.lists],
-        "needs": [numbers[each] for each in code.needs],
-        "guarded": [[numbers[each], slot] for each, slot in code.guarded.items()],
+        "needs": [numbers[each] for each in code.optional_calls],
+        "guarded": [[numbers[each], slot] for each, slot in code.mask_slot_by_call.items()],
         "lines": None if code.lines is None else code.lines.instruction_numbers,
     }
 
@@ -120,13 +120,13 @@ def _fill_block_from_json(
     code.layout.number_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["numbers"])}
     code.layout.array_kinds = {(slot, part): kind for slot, part, kind in form["arrays"]}
     code.faults[:] = [(what, instructions[number]) for what, number in form["faults"]]
-    code.near[:] = [
+    code.searches[:] = [
         NeighbourSearch(species, [nodes[number] for number in sets], beside) for species, sets, beside in form["near"]
     ]
     code.lazy_nodes[:] = [nodes[number] for number in form["kept"]]
     code.lists[:] = [instructions[number] for number in form["lists"]]
-    code.needs[:] = [instructions[number] for number in form["needs"]]
-    code.guarded.update({instructions[number]: slot for number, slot in form["guarded"]})
+    code.optional_calls[:] = [instructions[number] for number in form["needs"]]
+    code.mask_slot_by_call.update({instructions[number]: slot for number, slot in form["guarded"]})
     if code.lines is not None:
         code.lines.instruction_numbers[:] = form["lines"]
 
@@ -200,7 +200,11 @@ class _PlanWriter:
         self.parts.append(f"number {self.numbers[node]}")
 
 
-def _timed_line(each: BlockInstruction) -> tuple[str, int, int]:
+def _timed_line(instruction: BlockInstruction) -> tuple[str, int, int]:
     """Return the line and the layer for which an instruction is timed."""
-    span = each.span
-    return ("", 0, each.layer) if span is None else (span.source.path, span.source.find_line_column(span.start)[0], each.layer)
+    span = instruction.span
+    return (
+        ("", 0, instruction.layer)
+        if span is None
+        else (span.source.path, span.source.find_line_column(span.start)[0], instruction.layer)
+    )

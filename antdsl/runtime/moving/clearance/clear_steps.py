@@ -227,7 +227,7 @@ class ClearStep:
             self._aim(rows, self.levels[at[left]], self.previous)
             depth, _ = self._shift(rows, vec.take_rows(self.lifts, at[left]))
             cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows), p.normal[rows])
-            is_free = (depth <= most[left]) & (cosine >= _MIN_LEAN_COSINE) & ~moved.blocked
+            is_free = (depth <= most[left]) & (cosine >= _MIN_LEAN_COSINE) & ~moved.is_blocked
             depths[left[is_free]] = depth[is_free]
             self._put(rows[~is_free], take_stands((footing, position, normal), ~is_free))
             left = left[~is_free]

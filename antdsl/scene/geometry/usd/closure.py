@@ -59,7 +59,7 @@ class Closure:
         self.text, self.size = text, 0
         self.hashes: dict[str, str] = {}
         self._roots = roots
-        self._folders = {name: os.path.abspath(folder) for name, folder in (("", roots.folder), *roots.granted.items())}
+        self._folders = {name: os.path.abspath(folder) for name, folder in (("", roots.folder), *roots.folder_by_name.items())}
         self._files: dict[str, str] = {}  # the name of each file, by its full path
         self._packages: dict[str, dict[str, bytes]] = {}
         try:
@@ -190,7 +190,7 @@ class Closure:
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
             raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path in full", "usd")
         if _URL_PATTERN.match(asset):
-            raise UsdError("bad-path", f"{named} is an address, not a file", "copy the file beside the others", "usd")
+            raise UsdError("bad-path", f"{named} is an address, not a file", "copy the file next to the others", "usd")
         outer, mark, inner = asset.partition("[")
         if _ABSOLUTE_PATH_PATTERN.match(asset):
             self._reject_outside(named)
@@ -201,13 +201,13 @@ class Closure:
             raise UsdError("bad-path", f"{named} is not a layer of a package", "name the package alone", "usd")
         return file_place[0], inner.removesuffix("]")
 
-    def _resolve_name(self, path: str, asset: str, named: str) -> str:
+    def _resolve_name(self, path: str, asset: str, asset_path: str) -> str:
         """Return the name of the file that USD would find for an asset path: next to the layer, else next to the top layer."""
         folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top_path)])
         names = [self._find_scene_name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
         inside = [name for name in names if name is not None]
         if not inside:
-            self._reject_outside(named)
+            self._reject_outside(asset_path)
         return next((name for name in inside if self._exists(name)), inside[0])
 
     def _exists(self, name: str) -> bool:
@@ -218,8 +218,8 @@ class Closure:
         except PathRefused as error:
             return error.code != "no-such-file"
 
-    def _reject_outside(self, named: str) -> NoReturn:
-        message = f"{named} lies outside the scene's folder and of every granted root, or is absolute"
+    def _reject_outside(self, asset_path: str) -> NoReturn:
+        message = f"{asset_path} lies outside the scene's folder and of every granted root, or is absolute"
         help = "write a path relative to the file, and grant its folder with `--root NAME=FOLDER`, or copy the file"
         raise UsdError("bad-path", message, help, "usd")
 
@@ -232,7 +232,7 @@ class Closure:
         return None
 
     def _make_size_error(self, text: str) -> UsdError:
-        return UsdError("too-large", f"`{text}` and the files it is made of are more than are read", None, "usd")
+        return UsdError("too-large", f"`{text}` and the files that it uses are larger than the limit", None, "usd")
 
 
 def _make_refusal_error(refusal: PathRefused, naming_layer: LayerLocation | None) -> UsdError:
@@ -271,14 +271,14 @@ def read_layers(data: bytes) -> dict[str, bytes]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return _read_layers(archive, len(data))
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError, struct.error):
-        raise PackageError("is damaged, or no zip file") from None
+        raise PackageError("is damaged, or not a zip file") from None
 
 
 def _check_end(data: bytes) -> None:
     """Compare the number of members and the size of the directory with the limits before any member is read."""
     place = data.rfind(b"PK\5\6", max(0, len(data) - _END_RECORD_STRUCT.size - 0xFFFF))
     if place < 0 or place + _END_RECORD_STRUCT.size > len(data):
-        raise PackageError("is damaged, or no zip file")
+        raise PackageError("is damaged, or not a zip file")
     _, _, _, _, count, size, _, _ = _END_RECORD_STRUCT.unpack_from(data, place)
     if count > limits.MAX_PACKAGE_FILES or size > 512 * limits.MAX_PACKAGE_FILES:
         raise PackageError(f"has {count:,} members, and more than {limits.MAX_PACKAGE_FILES:,} are not read")
@@ -289,7 +289,7 @@ def _read_layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
     if len(entries) > limits.MAX_PACKAGE_FILES:
         raise PackageError(f"has {len(entries):,} members, and more than {limits.MAX_PACKAGE_FILES:,} are not read")
     if sum(entry.file_size for entry in entries) > size:
-        raise PackageError("says that it holds more than its own size")
+        raise PackageError("declares more data than its size")
     known_names: set[str] = set()
     for entry in entries:
         _check_member(entry, known_names)
@@ -304,14 +304,14 @@ def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
     display_name = f"`{clean_for_display(name[:60])}`"
     parts = name.removesuffix("/").split("/")
     if not all(_MEMBER_NAME_PATTERN.fullmatch(part) and part not in (".", "..") for part in parts) or len(name) > 4096:
-        raise PackageError(f"has a member {display_name} with a name that is absolute, leaves the package or is no plain name")
+        raise PackageError(f"has a member {display_name} with a name that is absolute, leaves the package or is not a plain name")
     if posixpath.normcase(name) in known_names:
         raise PackageError(f"has two members {display_name}")
     known_names.add(name)
     if entry.flag_bits & 0x41:
         raise PackageError(f"has an encrypted member {display_name}")
     if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
-        raise PackageError(f"has a compressed member {display_name}, and those of a .usdz are stored")
+        raise PackageError(f"has a compressed member {display_name}, but a .usdz must not be compressed")
     kind = entry.external_attr >> 28
     if kind not in (0, 4, 8):  # Unix file types: none given, folder, regular file
         raise PackageError(f"has a member {display_name} that is a link or a device")

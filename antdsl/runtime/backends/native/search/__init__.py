@@ -46,13 +46,13 @@ _MIN_SQUARED_DISTANCE, _COSINE_SLACK = np.float32(1e-30), np.float32(1e-5)
 class ReductionGroup:
     """Reductions that one search computes.
 
-    `operand_area`, `out`: addresses of the areas for operands and results.
+    `operand_area`, `result_area`: addresses of the areas for operands and results.
     `answered_mask`: address of the mask of agents that already have results."""
 
     number: int
     instructions: list[BlockInstruction]
     operand_area: Number
-    out: Number
+    result_area: Number
     answered_mask: Number
     search: SearchCode
 
@@ -71,12 +71,12 @@ def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> N
             _call_search(b, group, missing)
             e.store_number(group.answered_mask, answered_mask | missing)
     for k, each in enumerate(group.instructions):
-        if each.scope is instruction.scope and not any(each.out in names for names in e.known):
+        if each.scope is instruction.scope and not any(each.slot in names for names in e.known):
             kind = LANE_TYPE_BY_KIND[group.search.nodes[k].kind]
-            b.known(each.out, _read_area(e, group.out, k, kind))
+            b.known(each.slot, _read_area(e, group.result_area, k, kind))
     for chosen, k in group.search.overflow_slots.items():
         if any(each.scope is instruction.scope and each.subject.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
-            with e.write_if(e.any_lane(_read_area(e, group.out, k, BOOL) & mask)):
+            with e.write_if(e.any_lane(_read_area(e, group.result_area, k, BOOL) & mask)):
                 e.store_number(b.array_address("counts"), e.make_constant(1, I64, 1))
 
 
@@ -91,7 +91,7 @@ def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
         known_group: ReductionGroup = b.groups[first]
         return known_group
     together = [first, *(each for each in b.find_joint_reductions(first) if each not in b.groups)]
-    number = len(b.code.near)
+    number = len(b.code.searches)
     name = f"near.{b.species}.{b.compiler.name}.{number}"
     nodes = [each.subject for each in together if isinstance(each.subject, ir.PlanNode)]
     near = SearchCode(name, number, nodes[0].args[0].attrs[0], nodes)
@@ -149,18 +149,18 @@ def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> No
             {each.attrs[0] for each in read if each.op == "other" and each.kind is ir.ValueKind.F32} - {*POSITION_REGISTERS}
         )
         near.extra_registers = [" ".join(names[k : k + 4]) for k in range(0, len(names), 4)]
-        b.code.near.append(NeighbourSearch(near.other_species, list(near.radius_slots), near.extra_registers))
+        b.code.searches.append(NeighbourSearch(near.other_species, list(near.radius_slots), near.extra_registers))
     for k, value in enumerate(values):
         e.store_number(e.offset_address(group.operand_area, OPERAND_STRIDE_BYTES * k), e.broadcast(e.to_stored_form(value)))
     if fresh:
         _write_functions(b, near)
-    e.do("call", b.table, b.row, requesting, group.operand_area, group.out, x=f"@{near.name}")
+    e.do("call", b.table, b.row, requesting, group.operand_area, group.result_area, x=f"@{near.name}")
 
 
 # --- eight agents in SIMD lanes --------------------------------------------------------------------------------------
 
 
-def _write_functions(b: BlockWriter, near: SearchCode) -> None:
+def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
     """Write two functions of a search: for eight agents, and for one agent with very many neighbours."""
     w = FunctionWriter(b.module, b.layout)
     e = w.builder
@@ -173,47 +173,51 @@ def _write_functions(b: BlockWriter, near: SearchCode) -> None:
     asks = e.mask_from_i8(bits)
 
     def mine(k: int) -> Lanes:
-        return _read_area(e, own, k, near.operand_kinds[k])
+        return _read_area(e, own, k, search_code.operand_kinds[k])
 
     place = [e.load_lanes(w.array_address("start", f"position.{axis}"), row, F32) for axis in AXES]
-    radius = {chosen: mine(k) for chosen, k in near.radius_slots.items()}
-    search = CellRows(w, near.number, place, list(radius.values()), asks)
+    radius = {chosen: mine(k) for chosen, k in search_code.radius_slots.items()}
+    search = CellRows(w, search_code.number, place, list(radius.values()), asks)
     search.store_max_radius()
-    heading = [e.load_lanes(w.array_address("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
-    set_test = _SetTest(e, radius, {chosen: mine(k) for chosen, k in near.view.items()}, search, heading)
-    itself = e.load_lanes(w.array_address("grid", near.number, "at"), row, I32) if near.other_species == b.species else None
-    buffer, number, over = _list_candidates(w, near, search, asks, set_test, itself)
-    sums = [RunningReduction(e, node, needs_two_words=False) for node in near.nodes]
+    heading = [e.load_lanes(w.array_address("start", f"heading.{axis}"), row, F32) for axis in AXES] if search_code.view else []
+    set_test = _SetTest(e, radius, {chosen: mine(k) for chosen, k in search_code.view.items()}, search, heading)
+    itself = (
+        e.load_lanes(w.array_address("grid", search_code.number, "at"), row, I32)
+        if search_code.other_species == b.species
+        else None
+    )
+    buffer, number, over = _list_candidates(w, search_code, search, asks, set_test, itself)
+    sums = [RunningReduction(e, node, needs_two_words=False) for node in search_code.nodes]
     for each in sums:
         each.start()
     with e.write_loop(e.convert(e.lane_maximum(number), I64)) as k:
         is_listed = e.convert(k, I32) < number
-        pair = measure_pairs(w, near, _read_lists(e, buffer, k), place, is_listed)
+        pair = measure_pairs(w, search_code, _read_lists(e, buffer, k), place, is_listed)
 
-        def inside(chosen: ir.PlanNode) -> Lanes:
-            reached = pair.is_present & (pair.distance <= radius[chosen])
-            if chosen in near.view:
+        def inside(set_node: ir.PlanNode) -> Lanes:
+            reached = pair.is_present & (pair.distance <= radius[set_node])
+            if set_node in search_code.view:
                 hx, hy, hz = heading
                 ahead = e.get_or_make("ahead", lambda: (pair.dx * hx + pair.dy * hy) + pair.dz * hz)
-                reached = reached & (ahead >= mine(near.view[chosen]) * pair.distance)
+                reached = reached & (ahead >= mine(search_code.view[set_node]) * pair.distance)
             return reached
 
-        pairs = PairValues(w, lambda node: mine(near.operand_slots[node]), pair.load_leaf, b.senses)
-        for each, node in zip(sums, near.nodes, strict=True):
-            reached = e.get_or_make(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
+        pairs = PairValues(w, lambda node: mine(search_code.operand_slots[node]), pair.load_leaf, b.senses)
+        for each, node in zip(sums, search_code.nodes, strict=True):
+            reached = e.get_or_make(("near", node.args[0]), lambda set_node=node.args[0]: inside(set_node))  # type: ignore[misc]
             accumulate_pairs(each, node, pairs, reached, pair.ids)
     fits = asks & ~over
     for result, each in enumerate(sums):
         stored = e.to_stored_form(each.result())
         start = e.offset_address(out, OPERAND_STRIDE_BYTES * result)
         e.store_number(start, e.select_lanes(fits, stored, e.load(start, stored.kind, LANE_COUNT)))
-    for stop in near.overflow_slots.values():
+    for stop in search_code.overflow_slots.values():
         start = e.offset_address(out, OPERAND_STRIDE_BYTES * stop)
         e.store_number(start, e.select_lanes(fits, e.make_constant(0, I8), e.load(start, I8, LANE_COUNT)))
     with e.write_if(e.any_lane(over)):
-        e.do("call", w.table, row, e.mask_to_i64(over), own, out, x=f"@{near.name}.many")
-    write_dense_search(b, near)
-    e.end(near.name, (w.table, row, bits, own, out))
+        e.do("call", w.table, row, e.mask_to_i64(over), own, out, x=f"@{search_code.name}.many")
+    write_dense_search(b, search_code)
+    e.end(search_code.name, (w.table, row, bits, own, out))
 
 
 def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
@@ -286,7 +290,7 @@ class _SetTest:
 
 
 def _list_candidates(
-    w: FunctionWriter, near: SearchCode, search: CellRows, requesting: Lanes, set_test: _SetTest, own_row: Lanes | None
+    w: FunctionWriter, search_code: SearchCode, search: CellRows, requesting: Lanes, set_test: _SetTest, own_row: Lanes | None
 ) -> tuple[Lanes, Lanes, Lanes]:
     """List the possible members of a set for each of eight agents.
 
@@ -301,8 +305,8 @@ def _list_candidates(
         e.store_number(slot, e.make_constant(0, I32))
     if own_row is not None:
         e.store_number(own_place, own_row)
-    columns = [w.array_address("grid", near.number, axis) for axis in AXES]
-    fours = [w.array_address("grid", near.number, each) for each in ("places", *near.extra_registers)]
+    columns = [w.array_address("grid", search_code.number, axis) for axis in AXES]
+    fours = [w.array_address("grid", search_code.number, each) for each in ("places", *search_code.extra_registers)]
 
     def write_lane(lane: Lanes, rows: Lanes) -> None:
         """Write the candidates of one agent in the given rows of cells."""

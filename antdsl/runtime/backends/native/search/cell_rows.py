@@ -42,10 +42,10 @@ class SearchCells:
         last = e.clamp((q + half - self.low[axis]) * self.inverse_width[axis], e.make_constant(-1.0, F64), most - 1.0)
         return e.to_int32(np.floor(first)), e.to_int32(np.floor(last))
 
-    def find_row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, within: Lanes) -> tuple[Lanes, Lanes]:
+    def find_row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, is_within: Lanes) -> tuple[Lanes, Lanes]:
         """Return where a row of cells, from one cell to another, starts in the grid's order, and its number of agents, i32.
 
-        Both are 0 if `within` is false."""
+        Both are 0 if `is_within` is false."""
         w, e = self.writer, self.writer.builder
         starts, keys = w.array_address("grid", self.number, "starts"), w.array_address("grid", self.number, "keys")
         begin, end = e.allocate_slot(I32, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT)
@@ -54,8 +54,8 @@ class SearchCells:
         with e.write_if(~many):  # so few cells that 32 bits hold their numbers
             fast, middle = (e.convert(self.cell_counts[k], I32) for k in (0, 1))
             line = (z * middle + y) * fast
-            e.store_number(begin, e.gather(starts, e.select_lanes(within, line + first, none), I32))
-            e.store_number(end, e.gather(starts, e.select_lanes(within, line + last + 1, none), I32))
+            e.store_number(begin, e.gather(starts, e.select_lanes(is_within, line + first, none), I32))
+            e.store_number(end, e.gather(starts, e.select_lanes(is_within, line + last + 1, none), I32))
         with e.write_if(many):
             wide = [e.convert(each, I64) for each in (z, y, first, last)]
             line = (wide[0] * self.cell_counts[1] + wide[1]) * self.cell_counts[0]
@@ -63,7 +63,7 @@ class SearchCells:
             for slot, key in ((begin, line + wide[2]), (end, line + wide[3] + 1)):
                 e.store_number(slot, e.convert(e.call_function(name, I64, keys, self.count, key), I32))
         start = e.load(begin, I32, LANE_COUNT)
-        return start, e.select_lanes(within, e.load(end, I32, LANE_COUNT) - start, none)
+        return start, e.select_lanes(is_within, e.load(end, I32, LANE_COUNT) - start, none)
 
     def _bisection_function(self) -> str:
         """Return the name of a function that counts how many sorted keys are below each of eight keys, i64."""
@@ -153,11 +153,11 @@ class CellRows:
         return self.cells.find_row_range(cz, cy, self.fast_first, self.fast_last, within)
 
 
-def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, inside: Lanes) -> None:
+def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, is_inside: Lanes) -> None:
     """Append those of eight numbers (i32) for which a condition holds.
 
     All eight are written, and the unneeded ones are overwritten later. This avoids a branch that is hard to predict."""
-    bits = e.mask_to_i64(inside)
+    bits = e.mask_to_i64(is_inside)
     count = e.load(total, I64)
     if e.module.target.avx2:
         place = e.address(buffer, count, I32)

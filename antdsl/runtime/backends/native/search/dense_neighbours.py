@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from antdsl.runtime.world import AXES
 _REJECTED_DISTANCE_NUMBER = (1 << 31) - 1  # key of a rejected candidate, above the keys of all distances
 
 
-def write_dense_search(b: BlockWriter, near: SearchCode) -> None:
+def write_dense_search(b: BlockWriter, search_code: SearchCode) -> None:
     """Write the function that processes the agents in a mask of eight, one by one."""
     w = FunctionWriter(b.module, b.layout)
     e = w.builder
@@ -41,46 +42,48 @@ def write_dense_search(b: BlockWriter, near: SearchCode) -> None:
         row = rows + lane
 
         def mine(k: int) -> Lanes:
-            return e.load_scalar(e.offset_address(own_area, OPERAND_STRIDE_BYTES * k), lane, near.operand_kinds[k])
+            return e.load_scalar(e.offset_address(own_area, OPERAND_STRIDE_BYTES * k), lane, search_code.operand_kinds[k])
 
         def put(k: int, value: Lanes) -> None:
             e.store_number(e.address(e.offset_address(out, OPERAND_STRIDE_BYTES * k), lane, value.kind), value)
 
-        own = {node: e.broadcast(mine(k)) for node, k in near.operand_slots.items()}
+        own = {node: e.broadcast(mine(k)) for node, k in search_code.operand_slots.items()}
         place = [e.broadcast(e.load_scalar(w.array_address("start", f"position.{axis}"), row, F32)) for axis in AXES]
-        radius = {chosen: e.broadcast(mine(k)) for chosen, k in near.radius_slots.items()}
-        crowd = _DenseNeighbours(w, near, place, e.broadcast(e.convert(row, I32)) if near.other_species == b.species else None)
+        radius = {chosen: e.broadcast(mine(k)) for chosen, k in search_code.radius_slots.items()}
+        crowd = _DenseNeighbours(
+            w, search_code, place, e.broadcast(e.convert(row, I32)) if search_code.other_species == b.species else None
+        )
         crowd.list_candidates(list(radius.values()))
-        for chosen, k in near.overflow_slots.items():
+        for chosen, k in search_code.overflow_slots.items():
             put(k, crowd.is_over_limit(radius[chosen]))
         crowd.keep_nearest()
         heading = (
             [e.broadcast(e.load_scalar(w.array_address("start", f"heading.{axis}"), row, F32)) for axis in AXES]
-            if near.view
+            if search_code.view
             else []
         )
-        sums = [RunningReduction(e, node, needs_two_words=False) for node in near.nodes]
+        sums = [RunningReduction(e, node, needs_two_words=False) for node in search_code.nodes]
         for each in sums:
             each.start()
         with e.write_loop(e.load(crowd.count_address, I64), LANE_COUNT) as at:
             others = crowd.load_others(at)
 
-            def inside(chosen: ir.PlanNode) -> Lanes:
-                reached = others.is_present & (others.distance <= radius[chosen])
-                if chosen in near.view:
+            def inside(set_node: ir.PlanNode) -> Lanes:
+                reached = others.is_present & (others.distance <= radius[set_node])
+                if set_node in search_code.view:
                     hx, hy, hz = heading
                     ahead = (others.dx * hx + others.dy * hy) + others.dz * hz
-                    reached = reached & (ahead >= mine(near.view[chosen]) * others.distance)
+                    reached = reached & (ahead >= mine(search_code.view[set_node]) * others.distance)
                 return reached
 
             pairs = PairValues(w, lambda node: own[node], others.load_leaf, b.senses)
-            for each, node in zip(sums, near.nodes, strict=True):
-                reached = e.get_or_make(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
+            for each, node in zip(sums, search_code.nodes, strict=True):
+                reached = e.get_or_make(("near", node.args[0]), partial(inside, node.args[0]))
                 accumulate_pairs(each, node, pairs, reached, others.ids)
         for k, each in enumerate(sums):
             each.combine_lanes()
             put(k, e.extract_lane(e.to_stored_form(each.result()), 0))
-    e.end(f"{near.name}.many", (w.table, rows, mask, own_area, out))
+    e.end(f"{search_code.name}.many", (w.table, rows, mask, own_area, out))
 
 
 @dataclass(slots=True, eq=False)
@@ -153,16 +156,17 @@ class _DenseNeighbours:
             e.store_number(counted, e.load(counted, I32, LANE_COUNT) + e.convert(good, I32))
         return e.op("reduce.add", I32, e.load(counted, I32, LANE_COUNT), lanes=1)
 
-    def _bisect_least(self, place: Number, kind: str, most: int, enough: Callable[[Lanes], Lanes]) -> None:
-        """Find the least integer from 0 to `most` for which `enough` holds, and write it to `place`. All bits of `most` are 1."""
+    def _bisect_least(self, place: Number, kind: str, max_value: int, is_enough: Callable[[Lanes], Lanes]) -> None:
+        """Find the least integer from 0 to `max_value` for which `is_enough` holds, and write it to `place`. All bits of
+        `max_value` are 1."""
         e = self.writer.builder
         low, high = e.allocate_slot(kind), e.allocate_slot(kind)
         e.store_number(low, e.make_constant(0, kind, 1))
-        e.store_number(high, e.make_constant(most, kind, 1))
-        with e.write_loop(most.bit_length()):
+        e.store_number(high, e.make_constant(max_value, kind, 1))
+        with e.write_loop(max_value.bit_length()):
             a, z = e.load(low, kind), e.load(high, kind)
             middle = a + ((z - a) >> 1)
-            good = enough(middle)
+            good = is_enough(middle)
             e.store_number(low, e.select_lanes(good, a, middle + 1))
             e.store_number(high, e.select_lanes(good, middle, z))
         e.store_number(place, e.load(high, kind))
@@ -187,9 +191,9 @@ class _DenseNeighbours:
         e.store_number(last, e.make_constant(NO_LABEL, I64, 1))
         with e.write_if(e.load(self.count_address, I64) > cap):
 
-            def enough(reach: Lanes, least: int = cap) -> Lanes:
+            def enough(reach: Lanes, count: int = cap) -> Lanes:
                 bound = e.broadcast(reach)
-                return self._count_passing(lambda index, keys: keys <= bound) >= least
+                return self._count_passing(lambda index, keys: keys <= bound) >= count
 
             with e.write_if(enough(e.load(far, I32), cap + 1)):
                 self._bisect_least(far, I32, _REJECTED_DISTANCE_NUMBER, enough)

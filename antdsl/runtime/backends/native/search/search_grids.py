@@ -35,11 +35,11 @@ class _CrowdBox:
     Its cells are used while the crowd stays inside the box and fills it. They expire after some steps, because the crowd may
     spread in height."""
 
-    def __init__(self, corners: BoxCorners, until: int) -> None:
+    def __init__(self, corners: BoxCorners, expiry_step: int) -> None:
         extent = [high - low for low, high in zip(*corners, strict=True)]
         self.low = [low - _BOX_MARGIN_SHARE * each for low, each in zip(corners[0], extent, strict=True)]
         self.high = [high + _BOX_MARGIN_SHARE * each for high, each in zip(corners[1], extent, strict=True)]
-        self._min_extent, self._expiry_step = [_MIN_FILLED_SHARE * each for each in extent], until
+        self._min_extent, self._expiry_step = [_MIN_FILLED_SHARE * each for each in extent], expiry_step
 
     def is_suitable(self, corners: BoxCorners, step: int) -> bool:
         """Return whether the cells of this box suit a step in which the crowd has these corners."""
@@ -141,15 +141,15 @@ class SearchGrids:
         return known and shape.extent[2] > 0
 
 
-def _coarsen_shape(shape: GridShape, most: int) -> GridShape:
-    """Return a shape with wider cells if a sparse crowd needs more than `most` cells, most of them empty.
+def _coarsen_shape(shape: GridShape, max_cells: int) -> GridShape:
+    """Return a shape with wider cells if a sparse crowd needs more than `max_cells` cells, most of them empty.
 
     Cells become up to four times longer along the fast axis, then up to twice as long along each axis."""
-    if shape.cell_count <= most:
+    if shape.cell_count <= max_cells:
         return shape
     width, size = list(shape.width), list(shape.size)
     for axis in (0, 0, 1, 2, 0):
-        if size[0] * size[1] * size[2] <= most:
+        if size[0] * size[1] * size[2] <= max_cells:
             break
         if size[axis] > 1:
             width[axis] *= 2

@@ -43,12 +43,12 @@ class NeighbourLanes:
 
     `is_present`: mask of the pairs that exist. `rows`: rows of the others.
     `dx`, `dy`, `dz`, `distance`: the vector other minus own, and its length.
-    `at`: indices of the others in the grid. `positions`: their positions."""
+    `grid_indices`: indices of the others in the grid. `positions`: their positions."""
 
     writer: FunctionWriter
     search: SearchCode
     is_present: Lanes
-    at: Lanes
+    grid_indices: Lanes
     rows: Lanes
     positions: list[Lanes]
     dx: Lanes
@@ -87,7 +87,7 @@ class NeighbourLanes:
 
     def _load_extra_values(self, names: str) -> list[Lanes]:
         e, base = self.writer.builder, self.writer.array_address("grid", self.search.number, names)
-        registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: load_quadruples(e, base, self.at))
+        registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: load_quadruples(e, base, self.grid_indices))
         return registers
 
     def _extract_rows(self) -> Lanes:
@@ -97,18 +97,29 @@ class NeighbourLanes:
         e, positions = self.writer.builder, self.writer.array_address("grid", self.search.number, "places")
 
         def make() -> Lanes:
-            fours = (quadruple_address(e, positions, e.extract_lane(self.at, lane)) for lane in range(LANE_COUNT))
+            fours = (quadruple_address(e, positions, e.extract_lane(self.grid_indices, lane)) for lane in range(LANE_COUNT))
             return e.combine_lanes(e.load(e.offset_address(four, 12), I32) for four in fours)
 
         row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), make)
         return row_lanes
 
 
-def measure_pairs(w: FunctionWriter, near: SearchCode, at: Lanes, place: list[Lanes], is_present: Lanes) -> NeighbourLanes:
-    """Return the pairs of requesting agents at positions `place` and others at grid indices `at`."""
+def measure_pairs(
+    w: FunctionWriter, search_code: SearchCode, grid_indices: Lanes, place: list[Lanes], is_present: Lanes
+) -> NeighbourLanes:
+    """Return the pairs of requesting agents at positions `place` and others at grid indices `grid_indices`."""
     e = w.builder
-    *others, rows = load_quadruples(e, w.array_address("grid", near.number, "places"), at)
+    *others, rows = load_quadruples(e, w.array_address("grid", search_code.number, "places"), grid_indices)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
     return NeighbourLanes(
-        w, near, is_present, at, e.reinterpret_bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz)
+        w,
+        search_code,
+        is_present,
+        grid_indices,
+        e.reinterpret_bits(rows, I32),
+        others,
+        dx,
+        dy,
+        dz,
+        np.sqrt((dx * dx + dy * dy) + dz * dz),
     )

@@ -35,6 +35,8 @@ def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
                 "bad-usd", format_usd_error(error, str(request.document["folder"])), None, "prim", "exception"
             ) from error
         except UnicodeDecodeError as error:  # USD does not validate names and texts of the file
-            raise ReadRefusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from error
+            raise ReadRefusal(
+                "bad-usd", "it has bytes that are not UTF-8 text", "export it again", "prim", "exception"
+            ) from error
 
     return answer

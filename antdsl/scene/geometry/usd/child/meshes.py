@@ -55,7 +55,7 @@ class JoinedMesh:
 class _MeshShape:
     """A mesh prim with its places. `points`: at the first frame. `is_deformed`: whether the points move relative to the prim."""
 
-    placed: PlacedMesh
+    placed_mesh: PlacedMesh
     points: Floats
     faces: Faces
     is_deformed: bool
@@ -63,7 +63,7 @@ class _MeshShape:
     @property
     def count(self) -> int:
         """Return the number of places."""
-        return len(self.placed.transforms)
+        return len(self.placed_mesh.transforms)
 
 
 def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
@@ -91,15 +91,15 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
     return JoinedMesh(*_join_shapes(shapes), _make_moves(stage, shapes), values, passed_over)
 
 
-def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _MeshShape:
+def _read_shape(stage: OpenStage, placed_mesh: PlacedMesh) -> _MeshShape:
     """Return the points and triangles of a mesh prim. Holes and left-handed orientation are respected, subdivision is not."""
-    prim, mesh = placed.prim, import_pxr_module("UsdGeom").Mesh(placed.prim)
+    prim, mesh = placed_mesh.prim, import_pxr_module("UsdGeom").Mesh(placed_mesh.prim)
     path = prim.GetPath()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(stage.first) or [], np.int64)
     points = _read_points(mesh, stage.times[0])
     if counts.sum() != len(corners) or (counts < 0).any():
-        raise MeshError(f"has at `{path}` another number of corners than its faces say")
+        raise MeshError(f"has at `{path}` a number of corners that does not match its faces")
     if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
         raise MeshError(f"has at `{path}` a face that names a missing point")
     for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
@@ -110,7 +110,7 @@ def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _MeshShape:
     is_filled[holes[(holes >= 0) & (holes < len(counts))]] = False
     faces = _make_triangles(points, counts, corners, is_filled, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
     is_deformed = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
-    return _MeshShape(placed, points, faces, is_deformed)
+    return _MeshShape(placed_mesh, points, faces, is_deformed)
 
 
 def _read_points(mesh: Any, time: float) -> Floats:
@@ -153,7 +153,7 @@ def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
     """Return vertices and faces of every shape at every place, at the first frame. A mirrored shape keeps its outside."""
     vertices, faces, vertex_count = [], [], 0
     for shape in shapes:
-        transforms, count = shape.placed.transforms[:, 0], len(shape.points)
+        transforms, count = shape.placed_mesh.transforms[:, 0], len(shape.points)
         vertices.append(apply_transforms(transforms[:, None], shape.points).reshape(-1, 3))
         is_mirrored = compute_determinants(transforms) < 0
         turned = np.where(is_mirrored[:, None, None], shape.faces[:, [0, 2, 1]], shape.faces)
@@ -167,17 +167,17 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
 
     If points deform, or a place begins without a size, each vertex moves separately."""
     frames = len(stage.times)
-    if not any(shape.is_deformed or shape.placed.transforms.shape[1] > 1 for shape in shapes):
+    if not any(shape.is_deformed or shape.placed_mesh.transforms.shape[1] > 1 for shape in shapes):
         return None
     free = [_find_free_places(shape) for shape in shapes]
     sizes = [
-        len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed.transforms.shape[1] * 96 * int((~alone).sum())
+        len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed_mesh.transforms.shape[1] * 96 * int((~alone).sum())
         for shape, alone in zip(shapes, free, strict=True)
     ]
     check_motion_bytes(sum(sizes), "what moves")
     tracks, group, deformed, vertex_count, count = [make_identity_transforms(1, frames)], [], [], 0, 1
     for shape, alone in zip(shapes, free, strict=True):
-        transforms, points = shape.placed.transforms, len(shape.points)
+        transforms, points = shape.placed_mesh.transforms, len(shape.points)
         is_first = (transforms == transforms[:, :1]).all(axis=(2, 3))
         moved = ~alone & ~is_first.all(axis=1)
         number = np.where(moved, count + np.cumsum(moved) - 1, 0)
@@ -200,21 +200,23 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
 
 def _find_free_places(shape: _MeshShape) -> NDArray[np.bool_]:
     """Return whether the vertices of a shape move separately, for each of its places."""
-    transforms = shape.placed.transforms
+    transforms = shape.placed_mesh.transforms
     if shape.is_deformed:
         return np.ones(len(transforms), np.bool_)
     return ~find_invertible(transforms[:, 0]) if transforms.shape[1] > 1 else np.zeros(len(transforms), np.bool_)
 
 
-def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.bool_], k: int) -> Floats:
-    """Return the offsets of vertices from their rest positions at frame `k`, for the places in `free`."""
+def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, is_free: NDArray[np.bool_], k: int) -> Floats:
+    """Return the offsets of vertices from their rest positions at frame `k`, for the places in `is_free`."""
     points = (
-        _read_points(import_pxr_module("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
+        _read_points(import_pxr_module("UsdGeom").Mesh(shape.placed_mesh.prim), stage.times[k])
+        if shape.is_deformed
+        else shape.points
     )
     if len(points) != len(shape.points):
-        path = shape.placed.prim.GetPath()
+        path = shape.placed_mesh.prim.GetPath()
         raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE_HELP)
-    transforms = shape.placed.transforms[free]
+    transforms = shape.placed_mesh.transforms[is_free]
     shift = apply_transforms(transforms[:, min(k, transforms.shape[1] - 1), None], points) - apply_transforms(
         transforms[:, 0, None], shape.points
     )
@@ -223,7 +225,7 @@ def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.
 
 def _read_values(stage: OpenStage, shape: _MeshShape, name: str) -> Floats:
     """Return a primvar on the points of a shape, at each of its places. Vectors rotate with the mesh and keep their length."""
-    prim = shape.placed.prim
+    prim = shape.placed_mesh.prim
     primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         raise UsdError("no-such-prim", f"`{prim.GetPath()}` has no primvar `{name}`", f"paint `primvars:{name}` on it")
@@ -235,7 +237,7 @@ def _read_values(stage: OpenStage, shape: _MeshShape, name: str) -> Floats:
         words = f"the primvar `{name}` of `{prim.GetPath()}` has {len(values):,} values for {len(shape.points):,} points"
         raise UsdError("bad-usd", words, "paint it on the points (interpolation `vertex`)")
     if values.shape[1] == 3:
-        return _rotate_vectors(shape.placed.transforms[:, 0, None], values).reshape(-1, 3)
+        return _rotate_vectors(shape.placed_mesh.transforms[:, 0, None], values).reshape(-1, 3)
     return np.tile(values[:, 0], shape.count)
 
 

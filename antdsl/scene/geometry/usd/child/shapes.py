@@ -46,9 +46,9 @@ class PlaceCounter:
         self.meshes += count
         self._check_total(self.meshes, "instances of meshes")
 
-    def _check_total(self, total: int, what: str) -> None:
+    def _check_total(self, total: int, noun: str) -> None:
         if total > limits.MAX_USD_INSTANCES:
-            words = f"the point instancers below `{self.path}` come to {total:,} {what}, more than {limits.MAX_USD_INSTANCES:,}"
+            words = f"the point instancers below `{self.path}` produce {total:,} {noun}, more than {limits.MAX_USD_INSTANCES:,}"
             raise UsdError("too-large", words, "name a part of it, or scatter fewer instances")
 
 
@@ -190,11 +190,11 @@ def _compute_relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floa
     return np.array(matrices)
 
 
-def check_motion_bytes(size: int, what: str) -> None:
+def check_motion_bytes(size: int, noun: str) -> None:
     """Raise UsdError if motion of `size` bytes exceeds the limit. Otherwise raise the process's memory limit for it."""
     if size > limits.MAX_MOTION_BYTES:
         words = (
-            f"the frames of {what} would take {size / limits.GIB:.1f} GiB, more than {limits.MAX_MOTION_BYTES / limits.GIB:.0f}"
+            f"the frames of {noun} would take {size / limits.GIB:.1f} GiB, more than {limits.MAX_MOTION_BYTES / limits.GIB:.0f}"
         )
         raise UsdError("too-large", words, "simulate fewer frames at a time, or name a lighter part")
     allow_memory(4 * size)

@@ -136,7 +136,7 @@ def _open_layer(
         raise _make_missing_prim_error(top, text, place, bool(stage_prim))
     problems = stage.GetCompositionErrors()
     if problems:
-        raise UsdError("bad-usd", f"`{text}` does not hold together: {clean_usd_text(str(problems[0]), folder)}", None, "usd")
+        raise UsdError("bad-usd", f"`{text}` is inconsistent: {clean_usd_text(str(problems[0]), folder)}", None, "usd")
     _check_prim_count(stage, text, prim)
     rate = float(stage.GetTimeCodesPerSecond())
     factor = float(geom.GetStageMetersPerUnit(stage)) * 1000.0
@@ -245,5 +245,5 @@ def _open_checked_layer(path: str, folder: str, text: str) -> Any:
     except import_pxr_module("Tf").ErrorException as problem:
         why = format_usd_error(problem, folder).replace(os.path.relpath(path, folder), text)
     except UnicodeDecodeError:  # USD's message would repeat the invalid bytes
-        why = "it has bytes that are no UTF-8 text"
+        why = "it has bytes that are not UTF-8 text"
     raise UsdError("bad-usd", f"`{text}` cannot be read as USD: {why}", "export it again", "usd")
