@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.body_arrays import StoredBodies
@@ -24,15 +23,14 @@ from antdsl.outputs.cache.cache_writer import (
     prepare_folder,
     read_checkpoint,
 )
-from antdsl.outputs.cache.frame_maker import FrameMaker, make_manifest, make_static_arrays
+from antdsl.outputs.cache.frame_maker import FrameMaker, make_static_arrays
 from antdsl.outputs.cache.hashes import HashLine
-from antdsl.outputs.cache.manifest import AnyCameraEntry, CameraEntry, EditsEntry, FollowEntry, Look, find_relative_path
+from antdsl.outputs.cache.manifest import EditsEntry, find_relative_path
 from antdsl.outputs.cache.scene_positions import find_scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.cache_start import hash_start_frame, start_from_cache
-from antdsl.outputs.feelers import list_feelers
-from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.provenance import collect_provenance
+from antdsl.outputs.shot_manifest import make_shot_manifest
 from antdsl.pipeline import Shot
 from antdsl.runtime import (
     CheckpointError,
@@ -46,11 +44,7 @@ from antdsl.runtime import (
     step,
 )
 from antdsl.runtime.profiling import StepMeter
-from antdsl.scene.camera_models import FollowCamera
 from antdsl.scene.crowds.crowd_model import named_weights
-from antdsl.scene.scene_model import SceneModel
-from antdsl.scene.setting import CameraData
-from antdsl.scene.thing_models import PlacedThing, convert_point
 from antdsl.scene.values import FrameRange
 
 
@@ -218,29 +212,10 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces, model.output.events)
     stored_bodies = StoredBodies.from_definitions(shot.bodies, named_weights(model.crowd))
     name = Path(shot.scene.source.path).name
-    manifest = make_manifest(
-        world,
-        shot.setting,
-        version=shot.inputs["antdsl"],
-        scene=name,
-        scene_path=recording.scene_path or find_relative_path(Path(shot.scene.source.path), recording.folder),
-        inputs=recording.inputs,
-        units=model.units,
-        up=model.up,
-        first=shot.frames.first,
-        last=shot.frames.last,
-        preroll=model.preroll,
-        checkpoint=model.output.checkpoint,
-        attributes=maker.attributes,
-        definitions=stored_bodies.entries,
-        definition_by_species=stored_bodies.index_by_species,
-        feelers={
-            name: list_feelers(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
-        },
-        cameras=_make_camera_entries(shot, world.origin),
-        looks=collect_looks(model),
-    )
-    manifest = manifest.model_copy(update={"edits": recording.edits, "light": model.light.make_settings()})
+    scene_path = recording.scene_path or find_relative_path(Path(shot.scene.source.path), recording.folder)
+    manifest = make_shot_manifest(shot, world, maker.attributes, stored_bodies)
+    update = {"scene_path": scene_path, "inputs": dict(recording.inputs), "edits": recording.edits}
+    manifest = manifest.model_copy(update=update)
     made_with = partial(collect_provenance, name, shot.frames, shot.setting.seed, recording.inputs)
     with CacheWriter(recording.folder, manifest, made_with, recording.add_measures) as writer:
         static = {**recording.static_arrays, **stored_bodies.arrays}
@@ -299,40 +274,3 @@ def _write_frame(recording: Recording, writer: CacheWriter) -> None:
         writer.submit_checkpoint(world)
     recording.frame = world.frame
     recording.add_time("hand_over", began)
-
-
-def _make_camera_entries(shot: Shot, origin: NDArray[np.float64]) -> dict[str, AnyCameraEntry]:
-    """Return the manifest's entries for the cameras of a scene, by name."""
-    model, entries = shot.scene.model, dict[str, AnyCameraEntry]()
-    for name, value in model.named_cameras.items():
-        if name in shot.setting.cameras:
-            entries[name] = _make_placed_entry(shot.setting.cameras[name], origin, 1.0 / model.unit_mm)
-        elif isinstance(value, FollowCamera):
-            by = None if value.by is None else to_tuple(np.array(convert_point(value.by, model.unit_mm)) / model.unit_mm)
-            smooth = None if value.smooth is None else value.smooth.to_base_units(model.unit_mm, float(1 / model.fps))
-            focal = None if value.focal is None else value.focal.number
-            entries[name] = FollowEntry(follow=str(value.follow), by=by, smooth=smooth, focal=focal)
-        else:
-            entries[name] = "fit"
-    return entries
-
-
-def _make_placed_entry(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
-    """Return the manifest's entry for a camera that does not depend on agents, with the values of the first frame."""
-    at, look_at, up = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
-    focal = float(camera.focal[0]) or None
-    return CameraEntry(at=to_tuple(at), look_at=to_tuple(look_at), focal=focal, up=to_tuple(up), moves=camera.moves)
-
-
-def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
-    """Return the looks that the scene sets, by name of a mesh or of items.
-
-    Items from a USD file have one look. Items with separate entries have a mapping of looks by item name."""
-    looks: dict[str, Look | Mapping[str, Look]] = {}
-    for name, thing in model.world.items():
-        if isinstance(thing, dict):
-            own = {item: placed.look for item, placed in thing.items() if placed.look is not None}
-            looks |= {name: own} if own else {}
-        elif isinstance(thing, PlacedThing) and thing.look is not None:
-            looks[name] = thing.look
-    return looks

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run
 from directed import Track, follow, open_directed, row_of, start
 from explained import cached
 
@@ -63,6 +64,10 @@ MANY_NOTES = (
     "{lane: guards, along: way, width: 30 mm, strength: 50 %}",
     "{part: guards, for: foot, distance: 20 mm}",
     "{repel: guards, from: stone, radius: 30 mm}",
+    "{forbid: guards, in: {around: [guards.1, guards.2], radius: 12 mm}, falloff: 8 mm}",
+    "{repel: guards.40..49, from: foot, radius: 60 mm}",
+    "{look: guards.9, at: {head: front}}",
+    "{look: guards.10, at: {head: foot}}",
     "{hold: guards, off: yes}",
     "{thin: guards, to: 90 %, in: {from: [0, -50, -150], to: [150, 50, 150]}}",
 )  # fmt: skip
@@ -286,6 +291,21 @@ def test_agents_of_a_line_with_a_rate_can_be_without(tmp_path: Path) -> None:
             step(worlds[-1])
     every, fewer = (sorted(world.populations["ant"].ids.tolist()) for world in worlds)
     assert every == [0, 1, 2, 3, 4, 5] and fewer == [0, 1, 5]
+
+
+def test_info_lists_the_notes_that_were_on(tmp_path: Path) -> None:
+    open_directed(
+        tmp_path,
+        "{hold: guards.3,\n      frames: 1..9}",
+        "{hold: guards, off: yes}",
+        "{retime: ant, speed: 50 %}",
+        count=4,
+        last=2,
+    )
+    assert run("run", "scene.yaml", "--out", "cache", "--quiet", cwd=tmp_path).returncode == 0
+    lines = run("info", "cache", cwd=tmp_path).stdout.splitlines()
+    noted = [line.split(maxsplit=1)[1] for line in lines if line.startswith("note ")]
+    assert noted == ["hold: guards.3, frames: 1..9", "retime: ant, speed: 50 %"]
 
 
 def test_an_explanation_names_the_notes_that_direct_an_agent(tmp_path: Path) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import meshes
 import numpy as np
-from directed import Track, follow, open_directed, start
+import pytest
+from directed import Track, follow, open_directed, start, write_mesh
 
 from antdsl.pipeline import open_scene
 from antdsl.runtime import World, step
@@ -203,6 +205,67 @@ def test_a_look_changes_no_path(tmp_path: Path) -> None:
         assert (plain.values[name] == looks.values[name]).all()
 
 
+def find_look(track: Track, agent: int) -> np.ndarray:
+    """The direction of the head of an agent in the last frame, in the scene's axes."""
+    heading, up = (track.of(name, agent)[-1].astype(np.float64) for name in ("heading", "up"))
+    along = np.array([track.of(f"look#head.{axis}", agent)[-1] for axis in "xyz"], np.float64)
+    return along @ np.stack([heading, up, np.cross(heading, up)])
+
+
+LOOKS = ("look#head.x", "look#head.y", "look#head.z")
+
+
+def test_heads_look_at_cameras_and_at_meshes_that_move(tmp_path: Path) -> None:
+    """A look turns a head up to 60 degrees, so the agents that have the target ahead look exactly at it."""
+    for target, point in (("front", (20, 90, -150)), ("foot", (np.interp(40, [20, 80], [-150, 50]), 5, 40))):
+        shot = open_directed(tmp_path / target, f"{{look: guards, at: {{head: {target}}}, frames: 5..80}}", count=60)
+        track = follow(shot, 40, names=("up.x", "up.y", "up.z", *LOOKS))
+        track.values["up"] = np.stack([track.values[f"up.{axis}"] for axis in "xyz"], axis=2)
+        offset = np.array(point) - track.values["position"][-2]  # at the start of the step
+        direction = offset / np.linalg.norm(offset, axis=1)[:, None]
+        cosines = np.array([find_look(track, agent) @ direction[agent] for agent in range(60)])
+        ahead = np.einsum("nk,nk->n", track.values["heading"][-2], direction) > 0.6
+        assert ahead.sum() > 8 and np.median(cosines[ahead]) > 0.99, (target, np.round(cosines[ahead], 2))
+
+
+def test_agents_go_to_a_mesh_and_away_from_a_camera(tmp_path: Path) -> None:
+    notes = ("{attract: guards.0..19, to: foot, frames: 1..80}", "{repel: guards.20..39, from: front, radius: 400 mm}")
+    track, plain = follow(open_directed(tmp_path, *notes), 60), follow(open_directed(tmp_path / "plain"), 60)
+    ball = np.array([np.interp(60, [20, 80], [-150, 50]), 5, 40])
+    near, usual = (np.linalg.norm(t.values["position"][-1][:20] - ball, axis=1) for t in (track, plain))
+    assert near.min() > 24 and np.median(near) < np.median(usual) - 20
+    far, usual = (np.linalg.norm(t.values["position"][-1][20:40] - (20, 90, -150), axis=1) for t in (track, plain))
+    assert np.median(far) > np.median(usual) + 20
+
+
+def test_no_agent_comes_near_an_agent_with_a_forbidden_ball_around_it(tmp_path: Path) -> None:
+    """The hero walks at half of the speed of 80 others through them, and they keep 25 mm away from it."""
+    path = "{path: guards.0, along: [[-40, 0, 0], [40, 0, 0]], frames: 30..150}"
+    keep = "{forbid: {without: guards.0}, in: {around: guards.0, radius: 25 mm}, falloff: 25 mm, frames: 24..150}"
+
+    def measure(*notes: str) -> tuple[np.ndarray, Track]:
+        track = follow(open_directed(tmp_path / str(len(notes)), path, *notes, count=80, last=150), 150)
+        frames = np.array(track.frames)
+        place = track.values["position"]
+        return np.linalg.norm(place[:, 1:] - place[:, :1], axis=2)[frames >= 48].min(axis=1), track
+
+    nearest, track = measure(keep)
+    usual, _ = measure()
+    assert nearest.min() > 24 > usual.min() + 8, (nearest.min(), usual.min())
+    hero = track.of("position", 0)
+    assert np.linalg.norm((hero[-1] - (40, 0, 0))[[0, 2]]) < 4  # its own region does not stop it
+
+
+def test_a_ball_follows_several_agents_and_ends_with_them(tmp_path: Path) -> None:
+    note = "{slow: guards, in: {around: [guards.1, guards.2], radius: 40 mm}, speed: 10 %}"
+    track = follow(open_directed(tmp_path, note, count=60), 30)
+    place, speed = track.values["position"][4:-1], track.speeds()[4:]
+    gap = np.minimum(*(np.linalg.norm(place - place[:, k : k + 1], axis=2) for k in (1, 2)))
+    assert speed[:, [1, 2]].mean() > 15  # these two are not slowed, also not by each other
+    others = [k for k in range(60) if k not in (1, 2)]
+    assert speed[:, others][gap[:, others] < 36].mean() < 8 < 15 < speed[:, others][gap[:, others] > 44].mean()
+
+
 FLEEING = """ant 1
 use steering
 world { surface ground; obstacle foot; items leaves; curve way; map mud; items stones }
@@ -241,3 +304,64 @@ def test_a_moving_obstacle_is_avoided_and_fled_from_at_once(tmp_path: Path) -> N
     away = track.values["position"][row] - ball.T[row]
     outward = np.einsum("nk,nk->n", away, track.values["velocity"][row]) > 0
     assert outward[fleeing].mean() > 0.8
+
+
+RAFT = """ant 1
+use steering
+world { surface ground; surface raft; obstacle foot }
+species ant {
+  size 5 mm
+  max_speed 30 mm/s
+  gap = 0 mm
+  heeded = 0
+  start flee
+  state flee { gap = distance(raft); heeded = dot(direction(raft), heading); steer THAT(raft) }
+  layers { state }
+}
+"""
+
+
+@pytest.mark.parametrize("behaviour", ["flee", "seek"])
+def test_a_moving_surface_is_a_target_of_flee_seek_distance_and_direction(tmp_path: Path, behaviour: str) -> None:
+    """A raft, 40 mm wide and 2 mm above the ground, moves 100 mm in 50 frames. The ground of the others is flat."""
+    write_mesh(tmp_path / "ground.obj", *meshes.grid(400.0, 8))
+    write_mesh(tmp_path / "raft.obj", *meshes.grid(40.0, 2))
+    (tmp_path / "a.ant").write_text(RAFT.replace("THAT", behaviour))
+    (tmp_path / "scene.yaml").write_text(RAFT_SCENE)
+    shot, report = open_scene(tmp_path / "scene.yaml")
+    assert shot is not None, [d.message for d in report.errors]
+    track = follow(shot, 52, names=("gap", "heeded"))
+    frames = np.array(track.frames)
+    middle = np.interp(frames, [1, 51], [-50, 50])
+    place = track.values["position"]
+    offset = np.stack([middle, np.full(len(frames), 2.0), np.zeros(len(frames))], axis=1)[:, None] - place
+    nearest = np.sign(offset) * np.maximum(np.abs(offset) - (20, 0, 20), 0)  # the offset to the nearest point of the raft
+    expected = np.linalg.norm(nearest, axis=2)
+    assert np.abs(track.values["gap"][30] - expected[29]).max() < 0.02  # mm: as it was at the start of the step
+    across = np.einsum("nk,nk->n", nearest[29] / expected[29][:, None], track.values["heading"][29])
+    assert np.abs(track.values["heeded"][30] - across).max() < 0.02
+    towards = np.einsum("fnk,fnk->fn", nearest[24:-1], track.values["velocity"][25:])[expected[24:-1] > 10]
+    assert (towards > 0).mean() > 0.9 if behaviour == "seek" else (towards < 0).mean() > 0.9
+
+
+RAFT_SCENE = """antdsl: 1
+frames: 1..60
+seed: 4
+contacts: off
+world:
+  ground: {mesh: ground.obj}
+  raft: {mesh: raft.obj, at: [-50, 2, 0], keys: {1: {at: [-50, 2, 0]}, 51: {at: [50, 2, 0]}}}
+  foot: {mesh: raft.obj, at: [500, 0, 0]}
+crowd:
+  - {species: ant, from: a.ant, count: 40, place: {on: ground, around: [60, 0, 0], radius: 90 mm}}
+"""
+
+
+def test_a_moving_obstacle_is_sought(tmp_path: Path) -> None:
+    program = FLEEING.replace("steer flee(foot)", "steer seek(foot)").replace("avoid(foot, reach: 4 * size); ", "")
+    track = follow(open_directed(tmp_path, count=60, last=60, program=program), 60, names=("main.state", "across"))
+    ball = np.array([np.interp(40, [20, 80], [-150, 50]), 5.0, 40.0])
+    row = track.frames.index(40)
+    seeking = track.values["main.state"][row] == 1
+    toward = np.einsum("nk,nk->n", ball - track.values["position"][row], track.values["velocity"][row]) > 0
+    assert seeking.sum() > 2 and toward[seeking].mean() > 0.8

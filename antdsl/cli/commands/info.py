@@ -69,6 +69,7 @@ def describe_cache(cache: Cache) -> list[str]:
         lines.append(f"mesh         {mesh.name} ({mesh.kind}){_describe_patches(mesh, manifest.units)}")
         if mesh.imported is not None:
             lines += [f"  {line}" for line in format_import_report(MeshImport(**mesh.imported.model_dump()), manifest.units)]
+    lines += [f"note         {text}" for text in manifest.notes]
     checkpoints = cache.checkpoints()
     lines.append(f"checkpoints  {' '.join(map(str, checkpoints)) if checkpoints else 'none'}")
     if inside and inside[-1] in hashes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -27,6 +28,7 @@ MAX_COUNTED_ID = 2**50  # that edits can count on from
 _MAX_MANIFEST_BYTES = 16 * limits.MIB
 
 Word = Annotated[str, Field(max_length=500)]
+_MAX_LINE = 400  # characters of a note or an edit
 ScenePath = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
 Triple = tuple[float, float, float]
 Look = Annotated[Word, Field(pattern=f"^({'|'.join(LOOKS)})$")]
@@ -297,6 +299,7 @@ class Manifest(ManifestPart):
     `state_hash`: the method of state hashes, a `STATE_HASH_VERSION`.
     `scene_path`: the path from the cache's folder to the scene file; None if `find_relative_path` returned none.
     `origin`: the point, in scene units, that all positions are relative to; the zero point in caches without it.
+    `notes`: the lines of the scene's notes that were on.
     `light`: the light of pictures.
     `camera`: the default camera if it does not depend on agents. `cameras`: all cameras of the scene, by name."""
 
@@ -326,6 +329,7 @@ class Manifest(ManifestPart):
     items: tuple[ItemsEntry, ...]
     lines: tuple[LineEntry, ...] = ()
     events: tuple[Word, ...] = ()
+    notes: tuple[Word, ...] = ()
     edits: EditsEntry | None = None
     camera: CameraEntry | Literal["fit"] | None = None
     cameras: dict[Word, AnyCameraEntry] = {}
@@ -335,6 +339,18 @@ class Manifest(ManifestPart):
     def named_cameras(self) -> Mapping[str, AnyCameraEntry]:
         """Return all cameras by name. A manifest without `cameras` has only the default one."""
         return self.cameras or ({} if self.camera is None else {DEFAULT_CAMERA: self.camera})
+
+
+def join_line(text: str) -> str:
+    """Return a line of notes or edits without its braces and line breaks."""
+    return " ".join(text.split()).removeprefix("{").removesuffix("}").strip()
+
+
+def shorten_line(text: str) -> str:
+    """Return a text of at most a manifest's length. The end of a longer one is replaced by a hash."""
+    if len(text) <= _MAX_LINE:
+        return text
+    return f"{text[:_MAX_LINE]}… {hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}"
 
 
 class ManifestError(Exception):

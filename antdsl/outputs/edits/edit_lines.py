@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import find_nearest_name
-from antdsl.outputs.cache.manifest import Manifest
+from antdsl.outputs.cache.manifest import Manifest, join_line
 from antdsl.outputs.edits.cache_selection import list_selector_names
 from antdsl.outputs.edits.edit_layer import AgentsLine, EditLine
 from antdsl.outputs.edits.verb_table import VERB_BY_WORD
@@ -74,7 +74,7 @@ def read_edits(data: bytes, name: str, manifest: Manifest) -> tuple[EditList | N
     if not report.ok or not isinstance(nodes, SequenceNode):
         return None, report
     edits = [
-        PlacedEdit(line, _join_text(node), number)
+        PlacedEdit(line, join_line(node.span.text), number)
         for number, node in enumerate(nodes.items)
         for line in _read_line(report, document, number, node)
     ]
@@ -106,11 +106,6 @@ def _read_line(report: Report, document: MappingNode, number: int, node: Documen
         for error in drop_consequent_errors(problem.errors(include_url=False, include_input=False)):
             error["loc"] = (EDITS_KEY, number, tag, *error["loc"])
             report_model_error(report, document, error, {tag: model})
-
-
-def _join_text(node: DocumentNode) -> str:
-    """Return the text of a line of edits without its braces and line breaks."""
-    return " ".join(node.span.text.split()).removeprefix("{").removesuffix("}").strip()
 
 
 def _check_names(report: Report, edits: EditList, edit: PlacedEdit, manifest: Manifest) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -15,7 +14,7 @@ from antdsl.bodies.agents.definition import BodyError
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import Cache, CacheError, open_cache
 from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_agent_ids, get_species_numbers
-from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME, EditsEntry, Manifest, ManifestError
+from antdsl.outputs.cache.manifest import MANIFEST_FILE_NAME, EditsEntry, Manifest, ManifestError, shorten_line
 from antdsl.outputs.cache.npz import ArrayFileError, read_npz
 from antdsl.outputs.edits.edit_files import encode_edit_arrays, find_cache_path, find_missing_file, read_edit_files
 from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable, StoredFrames
@@ -27,7 +26,6 @@ from antdsl.scene.paths import PathRefused, read_user_file
 
 INPUT_PREFIX = "edit "  # of the names of edits among the inputs in a manifest
 SETTLED_INPUT = "settled"
-_MAX_TEXT = 400  # characters of an edit in a manifest
 _STORED_FRAMES = 3  # of the result: exports read a frame and its neighbours several times
 
 
@@ -163,9 +161,4 @@ def apply_edits(cache: Cache, edits: EditList, inputs: EditInputs) -> EditedCach
 def _list_inputs(manifest: Manifest, edits: EditList) -> dict[str, str]:
     """Return the entries of edits among the inputs of a manifest."""
     first = 1 + sum(name.startswith(INPUT_PREFIX) for name in manifest.inputs)
-    return {f"{INPUT_PREFIX}{first + k}": _shorten(edit.text) for k, edit in enumerate(edits.edits)}
-
-
-def _shorten(text: str) -> str:
-    """Return a text of at most a manifest's length. The end of a longer one is replaced by a hash."""
-    return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}… {hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}"
+    return {f"{INPUT_PREFIX}{first + k}": shorten_line(edit.text) for k, edit in enumerate(edits.edits)}

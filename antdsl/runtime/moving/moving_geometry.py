@@ -80,6 +80,8 @@ def compute_vertices(world: World, name: str, frame: int) -> NDArray[np.float64]
     """Return the vertices of a mesh at a frame of the scene, in the world's coordinates."""
     moves, setting = world.setting.motion, world.setting
     mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
+    if name not in moves.meshes:
+        return mesh.vertices - world.origin
     return moves.meshes[name].compute_vertices(mesh.vertices, frame - moves.first) - world.origin
 
 

@@ -12,7 +12,7 @@ from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.records import match_ids
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.runtime.notes.targets import OwnPoints, TargetPoints, find_goal, find_path_points
+from antdsl.runtime.notes.targets import NearestOnMesh, OwnPoints, TargetPoints, find_goal, find_path_points
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
 from antdsl.scene.notes.notes_model import PathNote, ReachNote
 
@@ -58,7 +58,7 @@ def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:
     _wish_journey(agents, Journey(velocity, share, share * _compute_urgency(speed, most)), register, is_final)
 
 
-def find_journey(agents: NoteAgents, target: TargetPoints | OwnPoints, frame: int) -> Journey:
+def find_journey(agents: NoteAgents, target: TargetPoints | NearestOnMesh | OwnPoints, frame: int) -> Journey:
     """Return the journey of agents that are to be at a target in a frame.
 
     Each leaves as late as it can without haste, and keeps away from the target before."""

@@ -38,11 +38,8 @@ def find_outlines(world: World, name: str, frame: int) -> list[Outline]:
 def _compute_outlines(world: World, name: str, frame: int) -> list[Outline]:
     axes = find_level_axes(world)
     setting = world.setting
-    for meshes in (setting.obstacles, setting.surfaces):
-        if name in meshes:
-            moves = name in setting.motion.meshes
-            vertices = compute_vertices(world, name, frame) if moves else meshes[name].vertices - world.origin
-            return [Outline(_find_hull(vertices[:, axes]), 0.0)]
+    if name in setting.obstacles or name in setting.surfaces:
+        return [Outline(_find_hull(compute_vertices(world, name, frame)[:, axes]), 0.0)]
     outlines = []
     for group, items in setting.items.items():
         tracks = setting.motion.items.get(group)

@@ -9,12 +9,13 @@ import numpy as np
 from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.runtime.notes.targets import find_curve, find_item_points
+from antdsl.runtime.notes.targets import TargetPoints, find_centres, find_curve
 from antdsl.runtime.notes.wishes import Floats
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
-from antdsl.scene.notes.notes_model import Band, NoteRegion, RegionNote, View
-from antdsl.scene.notes.selectors import Ball, Box
+from antdsl.scene.notes.note_regions import Band, NoteRegion, View
+from antdsl.scene.notes.notes_model import RegionNote
+from antdsl.scene.notes.selectors import Box
 from antdsl.scene.thing_models import convert_point
 
 
@@ -26,27 +27,29 @@ class RegionDistances(NamedTuple):
     outward: Floats
 
 
-def measure_region(world: World, region: NoteRegion, position: Floats) -> RegionDistances:
-    """Return the distances of positions (n, 3) from a region."""
+def measure_region(world: World, region: NoteRegion, agents: NoteAgents) -> RegionDistances:
+    """Return the distances of agents from a region."""
+    position = agents.population.position[agents.rows]
     if isinstance(region, Box):
         return _measure_box(world, region, position)
     if isinstance(region, View):
         return _measure_view(world, region, position)
+    unit_mm = world.setting.unit_mm
     if isinstance(region, Band):
         closest = find_curve(world, region.along).find_closest(*position.T)
         nearest = np.stack([closest.px, closest.py, closest.pz], axis=1).astype(np.float64)
-        half = region.width.to_millimetres(world.setting.unit_mm) / 2
-    else:
-        nearest, half = _find_centre(world, region), region.radius.to_millimetres(world.setting.unit_mm)
-    offset = position - nearest
+        return _measure_tube(position - nearest, region.width.to_millimetres(unit_mm) / 2)
+    centres = find_centres(world, region.around)
+    offset, distance = TargetPoints(centres.points, np.zeros(len(centres.points))).find_nearest(position)
+    distances = _measure_tube(-offset, region.radius.to_millimetres(unit_mm))
+    is_centre = centres.is_centre.get(agents.population.name, np.zeros(len(agents.population), np.bool_))[agents.rows]
+    return distances._replace(outside=np.where(is_centre | np.isnan(distance), np.inf, distances.outside))
+
+
+def _measure_tube(offset: Floats, radius: float) -> RegionDistances:
+    """Return the distances from all points within `radius` mm of a line or point, which positions are an `offset` (n, 3) from."""
     distance = length(offset)
-    return RegionDistances(distance - half, offset / np.where(distance > 1e-9, distance, np.inf)[:, None])
-
-
-def _find_centre(world: World, ball: Ball) -> Floats:
-    if isinstance(ball.around, str):
-        return find_item_points(world, ball.around).points[:1]
-    return np.array([convert_point(ball.around, world.setting.unit_mm)], np.float64) - world.origin
+    return RegionDistances(distance - radius, offset / np.where(distance > 1e-9, distance, np.inf)[:, None])
 
 
 def _measure_view(world: World, view: View, position: Floats) -> RegionDistances:
@@ -101,7 +104,7 @@ def measure_note_region(agents: NoteAgents) -> RegionDistances | None:
     assert isinstance(note, RegionNote)
     if note.region is None:
         return None
-    return measure_region(agents.world, note.region, agents.population.position[agents.rows])
+    return measure_region(agents.world, note.region, agents)
 
 
 def cut_inward_steps(distances: RegionDistances, step: Floats, normal: Floats) -> Floats:

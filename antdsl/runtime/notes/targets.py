@@ -1,24 +1,29 @@
-"""Targets of notes: points, items, agents and curves, in the world's own coordinates."""
+"""Targets of notes: points, items, agents, cameras, meshes and curves, in the world's own coordinates."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.curves import SampledCurve
+from antdsl.casting.obstacle import Obstacle
 from antdsl.numerics.vector_rows import length
-from antdsl.runtime.moving.moving_geometry import make_curve
+from antdsl.runtime.moving.moving_geometry import compute_vertices, make_curve
 from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
+from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
 from antdsl.scene.notes.notes_model import PathNote
 from antdsl.scene.notes.selection import select_rows
 from antdsl.scene.notes.selectors import AgentName
+from antdsl.scene.quantities import Quantity
 from antdsl.scene.thing_models import convert_point
 from antdsl.scene.values import PointValue
 
 Floats = NDArray[np.float64]
+_FAR_MM = 1e9  # mm, within which meshes are found
 
 
 class TargetPoints(NamedTuple):
@@ -40,10 +45,28 @@ class TargetPoints(NamedTuple):
         return offset, np.maximum(length(offset) - self.radii[nearest], 0.0)
 
 
-def find_goal(world: World, target: PointValue | AgentName) -> TargetPoints:
-    """Return the points of a target that agents walk to: points are dropped onto the ground."""
+class NearestOnMesh(NamedTuple):
+    """A mesh as a target: of each position, the nearest point of it."""
+
+    mesh: Obstacle
+
+    def find_nearest(self, position: Floats) -> tuple[Floats, Floats]:
+        """Return the offset (n, 3) to the nearest point of the mesh, and its length (n,) in mm."""
+        x, y, z = position.T
+        hits = self.mesh.find_nearest_within(x, y, z, _FAR_MM)
+        distance = np.where(hits.hit, hits.t, np.nan).astype(np.float64)
+        return -np.stack([hits.nx, hits.ny, hits.nz], axis=1).astype(np.float64) * np.nan_to_num(distance)[:, None], distance
+
+
+def find_goal(world: World, target: PointValue | AgentName) -> TargetPoints | NearestOnMesh:
+    """Return the points of a target that agents walk to: points and cameras are dropped onto the ground, meshes are as near as
+    their nearest point."""
+    mesh = find_mesh(world, target)
+    if mesh is not None:
+        return NearestOnMesh(world.obstacles[mesh])
     goal = find_target(world, target)
-    return goal if isinstance(target, AgentName) else TargetPoints(drop_points(world, goal.points), goal.radii)
+    is_ground_point = isinstance(target, AgentName) and find_camera(world, target) is None
+    return goal if is_ground_point else TargetPoints(drop_points(world, goal.points), goal.radii)
 
 
 def drop_points(world: World, points: Floats) -> Floats:
@@ -52,19 +75,46 @@ def drop_points(world: World, points: Floats) -> Floats:
 
 
 def find_target(world: World, target: PointValue | AgentName) -> TargetPoints:
-    """Return the points of a target at the start of the step."""
+    """Return the points of a target at the start of the step. The point of a mesh is its middle."""
     if not isinstance(target, AgentName):
         point = np.array([convert_point(target, world.setting.unit_mm)], np.float64) - world.origin
         return TargetPoints(point, np.zeros(1))
-    items = find_item_points(world, target.name)
+    items, camera, mesh = find_item_points(world, target.name), find_camera(world, target), find_mesh(world, target)
     if target.first is None and len(items.points):
         return items
+    if camera is not None:
+        return TargetPoints(camera.find_position(world.display_frame)[None], np.zeros(1))
+    if mesh is not None:
+        vertices = compute_vertices(world, mesh, world.display_frame)
+        return TargetPoints((vertices.min(axis=0) + vertices.max(axis=0))[None] / 2, np.zeros(1))
     masks = select_rows(target, collect_selectable_frame(world))
     parts = [(world.populations[name], mask) for name, mask in masks.items()]
     return TargetPoints(
         np.concatenate([np.empty((0, 3)), *(p.position[mask] for p, mask in parts)]),
         np.concatenate([np.empty(0), *(p.start["radius"][mask].astype(np.float64) for p, mask in parts)]),
     )
+
+
+def find_camera(world: World, target: PointValue | AgentName) -> SensedCamera | None:
+    """Return the camera that a target names; None if it names none, or agents or items as well."""
+    name = _find_other_name(world, target)
+    return SensedCamera(world.setting.cameras[name], world.origin) if name in world.setting.cameras else None
+
+
+def find_mesh(world: World, target: PointValue | AgentName) -> str | None:
+    """Return the mesh that a target names; None if it names none, or agents, items or a camera as well."""
+    name = _find_other_name(world, target)
+    is_mesh = name in world.setting.obstacles or name in world.setting.surfaces
+    return name if is_mesh and name not in world.setting.cameras else None
+
+
+def _find_other_name(world: World, target: PointValue | AgentName) -> str:
+    """Return the name of a target that is neither a point nor agents nor items; else an empty one."""
+    if not isinstance(target, AgentName) or target.first is not None:
+        return ""
+    lines = (crowd.name for crowd in world.setting.crowds)
+    is_taken = target.name in world.populations or target.name in lines or len(find_item_points(world, target.name).points)
+    return "" if is_taken else target.name
 
 
 def find_item_points(world: World, name: str) -> TargetPoints:
@@ -74,6 +124,26 @@ def find_item_points(world: World, name: str) -> TargetPoints:
         if len(rows):
             return TargetPoints(items.position[rows], items.visible_values["radius"][rows].astype(np.float64))
     return TargetPoints(np.empty((0, 3)), np.empty(0))
+
+
+class Centres(NamedTuple):
+    """The centres of a region: points (k, 3) in mm, and by species which agents are among them."""
+
+    points: Floats
+    is_centre: Mapping[str, NDArray[np.bool_]]
+
+
+def find_centres(world: World, around: Any) -> Centres:
+    """Return the centres of a ball: of a point, an item or items, or agents that a selector names at the start of the step."""
+    if isinstance(around, tuple) and not isinstance(around, AgentName) and isinstance(around[0], Quantity):
+        return Centres(np.array([convert_point(around, world.setting.unit_mm)], np.float64) - world.origin, {})
+    if isinstance(around, AgentName) and around.first is None:
+        items = find_item_points(world, around.name).points
+        if len(items):
+            return Centres(items, {})
+    masks = select_rows(around, collect_selectable_frame(world))
+    parts = [world.populations[name].position[mask] for name, mask in masks.items()]
+    return Centres(np.concatenate([np.empty((0, 3)), *parts]), masks)
 
 
 def find_curve(world: World, along: str | tuple[PointValue, ...]) -> SampledCurve:

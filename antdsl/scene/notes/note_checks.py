@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from math import isfinite
 
 from antdsl.diagnostics import Report
@@ -14,6 +13,7 @@ from antdsl.scene.crowds.initial_values import is_settable
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.notes.note_programs import LOOK_MACHINE, PLAY_MACHINE
+from antdsl.scene.notes.note_regions import NoteBall, View
 from antdsl.scene.notes.notes_model import (
     AttractNote,
     ChangeNote,
@@ -25,11 +25,21 @@ from antdsl.scene.notes.notes_model import (
     RepelNote,
     SetNote,
     Target,
-    View,
 )
-from antdsl.scene.notes.selectors import AgentConditions, AgentName, AnySelector, Ball, SelectorKeys, SelectorNames, find_problems
+from antdsl.scene.notes.selectors import (
+    AgentConditions,
+    AgentName,
+    AnySelector,
+    SelectorKeys,
+    SelectorNames,
+    SelectorProblem,
+    find_name_problems,
+    find_problems,
+)
+from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
 
+MESH_GROUPS = ("obstacles", "surfaces")  # the mappings of a setting with meshes
 _CURVE_HELP = "declare it in the program, `world { curve NAME }`, or write its points: `[[0, 0, 0], [50, 0, 0]]`"
 
 
@@ -62,13 +72,13 @@ class _NoteCheck:
         problems = [*find_problems(note.agents, self.names, *self.path, note.verb)]
         if isinstance(note, SelectorKeys):
             problems += find_problems(note, self.names, *self.path)
-        with_items = replace(self.names, species=self.names.species | self.names.items)
         for path, target in self._iterate_targets():
             if isinstance(target, FacingDirection) and not any(target.direction):
                 help = "write one that is not zero, such as `{direction: [0, 1, 0]}`"
                 self.report.error("wrong-value", "this is not a direction", self.scene.span(*self.path, *path), help)
-            if isinstance(target, AgentName) and (target.first is not None or target.name not in self.names.items):
-                problems += find_problems(target, with_items, *self.path, *path)
+            if isinstance(target, AgentName):
+                problems += self._find_target_problems(target, (*self.path, *path))
+        problems += self._find_region_problems()
         for problem in problems:
             self.report.error("unknown-thing", problem.message, self.scene.span(*problem.path), problem.help)
         self._check_things()
@@ -77,6 +87,22 @@ class _NoteCheck:
             self._check_values(note)
         if isinstance(note, ChangeNote) and note.to not in self.names.states:
             self._report_unknown("no species has a state", self.names.states, "to")
+
+    def _find_target_problems(self, target: AgentName, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
+        others, what = self.names.items | self.names.cameras, "no crowd line, species, item or camera is named"
+        if not isinstance(self.note, ReachNote):
+            others, what = others | self._list_things(*MESH_GROUPS), "no crowd line, species, item, camera or mesh is named"
+        return find_name_problems(target, self.names, path, others, what)
+
+    def _find_region_problems(self) -> Iterator[SelectorProblem]:
+        region = self.note.region if isinstance(self.note, RegionNote) else None
+        around = region.around if isinstance(region, NoteBall) else None
+        path = (*self.path, "in", "around")
+        if isinstance(around, AgentName):
+            words = "no item, crowd line or species is named"
+            yield from find_name_problems(around, self.names, path, self.names.items, words)
+        elif isinstance(around, AgentConditions) or (isinstance(around, tuple) and not isinstance(around[0], Quantity)):
+            yield from find_problems(around, self.names, *path)
 
     def _iterate_targets(self) -> Iterator[tuple[tuple[PathKey, ...], Target]]:
         note = self.note
@@ -92,15 +118,13 @@ class _NoteCheck:
         for path, along in ((("along",), getattr(note, "along", None)), (("in", "along"), getattr(region, "along", None))):
             if isinstance(along, str) and along not in curves:
                 self._report_unknown("no program has a curve", curves, *path, help=_CURVE_HELP)
-        if isinstance(region, Ball) and isinstance(region.around, str) and region.around not in self.names.items:
-            self._report_unknown("no item is named", self.names.items, "in", "around")
         if isinstance(region, View) and region.in_view not in self.names.cameras:
             self._report_unknown("no camera is named", self.names.cameras, "in", "in_view")
         maps = self._list_things("maps")
         if isinstance(note, RegionNote) and note.painted is not None and note.painted not in maps:
             self._report_unknown("no program has a map", maps, "painted")
         if isinstance(note, PartNote):
-            things = self._list_things("obstacles", "surfaces") | self.names.items
+            things = self._list_things(*MESH_GROUPS) | self.names.items
             if note.thing not in things:
                 self._report_unknown("no mesh or item is named", things, "for")
 

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.crowds.casting_model import FacingDirection
+from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
 from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, SpeedShare
 from antdsl.scene.notes.note_values import FrameCount as FrameCount
 from antdsl.scene.notes.note_values import FrameNumber as FrameNumber
 from antdsl.scene.notes.note_values import Share as Share
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
-from antdsl.scene.notes.selectors import AgentName, AnySelector, Ball, Box, NearTarget, Selector, SelectorKeys, combine_selector
+from antdsl.scene.notes.selectors import AgentName, AnySelector, NearTarget, Selector, SelectorKeys, combine_selector
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     FrameRangeValue,
@@ -34,17 +34,6 @@ from antdsl.scene.values import (
 )
 
 NOTE_TAG_SUFFIX = "-note"  # of the tag of a verb's model
-
-
-def _find_curve_tag(value: Any) -> str:
-    return "points" if isinstance(value, list) else "curve-name"
-
-
-CurveOrPoints = Annotated[
-    Annotated[tuple[PointValue, ...], Field(min_length=2, max_length=limits.MAX_NOTE_POINTS), Tag("points")]
-    | Annotated[SceneName, Tag("curve-name")],
-    Discriminator(_find_curve_tag),
-]
 
 
 _Direction = Annotated[FacingDirection, Tag("direction")]
@@ -146,7 +135,7 @@ class HoldNote(TimedNote, SelectorKeys):
 
 
 class LookNote(TimedNote, SelectorKeys):
-    """Parts of bodies look at points, items or agents, or in a direction."""
+    """Parts of bodies look at points, items, agents, cameras or meshes, or in a direction."""
 
     verb = "look"
     agents: Selector = Field(alias="look")
@@ -245,40 +234,12 @@ class PathNote(EasedNote, SelectorKeys):
         return self.frames.last
 
 
-class Band(ScenePart):
-    """All points within half of `width` of a curve."""
-
-    along: CurveOrPoints
-    width: PositiveLength
-
-
-class View(ScenePart):
-    """All points that a camera sees, without regard to what hides them."""
-
-    in_view: SceneName
-
-
-def _find_region_tag(value: Any) -> str:
-    keys = value if isinstance(value, dict) else ()
-    tags = {"along": "band-region", "around": "ball-region", "in_view": "view-region"}
-    return next((tag for key, tag in tags.items() if key in keys), "box-region")
-
-
-NoteRegion = Annotated[
-    Annotated[Box, Tag("box-region")]
-    | Annotated[Ball, Tag("ball-region")]
-    | Annotated[Band, Tag("band-region")]
-    | Annotated[View, Tag("view-region")],
-    Discriminator(_find_region_tag),
-]
-
-
 class RegionNote(TimedNote):
     """A note about a part of the world.
 
-    `in`: a box, a ball, a band along a curve or a view. `falloff`: outside it, the effect decreases over this distance.
-    `strength`: the share of the agents' wish that the note replaces. `painted`: a map with values from 0 to 1 that multiply the
-    strength."""
+    `in`: a box, a ball, a band along a curve or a view; a ball follows agents. `falloff`: outside it, the effect decreases over
+    this distance. `strength`: the share of the agents' wish that the note replaces. `painted`: a map with values from 0 to 1 that
+    multiply the strength."""
 
     region: NoteRegion | None = Field(None, alias="in")
     falloff: PositiveLength | None = None
@@ -309,7 +270,8 @@ class ForbidNote(RegionNote):
 
 
 class AttractNote(RegionNote):
-    """Agents go to a point, an item or other agents: from half of `radius` on with full strength, beyond it not at all."""
+    """Agents go to a point, an item, a camera, a mesh or other agents: fully
+    from half of `radius` on, beyond it not at all."""
 
     verb = "attract"
     agents: Selector = Field(alias="attract")
@@ -318,7 +280,8 @@ class AttractNote(RegionNote):
 
 
 class RepelNote(RegionNote):
-    """Agents go away from a point, an item or other agents: from half of `radius` on with full strength, beyond it not at all."""
+    """Agents go away from a point, an item, a camera, a mesh or other agents: fully
+    from half of `radius` on, beyond it not at all."""
 
     verb = "repel"
     agents: Selector = Field(alias="repel")

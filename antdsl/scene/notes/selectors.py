@@ -199,7 +199,7 @@ class SelectorProblem(NamedTuple):
 def find_problems(selector: AnySelector | SelectorKeys, names: SelectorNames, *path: PathKey) -> Iterator[SelectorProblem]:
     """Yield the names of a selector, or of the selector keys of a line, that do not exist."""
     if isinstance(selector, AgentName):
-        yield from _find_name_problems(selector, names, path)
+        yield from find_name_problems(selector, names, path)
     elif isinstance(selector, tuple):
         for number, each in enumerate(selector):
             yield from find_problems(each, names, *path, number)
@@ -208,9 +208,9 @@ def find_problems(selector: AnySelector | SelectorKeys, names: SelectorNames, *p
             inner = getattr(selector, key, None)
             if inner is not None:
                 yield from find_problems(inner, names, *path, key)
-        points = names.items | names.cameras
-        if isinstance(selector.near, AgentName) and (selector.near.first is not None or selector.near.name not in points):
-            yield from _find_name_problems(selector.near, names, (*path, "near"), points)
+        if isinstance(selector.near, AgentName):
+            what = "no crowd line, species, item or camera is named"
+            yield from find_name_problems(selector.near, names, (*path, "near"), names.items | names.cameras, what)
         if isinstance(selector.region, Ball) and isinstance(selector.region.around, str):
             yield from find_unknown_name(selector.region.around, names.items, "no item is named", (*path, "in", "around"))
         for key, known, words in (
@@ -221,12 +221,18 @@ def find_problems(selector: AnySelector | SelectorKeys, names: SelectorNames, *p
                 yield from find_unknown_name(value, known, words, (*path, key))
 
 
-def _find_name_problems(
-    name: AgentName, names: SelectorNames, path: tuple[PathKey, ...], others: frozenset[str] = frozenset()
+def find_name_problems(
+    name: AgentName,
+    names: SelectorNames,
+    path: tuple[PathKey, ...],
+    others: frozenset[str] = frozenset(),
+    what: str = "no crowd line or species is named",
 ) -> Iterator[SelectorProblem]:
+    """Yield the problem of a name that is neither of agents nor one of the `others`. `what`: the message before the name."""
+    if name.first is None and name.name in others:
+        return
     count = names.lines.get(name.name)
     if count is None:
-        what = "no crowd line, species, item or camera is named" if others else "no crowd line or species is named"
         yield from find_unknown_name(name.name, names.species | names.lines.keys() | others, what, path)
     elif name.last is not None and name.last >= count:
         numbers = f"write a number from 0 to {count - 1}" if count else "this line has no agents"

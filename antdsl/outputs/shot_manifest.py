@@ -1,0 +1,93 @@
+"""The manifest of a shot: what a cache says about its frames, apart from the files that it was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.body_arrays import StoredBodies
+from antdsl.outputs.cache.frame_maker import make_manifest
+from antdsl.outputs.cache.manifest import AnyCameraEntry, CameraEntry, FollowEntry, Look, Manifest, join_line, shorten_line
+from antdsl.outputs.feelers import list_feelers
+from antdsl.outputs.pictures.camera import to_tuple
+from antdsl.pipeline import Shot
+from antdsl.runtime import World
+from antdsl.scene.camera_models import FollowCamera
+from antdsl.scene.scene_model import SceneModel
+from antdsl.scene.setting import CameraData
+from antdsl.scene.thing_models import PlacedThing, convert_point
+
+
+def make_shot_manifest(shot: Shot, world: World, attributes: tuple[str, ...], stored_bodies: StoredBodies) -> Manifest:
+    """Return the manifest of a shot in a world, without the path of its scene. `attributes`: the arrays of agents in frames."""
+    model = shot.scene.model
+    manifest = make_manifest(
+        world,
+        shot.setting,
+        version=shot.inputs["antdsl"],
+        scene=Path(shot.scene.source.path).name,
+        scene_path=None,
+        inputs=shot.inputs,
+        units=model.units,
+        up=model.up,
+        first=shot.frames.first,
+        last=shot.frames.last,
+        preroll=model.preroll,
+        checkpoint=model.output.checkpoint,
+        attributes=attributes,
+        definitions=stored_bodies.entries,
+        definition_by_species=stored_bodies.index_by_species,
+        feelers={
+            name: list_feelers(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
+        },
+        cameras=_make_camera_entries(shot, world.origin),
+        looks=collect_looks(model),
+    )
+    return manifest.model_copy(update={"light": model.light.make_settings(), "notes": _list_notes(shot)})
+
+
+def _list_notes(shot: Shot) -> tuple[str, ...]:
+    """Return the lines of the notes that are on, each on one line without its braces."""
+    scene = shot.scene
+    lines = (scene.span("notes", k) for k, note in enumerate(scene.model.notes) if note.off == "no")
+    return tuple(shorten_line(join_line(span.text)) for span in lines)
+
+
+def _make_camera_entries(shot: Shot, origin: NDArray[np.float64]) -> dict[str, AnyCameraEntry]:
+    """Return the manifest's entries for the cameras of a scene, by name."""
+    model, entries = shot.scene.model, dict[str, AnyCameraEntry]()
+    for name, value in model.named_cameras.items():
+        if name in shot.setting.cameras:
+            entries[name] = _make_placed_entry(shot.setting.cameras[name], origin, 1.0 / model.unit_mm)
+        elif isinstance(value, FollowCamera):
+            by = None if value.by is None else to_tuple(np.array(convert_point(value.by, model.unit_mm)) / model.unit_mm)
+            smooth = None if value.smooth is None else value.smooth.to_base_units(model.unit_mm, float(1 / model.fps))
+            focal = None if value.focal is None else value.focal.number
+            entries[name] = FollowEntry(follow=str(value.follow), by=by, smooth=smooth, focal=focal)
+        else:
+            entries[name] = "fit"
+    return entries
+
+
+def _make_placed_entry(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
+    """Return the manifest's entry for a camera that does not depend on agents, with the values of the first frame."""
+    at, look_at, up = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
+    focal = float(camera.focal[0]) or None
+    return CameraEntry(at=to_tuple(at), look_at=to_tuple(look_at), focal=focal, up=to_tuple(up), moves=camera.moves)
+
+
+def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
+    """Return the looks that the scene sets, by name of a mesh or of items.
+
+    Items from a USD file have one look. Items with separate entries have a mapping of looks by item name."""
+    looks: dict[str, Look | Mapping[str, Look]] = {}
+    for name, thing in model.world.items():
+        if isinstance(thing, dict):
+            own = {item: placed.look for item, placed in thing.items() if placed.look is not None}
+            looks |= {name: own} if own else {}
+        elif isinstance(thing, PlacedThing) and thing.look is not None:
+            looks[name] = thing.look
+    return looks

@@ -1,0 +1,69 @@
+"""Regions of notes: boxes, balls, bands along curves, and views of cameras."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Discriminator, Field, Tag
+
+from antdsl import limits
+from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
+from antdsl.scene.notes.selectors import Box, Selector
+from antdsl.scene.values import PointValue, PositiveLength, SceneName, ScenePart
+
+
+def _find_curve_tag(value: Any) -> str:
+    return "points" if isinstance(value, list) else "curve-name"
+
+
+CurveOrPoints = Annotated[
+    Annotated[tuple[PointValue, ...], Field(min_length=2, max_length=limits.MAX_NOTE_POINTS), Tag("points")]
+    | Annotated[SceneName, Tag("curve-name")],
+    Discriminator(_find_curve_tag),
+]
+
+
+def _find_centre_tag(value: Any) -> str:
+    """Return the kind of a centre: a list of names is a list of agents, any other list is a point."""
+    is_point = isinstance(value, list) and not all(isinstance(each, dict) or str(each)[:1].isalpha() for each in value)
+    return "point" if is_point else "agents-or-item"
+
+
+_Centre = Annotated[
+    Annotated[PointValue, Tag("point")] | Annotated[Selector, Tag("agents-or-item")], Discriminator(_find_centre_tag)
+]
+
+
+class NoteBall(ScenePart):
+    """All points within `radius` of a point, an item, the nearest of some items, or of agents, which it follows."""
+
+    around: _Centre
+    radius: PositiveLength
+
+
+class Band(ScenePart):
+    """All points within half of `width` of a curve."""
+
+    along: CurveOrPoints
+    width: PositiveLength
+
+
+class View(ScenePart):
+    """All points that a camera sees, without regard to what hides them."""
+
+    in_view: SceneName
+
+
+def _find_region_tag(value: Any) -> str:
+    keys = value if isinstance(value, dict) else ()
+    tags = {"along": "band-region", "around": "ball-region", "in_view": "view-region"}
+    return next((tag for key, tag in tags.items() if key in keys), "box-region")
+
+
+NoteRegion = Annotated[
+    Annotated[Box, Tag("box-region")]
+    | Annotated[NoteBall, Tag("ball-region")]
+    | Annotated[Band, Tag("band-region")]
+    | Annotated[View, Tag("view-region")],
+    Discriminator(_find_region_tag),
+]
