@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.preview.binary_packets import pack_arrays
-from antdsl.preview.directing.verb_forms import list_note_forms
-from antdsl.preview.viewing.directing_messages import make_key_entry
+from antdsl.preview.viewing.directing_messages import make_form_entries
 
 TEXT = """ant 1
 # 🐜 a comment with a letter of two units
@@ -106,25 +105,21 @@ def curves(frames: list[int], walk: list[float], **other: Any) -> dict[str, Any]
 
 
 def verbs(line: str = "guards", item: str = "leaf") -> dict[str, Any]:
-    """The verbs of notes, for a crowd of the agents 10 to 14 in a line."""
+    """The verbs of notes and edits, for a crowd of the agents 10 to 14 in a line."""
     names = {"part": ["head"], "target": [item, line], "clip": ["walk"], "state": ["rest"]}
-    forms = [
-        {"verb": form.verb, "help": form.help, "keys": [make_key_entry(key, names) for key in form.keys]}
-        for form in list_note_forms()
-    ]
     lines = [{"name": line, "species": "ant", "ranges": [[0, 5]]}]
-    return {"op": "verbs", "notes": forms, "lines": lines, "origin": [0, 0, 0]}
+    return {"op": "verbs", **make_form_entries(names), "lines": lines, "origin": [0, 0, 0]}
 
 
-def notes(*lines: str, problem: str = "") -> dict[str, Any]:
-    """The notes of a run. The last one is off if there is a problem."""
+def notes(*lines: str, problem: str = "", op: str = "notes") -> dict[str, Any]:
+    """The notes of a run, or its edits. The last one is off if there is a problem."""
     listed = [{"key": k, "line": line, "on": not problem or k < len(lines) - 1, "problem": ""} for k, line in enumerate(lines)]
     if problem:
         listed[-1]["problem"] = problem
-    return {"op": "notes", "notes": listed, "file": "walk.yaml"}
+    return {"op": op, "lines": listed, "problem": "", "file": "walk.yaml" if op == "notes" else "edits.yaml"}
 
 
-def directed(line: str, *problems: tuple[str, str], applied: bool = False) -> dict[str, Any]:
+def directed(line: str, *problems: tuple[str, str], applied: bool = False, listed: str = "notes") -> dict[str, Any]:
     """The answer to a draft. `problems`: keys with messages."""
     findings = [{"key": key, "severity": "error", "message": message, "help": ""} for key, message in problems]
-    return {"op": "directed", "line": line, "ok": not problems, "applied": applied, "problems": findings}
+    return {"op": "directed", "list": listed, "line": line, "ok": not problems, "applied": applied, "problems": findings}

@@ -21,7 +21,7 @@ from antdsl.preview.file_watch import FileWatch
 from antdsl.preview.observing.observer import Observer, PauseReason
 from antdsl.preview.requests import (
     AnyRequest,
-    DraftNote,
+    DraftLine,
     Explain,
     RequestRefused,
     Seek,
@@ -348,8 +348,8 @@ class Live:
         following, sender = self._queue[0] if self._queue else (None, None)
         if isinstance(request, SetValue):
             return isinstance(following, SetValue) and following.name == request.name and sender is client
-        if isinstance(request, DraftNote):
-            return not request.apply and isinstance(following, DraftNote) and sender is client
+        if isinstance(request, DraftLine):
+            return not request.apply and isinstance(following, DraftLine) and sender is client
         if isinstance(request, Explain | SetDisplay):
             return type(following) is type(request) and sender is client
         return isinstance(request, Seek) and isinstance(following, Seek)

@@ -86,20 +86,25 @@ class SwitchField(_RequestModel):
     on: bool
 
 
-class DraftNote(_RequestModel):
-    """Check a note, and with `apply` add it to the run. `agents`: the value of the verb. `values`: those of the other keys."""
+LineList = Literal["notes", "edits"]
+
+
+class DraftLine(_RequestModel):
+    """Check a note or an edit, and with `apply` add it. `agents`: the value of the verb. `values`: those of the other keys."""
 
     op: Literal["direct"]
+    list: LineList
     verb: Name
     agents: Annotated[str, StringConstraints(max_length=4000)]
     values: dict[Name, Words] = Field(default_factory=dict, max_length=32)
     apply: bool = False
 
 
-class SwitchNote(_RequestModel):
-    """Switch a note that pages added on or off, or remove it."""
+class SwitchLine(_RequestModel):
+    """Switch a note or an edit that pages added on or off, or remove it."""
 
-    op: Literal["note"]
+    op: Literal["line"]
+    list: LineList
     key: int = Field(ge=0, le=2**53)
     action: Literal["on", "off", "remove"]
 
@@ -213,8 +218,8 @@ AnyRequest = Annotated[
     | SetValue
     | SwitchLayer
     | SwitchField
-    | DraftNote
-    | SwitchNote
+    | DraftLine
+    | SwitchLine
     | Reload
     | Restart
     | SetDisplay

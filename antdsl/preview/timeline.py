@@ -170,6 +170,7 @@ class Timeline:
 
     def __init__(self, checkpoint_interval: int, budget: int) -> None:
         self.every, self.max_bytes = checkpoint_interval, budget
+        self.version = 0  # changes whenever simulated frames are replaced
         self.stretches: list[SimulationStretch] = []
         self.branches: list[TimelineBranch] = []
         self.curves: dict[int, dict[str, float]] = {}
@@ -208,6 +209,7 @@ class Timeline:
 
     def drop_after(self, frame: int, line: str) -> None:
         """Drop everything after a frame except its curves."""
+        self.version += 1
         old = {each: values for each, values in self.curves.items() if each > frame}
         if old:
             self._add_branch(TimelineBranch(frame, line, old))

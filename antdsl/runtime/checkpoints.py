@@ -128,6 +128,8 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore the feet of a checkpoint. If it was written without feet, all agents start with their feet at rest."""
+    if not world.feet:  # a world that was bound without agents
+        feet_step.prepare_feet(world)
     restored_feet = {}
     for name, feet in world.feet.items():
         foot_arrays = select_by_prefix(arrays, f"feet.{name}.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +13,12 @@ from empty_scenes import scene as empty_scene
 from live_client import Message, Page
 from sampling import sampled
 
+from antdsl.outputs.edits.verb_table import VERB_BY_WORD
 from antdsl.pipeline import open_scene
 from antdsl.preview import Live, Session
 from antdsl.preview.directing.hand_notes import HandNote
-from antdsl.preview.directing.note_forms import make_draft
-from antdsl.preview.directing.verb_forms import find_note_form, list_note_forms
+from antdsl.preview.directing.note_forms import draft_note
+from antdsl.preview.directing.verb_forms import find_form, list_edit_forms, list_note_forms
 from antdsl.scene.notes.notes_model import NOTE_MODELS
 
 LAST = 36
@@ -50,13 +50,13 @@ def page(scene: Path) -> Iterator[Page]:
 def directed(page: Page, verb: str, agents: str, apply: bool = False, **values: str) -> Message:
     """The answer of the server about a note."""
     number = len(page.told)
-    page.ask("direct", verb=verb, agents=agents, values=values, apply=apply)
+    page.ask("direct", list="notes", verb=verb, agents=agents, values=values, apply=apply)
     return page.until(lambda: next((m for m in page.told[number:] if m["op"] in ("directed", "refused")), None))
 
 
 def listed(page: Page) -> list[tuple[str, bool]]:
     message = page.last("notes")
-    return [(note["line"], note["on"]) for note in message["notes"]] if message else []
+    return [(note["line"], note["on"]) for note in message["lines"]] if message else []
 
 
 def opened(scene: Path, frames: int = LAST) -> Session:
@@ -68,11 +68,11 @@ def opened(scene: Path, frames: int = LAST) -> Session:
 
 
 def note(session: Session, verb: str, agents: str, values: dict[str, str], key: int = 0) -> HandNote:
-    form = find_note_form(verb)
+    form = find_form("notes", verb)
     assert form is not None
-    draft = make_draft(session.shot, form, agents, values)
-    assert draft.note is not None, [d.message for d in draft.report.errors]
-    return HandNote(key, draft.text, draft.note)
+    draft, read = draft_note(session.shot, form, agents, values)
+    assert read is not None, [d.message for d in draft.report.errors]
+    return HandNote(key, draft.text, read)
 
 
 def direct(session: Session, *notes: HandNote) -> int:
@@ -92,16 +92,13 @@ def direct(session: Session, *notes: HandNote) -> int:
 def test_the_table_has_all_verbs_and_keys_of_the_models() -> None:
     forms = list_note_forms()
     assert [form.verb for form in forms] == list(NOTE_MODELS)
-    for form in forms:
-        fields = NOTE_MODELS[form.verb].model_fields
-        names = {field.alias or name for name, field in fields.items() if name not in ("agents", "off")}
-        assert {key.name for key in form.keys} == names and form.help
-        assert {key.name for key in form.keys if key.is_required} == {n for n in names if _field(form.verb, n).is_required()}
+    edit_models = {verb: row.line for verb, row in VERB_BY_WORD.items() if verb != "merge"}  # which reads another cache
+    assert [form.verb for form in list_edit_forms()] == list(edit_models)
+    for models, form in [(NOTE_MODELS, form) for form in forms] + [(edit_models, form) for form in list_edit_forms()]:
+        fields = {f.alias or name: f for name, f in models[form.verb].model_fields.items() if name not in ("agents", "off")}
+        assert {key.name for key in form.keys} == {*fields} and form.help
+        assert {key.name for key in form.keys if key.is_required} == {n for n, f in fields.items() if f.is_required()}
         assert all(key.help and key.kind.example for key in form.keys), [form.verb, *form.keys]
-
-
-def _field(verb: str, name: str) -> Any:
-    return next(field for key, field in NOTE_MODELS[verb].model_fields.items() if (field.alias or key) == name)
 
 
 # --- values ------------------------------------------------------------------------------------------------------------
@@ -132,8 +129,8 @@ def test_a_value_that_is_wrong_is_reported_at_its_key_and_changes_nothing(page: 
     answer = directed(page, "hold", "guards.1", apply=True, play="danse")  # only the bodies know this
     assert not answer["applied"] and "no clip `danse`" in answer["problems"][0]["message"]
     assert directed(page, "dance", "guards")["op"] == "refused"
-    page.ask("note", key=3, action="off")
-    page.until(lambda: page.told[-1].get("of") == "note")
+    page.ask("line", list="notes", key=3, action="off")
+    page.until(lambda: page.told[-1].get("of") == "line")
     assert listed(page) == [] and page.hash_at(LAST) == plain.hashes[-1] and not page.last("status")["edited"]
 
 
@@ -159,7 +156,7 @@ def test_an_applied_note_is_in_the_world_at_once_and_its_line_does_the_same_in_a
     assert np.abs(track.of("velocity", 7)[-1]).max() == 0 and np.abs(plain.of("velocity", 7)[-1]).max() > 1
     assert directed(page, "hold", "guards.7", apply=True, frames="30..50")["op"] == "refused"  # it is there already
     for action, expected in (("off", plain.hashes[-1]), ("on", held), ("remove", plain.hashes[-1])):
-        page.ask("note", key=0, action=action)
+        page.ask("line", list="notes", key=0, action=action)
         page.until(lambda expected=expected: (m := page.last("status")) and (m["frame"], m["hash"]) == (LAST, expected))
     assert listed(page) == [] and not page.last("status")["edited"]
 

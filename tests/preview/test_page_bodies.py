@@ -239,7 +239,7 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
         texts(),
         status(),
         rig(body),
-        frame(plays, extra_arrays=make_stance_arrays(legs, feet, light, stands)),
+        frame(plays, extra_arrays=make_stance_arrays(legs, placed, light, stands)),
     )
     page.page.wait_for_timeout(300)
     for row in range(count):

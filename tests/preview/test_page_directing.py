@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from browsing import chromium
+from commands import run
 from directed import follow, open_directed
 from page_messages import directed, frame, notes, scene, status, texts, verbs
 from page_stage import stage
 from preview_page import opened, previewed
+
+from antdsl.outputs.edits.edited_cache import open_edited_cache
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -84,6 +87,74 @@ def test_a_selected_agent_is_held_and_the_copied_lines_work_in_a_scene(browser: 
     assert np.allclose(track.of("position", number)[frames == FRAME][0], place, atol=1e-3)
 
 
+def test_edits_are_shown_at_once_and_the_copied_lines_work_with_a_cache(browser: Browser, tmp_path: Path) -> None:
+    open_directed(tmp_path, count=30, last=12)
+    permissions = ["clipboard-read", "clipboard-write"]
+    with previewed(tmp_path / "scene.yaml") as address, opened(browser, address, permissions=permissions) as preview:
+        page = preview.page
+        page.set_viewport_size({"width": 1280, "height": 720})
+        page.keyboard.press("Shift+ArrowRight")
+        preview.until("a.frame === it && a.still", 30, 11)
+        place = preview.now("position", "ant", 3)
+        preview.press("side-tab-direct")
+        preview.find("direct-list-edits").check()
+        preview.find("direct-agents").fill("guards.3")
+        for verb, key, value in (("move", "by", "[0, 0, 30 mm]"), ("duplicate", "by", "[0, 0, 20 mm]")):
+            preview.find("direct-verb").select_option(verb)
+            preview.find(f"direct-key-{key}").fill(value)
+            page.locator("[data-test=direct-apply]:enabled").click()
+            page.get_by_text(f"edit `{{{verb}: guards.3, {key}: {value}}}`").wait_for(timeout=60_000)
+        page.wait_for_timeout(500)
+        preview.until("a.frame === it && a.still", 30, 11)
+        moved, copied_agent = (preview.now("position", "ant", agent) for agent in (3, 33))
+        assert abs(moved[2] - place[2]) > 20 and abs(copied_agent[2] - moved[2]) > 10
+        assert preview.now("frame") == 11 and preview.find("direct-key-frames").input_value() == ""
+        preview.press("edits-copy")
+        copied = page.evaluate("navigator.clipboard.readText()")
+        preview.find("edits").get_by_test_id("note-on").first.uncheck()
+        page.get_by_text("is off").first.wait_for(timeout=60_000)
+        page.wait_for_timeout(500)
+        preview.until("a.frame === it && a.still", 30, 11)
+        assert preview.now("position", "ant", 3) == place
+        for _ in range(2):
+            preview.find("edits").get_by_test_id("note-remove").first.click()
+            page.wait_for_timeout(500)
+        assert preview.find("edits").is_hidden()
+    (tmp_path / "edits.yaml").write_text(copied)
+    assert run("run", "scene.yaml", "--out", "cache", "--quiet", cwd=tmp_path).returncode == 0
+    assert run("edit", "cache", "--edits", "edits.yaml", cwd=tmp_path).returncode == 0
+    arrays = open_edited_cache(tmp_path / "cache").frame(11)
+    assert arrays["id"][-1] == 33 and np.allclose(arrays["P"][3], moved, atol=1e-3)
+    assert np.allclose(arrays["P"][-1], copied_agent, atol=1e-3)
+
+
+def test_an_edit_is_written_checked_and_listed(browser: Browser) -> None:
+    with stage(browser) as page:
+        page.tell(scene(), texts(), status(), verbs(), notes(), notes(op="edits"), frame([0, 1, 0]))
+        page.find("side-tab-direct").click()
+        page.find("direct-agents").fill("guards")
+        page.find("direct-list-edits").check()
+        page.find("direct-verb").select_option("kill")
+        page.page.wait_for_timeout(400)
+        draft = {"op": "direct", "list": "edits", "verb": "kill", "agents": "guards", "values": {}, "apply": False}
+        assert page.requests_of("direct")[-1] == draft
+        page.tell(directed("{hold: guards}"))  # of a note, which comes late
+        assert page.find("direct-line").inner_text() == ""
+        page.tell(directed("{kill: guards}", listed="edits"))
+        page.find("direct-apply").click()
+        assert page.requests_of("direct")[-1] == {**draft, "apply": True}
+        page.tell(notes("{kill: guards}", "{move: guards}", op="edits", problem="no `guards`"))
+        assert page.find("side-tab-direct").inner_text() == "Direct2"
+        assert page.find("panel-direct").get_by_text("switched off: no `guards`").is_visible()
+        page.find("edits-copy").click()
+        page.find("edits-copy").get_by_text("Copied").wait_for()
+        assert page.page.evaluate("navigator.clipboard.readText()") == "edits:\n  - {kill: guards}\n"
+        page.find("note-on").first.uncheck()
+        page.find("note-remove").last.click()
+        answers = [(each["list"], each["key"], each["action"]) for each in page.requests_of("line")]
+        assert answers == [("edits", 0, "off"), ("edits", 1, "remove")]
+
+
 def test_what_is_written_is_checked_applied_and_listed(browser: Browser) -> None:
     with stage(browser) as page:
         page.tell(scene(), texts(), status(), verbs(), notes(), frame([0, 1, 0]))
@@ -93,7 +164,7 @@ def test_what_is_written_is_checked_applied_and_listed(browser: Browser) -> None
         page.find("direct-key-to").fill("leaf")
         page.page.wait_for_timeout(400)
         values = {"to": "leaf", "frames": "20..240"}
-        draft = {"op": "direct", "verb": "attract", "agents": "guards", "values": values, "apply": False}
+        draft = {"op": "direct", "list": "notes", "verb": "attract", "agents": "guards", "values": values, "apply": False}
         assert page.requests_of("direct")[-1] == draft
         page.tell(directed("{attract: guards, to: leaf}", ("to", "no leaf"), ("", "not this one")))
         assert page.find("direct-wrong-to").inner_text() == "no leaf" and page.find("direct-wrong").inner_text() == "not this one"
@@ -113,7 +184,7 @@ def test_what_is_written_is_checked_applied_and_listed(browser: Browser) -> None
         assert page.page.evaluate("navigator.clipboard.readText()") == "notes:\n  - {hold: guards}\n"
         page.find("note-on").first.uncheck()
         page.find("note-remove").last.click()
-        assert [(each["key"], each["action"]) for each in page.requests_of("note")] == [(0, "off"), (1, "remove")]
+        assert [(each["key"], each["action"]) for each in page.requests_of("line")] == [(0, "off"), (1, "remove")]
 
 
 CLICKED = "[document.querySelector('#view').clientWidth / 2, document.querySelector('#view').clientHeight * 0.6]"

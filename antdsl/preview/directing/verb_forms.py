@@ -1,19 +1,35 @@
-"""The table of verbs: their keys with kind, unit, default and help, made from the models of notes."""
+"""The tables of verbs: their keys with kind, unit, default and help, made from the models of notes and edits."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
-from types import NoneType
+from types import NoneType, UnionType
 from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from pydantic.fields import FieldInfo
 
+from antdsl.outputs.edits.edit_layer import AgentsLine
+from antdsl.outputs.edits.edit_values import Factor, FrameOffset, Speed
+from antdsl.outputs.edits.verb_table import VERB_BY_WORD
+from antdsl.outputs.edits.verbs.smoothing import Window
+from antdsl.scene.crowds.crowd_model import BodyText
+from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
 from antdsl.scene.notes.note_values import FrameCount, FrameNumber, Share, SpeedShare
-from antdsl.scene.notes.notes_model import NOTE_MODELS, CurveOrPoints, LookTargets, Note, NoteRegion
-from antdsl.scene.notes.selectors import NearTarget, Region, SelectorKeys
-from antdsl.scene.values import FrameRangeValue, PositiveLength, ScenePart, SceneWord
+from antdsl.scene.notes.notes_model import NOTE_MODELS, LookTargets
+from antdsl.scene.notes.selectors import AgentConditions, NearTarget, Region, SelectorKeys
+from antdsl.scene.values import (
+    Angle,
+    FrameRangeValue,
+    Length,
+    PointOrName,
+    PointValue,
+    PositiveLength,
+    PositiveSpeed,
+    ScenePart,
+    SceneWord,
+)
 
 
 class KeyKind(NamedTuple):
@@ -55,7 +71,9 @@ _STATE = KeyKind("state", "", "rest", "a state of the program")
 _MAP = KeyKind("map", "", "damp", "a painted map of the world")
 _THING = KeyKind("thing", "", "foot", "a mesh, an item or items")
 _CAMERA = KeyKind("camera", "", "shot", "a camera of the scene")
-_LOOKS = KeyKind("looks", "", "{head: leaf}", "a part of the body, and a point, item, agent or `{direction: [0, 1, 0]}`")
+_LOOKS = KeyKind(
+    "looks", "", "{head: leaf}", "a part of the body, and a point, item, agent, camera, mesh or `{direction: [0, 1, 0]}`"
+)
 _KINDS: tuple[tuple[Any, KeyKind], ...] = (
     (FrameRangeValue, KeyKind("frames", "", "120..143", "the first and the last frame, both included")),
     (FrameNumber, KeyKind("frame", "", "120", "the frame")),
@@ -63,13 +81,34 @@ _KINDS: tuple[tuple[Any, KeyKind], ...] = (
     (Share, KeyKind("share", "", "50 %", "a share from 0 % to 100 %")),
     (SpeedShare, KeyKind("share", "", "50 %", "a share of the speed")),
     (PositiveLength, KeyKind("length", "mm", "50 mm", "a length")),
-    (NearTarget, KeyKind("target", "", "[0, 0, 0]", "a point, an item or an agent")),
+    (NearTarget, KeyKind("target", "", "[0, 0, 0]", "a point, an item, a camera or agents")),
     (NoteRegion, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box, a ball, a band along a curve, or a view")),
     (Region, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box or a ball")),
     (CurveOrPoints, KeyKind("path", "", "[[0, 0, 0], [50, 0, 0]]", "a curve of the world, or points")),
     (LookTargets, _LOOKS),
     (SceneWord, _STATE),
+    (PointValue, KeyKind("displacement", "", "[40 mm, 0, 0]", "a displacement along the scene's axes")),
+    (PointOrName, KeyKind("place", "", "[0, 0, 0]", "a point or an item")),
+    (tuple[PointValue, ...], KeyKind("points", "", "[[0, 0, 0], [80 mm, 0, 0]]", "the points of a curve")),
+    (Length, KeyKind("length", "mm", "20 mm", "a coordinate")),
+    (Angle, KeyKind("angle", "", "30 deg", "an angle")),
+    (tuple[Angle, Angle, Angle], KeyKind("angles", "", "[0, 30 deg, 0]", "angles about ahead, up and right")),
+    (Factor, KeyKind("factor", "", "150 %", "a factor")),
+    (Speed, KeyKind("factor", "", "50 %", "the speed at which time passes")),
+    (PositiveSpeed, KeyKind("speed", "", "20 mm/s", "a speed along the curve")),
+    (FrameOffset, KeyKind("offset", "frames", "7", "by how many frames later; earlier below 0")),
+    (Window, KeyKind("count", "frames", "9", "an odd number of frames")),
+    (BodyText, KeyKind("body", "", "ant", "another body, by its word")),
 )
+_KIND_BY_ONLY_KEY: Mapping[str, KeyKind] = {  # of keys that only one verb has
+    "joint": KeyKind("joint", "", "head", "a joint of the body"),
+    "onto": KeyKind("mesh", "", "ground", "a mesh"),
+    "colour": KeyKind("colour", "", "red", "a colour, by its word or `[r, g, b]` from 0 to 1"),
+    "wear": KeyKind("layers", "", "[pack]", "the layers of the body that agents wear"),
+    "count": KeyKind("count", "", "1", "the number of copies"),
+    "ground": KeyKind("ground", "", "free", "`follow` keeps agents on the ground, `free` moves them rigidly"),
+    "axis": KeyKind("axis", "", "x", "the axis across the plane"),
+}
 _KIND_BY_KEY: Mapping[str, KeyKind] = {
     "play": _CLIP, "clip": _CLIP, "painted": _MAP, "for": _THING, "in_view": _CAMERA,
     "to": KeyKind("values", "", "{size: 6 mm}", "attributes with their values"), "at": _LOOKS,
@@ -87,13 +126,23 @@ def list_note_forms() -> tuple[VerbForm, ...]:
     return tuple(_make_form(verb, model) for verb, model in NOTE_MODELS.items())
 
 
-def find_note_form(verb: str) -> VerbForm | None:
-    """Return the form of a verb; None for an unknown verb."""
-    return next((form for form in list_note_forms() if form.verb == verb), None)
+@cache
+def list_edit_forms() -> tuple[VerbForm, ...]:
+    """Return the verbs of edits for agents."""
+    return tuple(_make_form(verb, row.line) for verb, row in VERB_BY_WORD.items() if issubclass(row.line, AgentsLine))
 
 
-def _make_form(verb: str, model: type[Note]) -> VerbForm:
-    types, helps = get_type_hints(model, include_extras=True), dict(_iterate_helps(model))
+FORMS_BY_LIST: Mapping[str, Callable[[], tuple[VerbForm, ...]]] = {"notes": list_note_forms, "edits": list_edit_forms}
+
+
+def find_form(listed: str, verb: str) -> VerbForm | None:
+    """Return the form of a verb of `notes` or `edits`; None for an unknown verb."""
+    return next((form for form in FORMS_BY_LIST[listed]() if form.verb == verb), None)
+
+
+def _make_form(verb: str, model: type[ScenePart]) -> VerbForm:
+    names = {"AgentConditions": AgentConditions}
+    types, helps = get_type_hints(model, localns=names, include_extras=True), dict(_iterate_helps(model))
     keys = [
         _make_key(field.alias or name, name, field, types[name], helps, model)
         for name, field in model.model_fields.items()
@@ -105,7 +154,7 @@ def _make_form(verb: str, model: type[Note]) -> VerbForm:
 
 
 def _make_key(
-    key: str, field_name: str, field: FieldInfo, value_type: Any, helps: Mapping[str, str], model: type[Note]
+    key: str, field_name: str, field: FieldInfo, value_type: Any, helps: Mapping[str, str], model: type[ScenePart]
 ) -> VerbKey:
     kind = _find_kind(key, value_type)
     is_selector_key = field_name in SelectorKeys.model_fields and issubclass(model, SelectorKeys)
@@ -115,10 +164,13 @@ def _make_key(
 
 def _find_kind(key: str, value_type: Any) -> KeyKind:
     """Return the kind of a key by its type, or where several kinds have the type, by its name."""
-    options = [part for part in get_args(value_type) if part is not NoneType] if get_origin(value_type) is Union else [value_type]
+    if key in _KIND_BY_ONLY_KEY:
+        return _KIND_BY_ONLY_KEY[key]
+    is_union = get_origin(value_type) in (Union, UnionType)
+    options = [part for part in get_args(value_type) if part is not NoneType] if is_union else [value_type]
     own = options[0] if len(options) == 1 else value_type
     for known, kind in _KINDS:
-        if own == known:
+        if known in (own, *get_args(own)[:1]):  # the type, or one with further checks
             return kind
     return _KIND_BY_KEY.get(key, _TEXT)
 

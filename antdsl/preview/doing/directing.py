@@ -1,15 +1,19 @@
-"""Handlers of notes: drafts, notes that are added, and their switches."""
+"""Handlers of notes and edits: drafts, lines that are added, and their switches."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from antdsl import limits
+from antdsl.diagnostics import Diagnostic, Report
 from antdsl.preview import requests
+from antdsl.preview.directing.hand_edits import EDITS_FILE, HandEdit, HandEdits
 from antdsl.preview.directing.hand_notes import HandNote, HandNotes
-from antdsl.preview.directing.note_forms import list_problems, make_draft
-from antdsl.preview.directing.verb_forms import find_note_form
+from antdsl.preview.directing.line_drafts import LineDraft
+from antdsl.preview.directing.note_forms import draft_note
+from antdsl.preview.directing.verb_forms import VerbForm, find_form
 from antdsl.preview.outcomes import Outcome
 from antdsl.preview.requests import RequestRefused
 from antdsl.preview.viewing.messages import find_scene_name, make_outcome_message
@@ -17,43 +21,86 @@ from antdsl.preview.viewing.messages import find_scene_name, make_outcome_messag
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
+_DONE_BY_ACTION = {"on": "is on again", "off": "is off", "remove": "is removed"}
+_WORD_BY_LIST = {"notes": "note", "edits": "edit"}
+Line = TypeVar("Line", HandNote, HandEdit)
 
-def draft_note(live: Live, request: requests.DraftNote, client: Client) -> None:
-    """Check a note, and add it to the run if that is requested. Send the line and what is wrong with it to the page."""
-    form = find_note_form(request.verb)
+
+def draft_line(live: Live, request: requests.DraftLine, client: Client) -> None:
+    """Check a line, and add it to the run if that is requested. Send the line and what is wrong with it to the page."""
+    form = find_form(request.list, request.verb)
     if form is None:
-        raise RequestRefused(f"`{request.verb}` is not a verb of notes")
-    notes = live.session.notes
-    draft = make_draft(live.session.shot, form, request.agents, request.values)
-    findings, is_applied = [*draft.report.diagnostics], False
-    if request.apply and any(note.text == draft.text for note in notes):
-        raise RequestRefused("the run has this note already", "change a value, or switch the note on in the list")
-    if request.apply and draft.note is not None:
-        if len(notes) >= limits.MAX_PREVIEW_NOTES:
-            raise RequestRefused(f"a preview holds at most {len(notes)} notes", "write them into the scene")
-        added = HandNote(max((note.key for note in notes), default=-1) + 1, draft.text, draft.note)
-        result = _change_notes(live, (*notes, added), f"note `{draft.text}`", draft.text)
-        findings, is_applied = [*result.report.diagnostics], result.ok
-    problems = [{**each, "message": live.screen.names.shorten_paths(each["message"])} for each in list_problems(draft, findings)]
-    client.tell({"op": "directed", "line": draft.text, "ok": draft.note is not None, "applied": is_applied, "problems": problems})
+        raise RequestRefused(f"`{request.verb}` is not a verb of {request.list}")
+    draft, is_valid, findings, is_applied = (_draft_note if request.list == "notes" else _draft_edit)(live, request, form)
+    problems = [{**each, "message": live.screen.names.shorten_paths(each["message"])} for each in draft.list_problems(findings)]
+    answer = {"line": draft.text, "ok": is_valid, "applied": is_applied, "problems": problems}
+    client.tell({"op": "directed", "list": request.list, **answer})
 
 
-def switch_note(live: Live, request: requests.SwitchNote, client: Client) -> None:
-    """Switch a note on or off, or remove it, and send the outcome to all pages."""
+_Drafted = tuple[LineDraft, bool, list[Diagnostic], bool]  # the line, whether it is valid, findings, whether it was added
+
+
+def _draft_note(live: Live, request: requests.DraftLine, form: VerbForm) -> _Drafted:
     notes = live.session.notes
-    note = next((each for each in notes if each.key == request.key), None)
-    if note is None:
-        raise RequestRefused("this note no longer exists")
-    others = tuple(
-        replace(each, is_on=request.action == "on", problem="") if each is note else each
-        for each in notes
-        if each is not note or request.action != "remove"
+    draft, note = draft_note(live.session.shot, form, request.agents, request.values)
+    if not request.apply or note is None:
+        return draft, note is not None, draft.report.diagnostics, False
+    _check_new(notes, draft.text, "note")
+    added = HandNote(_find_free_key(notes), draft.text, note)
+    result = _change_notes(live, (*notes, added), f"note `{draft.text}`", draft.text)
+    return draft, True, result.report.diagnostics, result.ok
+
+
+def _draft_edit(live: Live, request: requests.DraftLine, form: VerbForm) -> _Drafted:
+    edits = live.screen.edited.edits
+    draft, is_valid = live.screen.edited.draft(form, request.agents, request.values)
+    if not request.apply or not is_valid:
+        return draft, is_valid, draft.report.diagnostics, False
+    _check_new(edits, draft.text, "edit")
+    problem = _change_edits(live, (*edits, HandEdit(_find_free_key(edits), draft.text)), f"edit `{draft.text}`", draft.text)
+    if problem:
+        draft.report.error("wrong-value", problem, None)
+    return draft, True, draft.report.diagnostics, not problem
+
+
+def _check_new(lines: Iterable[HandNote] | Iterable[HandEdit], text: str, what: str) -> None:
+    """Raise RequestRefused for a line that is there already, or for one too many."""
+    texts = [line.text for line in lines]
+    if text in texts:
+        raise RequestRefused(f"the run has this {what} already", f"change a value, or switch the {what} on in the list")
+    if len(texts) >= limits.MAX_PREVIEW_LINES:
+        raise RequestRefused(f"a preview holds at most {len(texts)} {what}s", "write them into a file")
+
+
+def _find_free_key(lines: Iterable[HandNote] | Iterable[HandEdit]) -> int:
+    return max((line.key for line in lines), default=-1) + 1
+
+
+def switch_line(live: Live, request: requests.SwitchLine, client: Client) -> None:
+    """Switch a line on or off, or remove it, and send the outcome to all pages."""
+    if request.list == "notes":
+        notes, did = _switch(live.session.notes, request)
+        result = _change_notes(live, notes, did)
+        problem, help = ("", "") if result.ok else (result.report.errors[0].message, result.report.errors[0].help or "")
+    else:
+        edits, did = _switch(live.screen.edited.edits, request)
+        problem, help = _change_edits(live, edits, did), ""
+    if problem:
+        raise RequestRefused(live.screen.names.shorten_paths(problem), help)
+
+
+def _switch(lines: tuple[Line, ...], request: requests.SwitchLine) -> tuple[tuple[Line, ...], str]:
+    """Return the lines after a request, and what it did."""
+    what = _WORD_BY_LIST[request.list]
+    line = next((each for each in lines if each.key == request.key), None)
+    if line is None:
+        raise RequestRefused(f"this {what} no longer exists")
+    switched = tuple(
+        replace(each, is_on=request.action == "on", problem="") if each is line else each
+        for each in lines
+        if each is not line or request.action != "remove"
     )
-    words = {"on": "is on again", "off": "is off", "remove": "is removed"}[request.action]
-    result = _change_notes(live, others, f"note `{note.text}` {words}")
-    if not result.ok:
-        errors = result.report.errors
-        raise RequestRefused(live.screen.names.shorten_paths(errors[0].message), errors[0].help or "")
+    return switched, f"{what} `{line.text}` {_DONE_BY_ACTION[request.action]}"
 
 
 def _change_notes(live: Live, notes: HandNotes, description: str, text: str = "") -> Outcome:
@@ -67,3 +114,14 @@ def _change_notes(live: Live, notes: HandNotes, description: str, text: str = ""
         if live.session.frame < frame:
             live.start_steps(frame - live.session.frame)
     return result
+
+
+def _change_edits(live: Live, edits: HandEdits, description: str, text: str = "") -> str:
+    """Replace the edits that are displayed. Return why they cannot be applied; empty if they are."""
+    live.show_exact_frame()
+    problem = live.screen.edited.replace_edits(edits, live.session.frame)
+    if not problem:
+        outcome = Outcome(Report(), "the simulated frames are shown with it" if text else "", text, description)
+        live.send_to_all(make_outcome_message(live, "edit", outcome, EDITS_FILE if text else ""))
+        live.screen.on_edit(files_changed=False)
+    return problem

@@ -5,6 +5,7 @@ These are up to three clips per machine with progress and weight, the positions 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.definition import Definition, TransformGroup
 from antdsl.bodies.agents.driving import set_pose_channels
-from antdsl.bodies.agents.leg_ik import LegSolver
+from antdsl.bodies.agents.leg_ik import LegSolver, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_positions, draw_group_scale
@@ -25,6 +26,8 @@ from antdsl.outputs.cache.pose_arrays import (
     list_wearable_layers,
     make_clip_arrays,
     make_display_arrays,
+    make_feet_arrays,
+    read_feet,
     read_machine_clips,
 )
 from antdsl.pipeline import Shot
@@ -33,8 +36,6 @@ from antdsl.preview.timeline import SpeciesPoses
 from antdsl.preview.viewing.body_packets import BodyOutfit, BodyTraits, build_posed_body, find_traits, outfits
 from antdsl.runtime import Population, World
 from antdsl.runtime.body_rows import numbers_by_row
-from antdsl.runtime.feet.feet_state import Feet
-from antdsl.runtime.feet.trunk import compute_slope_quaternions
 
 _STEPS_PER_BODY_LENGTH = 4096  # steps per body length
 _UNIT_INT16 = 32767
@@ -66,11 +67,58 @@ def read_stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
 
 
 def _make_species_poses(session: Session, population: Population, light: Arrays) -> SpeciesPoses:
-    worn = outfits(session.world, session.shot, population)
-    return SpeciesPoses(worn, make_action_arrays(session.world, session.shot, population, light))
+    actions = gather_actions(session.world, session.shot, population, light)
+    return SpeciesPoses(actions.outfits, make_action_arrays(actions))
 
 
-def make_action_arrays(world: World, shot: Shot, population: Population, light: Arrays) -> Arrays:
+@dataclass(frozen=True, slots=True, eq=False)
+class SpeciesActions:
+    """What the bodies of a species do in a frame.
+
+    `machines`: those that play clips. `layers`: those that agents may wear. `channels`: those that states set.
+    `seed`: of the scene. `seconds`: the time of the frame.
+    `outfits`: by body key. `numbers`: uint8[n], the index of each agent's body.
+    `stored`: arrays as in caches, with feet in mm. `light`: the displayed positions and directions. Both are by id.
+    """
+
+    species: str
+    machines: tuple[str, ...]
+    layers: tuple[str, ...]
+    channels: tuple[str, ...]
+    seed: int
+    seconds: float
+    outfits: Mapping[str, BodyOutfit]
+    numbers: NDArray[np.uint8]
+    stored: Mapping[str, NDArray[Any]]
+    light: Arrays
+
+    def select(self, rows: NDArray[np.intp]) -> SpeciesActions:
+        """Return the actions of some agents. Feet are those of all: they are by body."""
+        stored = {name: array if name.startswith("feet.") else array[rows] for name, array in self.stored.items()}
+        light = {name: array[rows] for name, array in self.light.items()}
+        return replace(self, stored=stored, light=light, numbers=self.numbers[rows])
+
+
+def gather_actions(world: World, shot: Shot, population: Population, light: Arrays) -> SpeciesActions:
+    """Return what the bodies of a species do in the frame of a world. `light`: the light frame of these agents, by id."""
+    stored = make_clip_arrays(population) | make_display_arrays(population, world.setting)
+    for key in world.setting.list_body_keys(population.name):
+        stored |= make_feet_arrays(world, key, 1.0)
+    return SpeciesActions(
+        population.name,
+        tuple(list_playing_machines(population)),
+        list_wearable_layers(population, world.setting),
+        population.plan.channels,
+        world.setting.seed,
+        world.frame * world.dt,
+        outfits(world, shot, population),
+        numbers_by_row(population, world.setting)[population.rows_by_id()],
+        stored,
+        light,
+    )
+
+
+def make_action_arrays(actions: SpeciesActions) -> Arrays:
     """Return the actions of bodies as arrays.
 
     - `SPECIES/plays/MACHINE`: of machines that play clips.
@@ -80,82 +128,69 @@ def make_action_arrays(world: World, shot: Shot, population: Population, light: 
     - `SPECIES/trait/K` float32[n, 3]: three of the body traits, in order.
     - `SPECIES/feet` and `SPECIES/stance`: if feet are computed.
 
-    Arrays of features that a body lacks are left out. `light`: the light frame of these agents, by id.
-
-    For a species with several bodies, each body has these arrays under its key, for its agents only. `SPECIES/body` uint8[n] is
-    the index of each agent's body.
+    Arrays of features that a body lacks are left out. For a species with several bodies, each body has these arrays under its
+    key, for its agents only. `SPECIES/body` uint8[n] is the index of each agent's body.
     """
-    stored = make_clip_arrays(population) | make_display_arrays(population, world.setting)
-    every, arrays = outfits(world, shot, population), Arrays()
-    numbers = numbers_by_row(population, world.setting)[population.rows_by_id()]
-    for number, (key, worn) in enumerate(every.items()):
-        if len(every) == 1:
-            arrays |= _body_arrays(world, population, key, worn, (stored, light))
-        else:
-            rows = np.flatnonzero(numbers == number)
-            parts = [{name: array[rows] for name, array in each.items()} for each in (stored, light)]
-            arrays |= _body_arrays(world, population, key, worn, (parts[0], parts[1]))
-            arrays[f"{population.name}/body"] = numbers
+    if len(actions.outfits) == 1:
+        ((key, worn),) = actions.outfits.items()
+        return _make_body_arrays(actions, key, worn)
+    arrays = {f"{actions.species}/body": actions.numbers}
+    for number, (key, worn) in enumerate(actions.outfits.items()):
+        arrays |= _make_body_arrays(actions.select(np.flatnonzero(actions.numbers == number)), key, worn)
     return arrays
 
 
-def _body_arrays(
-    world: World, population: Population, key: str, outfit: BodyOutfit, frame_arrays: tuple[Arrays, Arrays]
-) -> Arrays:
-    """Return the actions of the agents with a body. `frame_arrays`: their arrays of a frame and their light frame, by id."""
-    stored, light = frame_arrays
+def _make_body_arrays(actions: SpeciesActions, key: str, worn: BodyOutfit) -> Arrays:
+    """Return the actions of the agents with a body."""
+    stored, light = actions.stored, actions.light
     count = len(light["id"])
-    clips_by_machine = {
-        each: read_machine_clips(population.name, each, stored, count) for each in list_playing_machines(population)
-    }
+    clips_by_machine = {each: read_machine_clips(actions.species, each, stored, count) for each in actions.machines}
     machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
-    clips = [outfit.definition.clips.get(clip) for clip, *_ in outfit.clips]
+    clips = [worn.definition.clips.get(clip) for clip, *_ in worn.clips]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
     arrays: Arrays = {f"plays/{each}": pack_clips(clip, loops) for each, clip in machines.items()}
-    arrays |= _make_display_arrays(world, population, stored, outfit)
-    played = (*build_posed_body(outfit).build_idle_clips(light["id"], world.frame * world.dt), *machines.values())
-    arrays |= _make_trait_arrays(world, population, frame_arrays, outfit, played)
-    if key in world.feet and count:
-        arrays |= _make_species_stances(world, key, outfit, light, tuple(machines.values()))
+    arrays |= _make_display_arrays(actions, worn)
+    played = (*build_posed_body(worn).build_idle_clips(light["id"], actions.seconds), *machines.values())
+    arrays |= _make_trait_arrays(actions, worn, played)
+    solver = build_posed_body(worn).leg_solver
+    feet = None if solver is None else read_feet(key, stored, count, solver.count)
+    if feet is not None and solver is not None and count:
+        stands = solver.compute_stance_weights((*worn.clips, PlayedClip(worn.definition.idle)), played, count)
+        arrays |= make_stance_arrays(solver, feet, light, stands)
     return {f"{key}/{what}": array for what, array in arrays.items()}
 
 
-def _make_display_arrays(world: World, population: Population, stored_arrays: Arrays, body_outfit: BodyOutfit) -> Arrays:
+def _make_display_arrays(actions: SpeciesActions, body_outfit: BodyOutfit) -> Arrays:
     arrays: Arrays = {}
+    stored, species = actions.stored, actions.species
     if body_outfit.layers:
-        known = list_wearable_layers(population, world.setting)
-        mask = stored_arrays[f"wears.{population.name}"]
+        mask = stored[f"wears.{species}"]
         layer_bits = np.zeros(len(mask), np.uint32)
         for k, layer in enumerate(body_outfit.layers):
-            layer_bits |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
+            number = np.uint64(actions.layers.index(layer))
+            layer_bits |= ((mask >> number) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
         arrays["wears"] = layer_bits
     for group in body_outfit.look_groups:
-        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(stored_arrays[f"looks.{population.name}.{group}"])).astype(np.int8)
+        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(stored[f"looks.{species}.{group}"])).astype(np.int8)
     if body_outfit.blends_lean:
-        leans = np.nan_to_num(stored_arrays[f"leans.{population.name}"])
+        leans = np.nan_to_num(stored[f"leans.{species}"])
         arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(leans))]), -1, 1)).astype(np.int8)
     return arrays
 
 
-def _make_trait_arrays(
-    world: World,
-    population: Population,
-    frame_arrays: tuple[Arrays, Arrays],
-    body_outfit: BodyOutfit,
-    machines: tuple[MachineClips, ...],
-) -> Arrays:
-    stored, ids = frame_arrays[0], frame_arrays[1]["id"].astype(np.int64)
+def _make_trait_arrays(actions: SpeciesActions, body_outfit: BodyOutfit, machines: tuple[MachineClips, ...]) -> Arrays:
+    stored, ids = actions.stored, actions.light["id"].astype(np.int64)
     differ, varied, count = find_traits(body_outfit), body_outfit.definition.variation, len(ids)
     if not differ.count or not count:
         return {}
-    draws = VariationDraws(ids, world.setting.seed, population.name)
+    draws = VariationDraws(ids, actions.seed, actions.species)
     trait_values = np.zeros((count, -(-differ.count // 3) * 3), np.float32)
     parts = [draw_group_scale(varied, name, draws) for name in differ.scales]
     parts += [draw_colour_path_positions(varied, name, draws) for name in differ.materials]
     first = len(differ.targets)
     if first:
-        said = {each: stored[f"channels.{population.name}.{each}"] for each in population.plan.channels}
-        lean = stored.get(f"leans.{population.name}")
+        said = {each: stored[f"channels.{actions.species}.{each}"] for each in actions.channels}
+        lean = stored.get(f"leans.{actions.species}")
         trait_values[:, :first] = compute_blend_weights(body_outfit, differ, machines, count, said, lean)
     for k, part in enumerate(parts, first):
         trait_values[:, k] = part
@@ -184,19 +219,6 @@ def make_channel_table(definition: Definition) -> tuple[ClipTable, Mapping[str, 
     return build_clip_table(alone), alone.groups
 
 
-def _make_species_stances(
-    world: World, name: str, body_outfit: BodyOutfit, light: Arrays, machines: tuple[MachineClips, ...]
-) -> Arrays:
-    body = build_posed_body(body_outfit)
-    if body.leg_solver is None:
-        return {}
-    played = (*body.build_idle_clips(light["id"], world.frame * world.dt), *machines)
-    stands = body.leg_solver.compute_stance_weights(
-        (*body_outfit.clips, PlayedClip(body_outfit.definition.idle)), played, len(light["id"])
-    )
-    return dict(make_stance_arrays(body.leg_solver, world.feet[name].sorted_by_id(), light, stands))
-
-
 def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
     """Return the clips that one machine of n agents plays, uint16[n, 3, k]: numbers, progress and weights.
 
@@ -217,7 +239,7 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
     return output
 
 
-def make_stance_arrays(legs: LegSolver, feet: Feet, light: Arrays, foot_weights: Floats) -> dict[str, NDArray[np.int16]]:
+def make_stance_arrays(legs: LegSolver, feet: PlacedFeet, light: Arrays, foot_weights: Floats) -> dict[str, NDArray[np.int16]]:
     """Return the stances of bodies as two integer arrays.
 
     - `feet` int16[n, L, 3]: the target of each foot joint relative to a body with an unmoved trunk, in 1/4096 of the body length,
@@ -225,23 +247,23 @@ def make_stance_arrays(legs: LegSolver, feet: Feet, light: Arrays, foot_weights:
     - `stance` int16[n, 6]: column 0 is the rise of the trunk in 1/4096 of the body length. Columns 1 to 3 are x, y and z of its
       rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has a bit for each foot that stands.
 
-    `light`: the displayed positions and directions of these agents.
+    `feet`: in mm. `light`: the displayed positions and directions of these agents.
     `foot_weights`: [n], the weight with which clips leave feet on the ground.
 
     Bodies are oriented by directions of three bytes, as on pages. So rounding does not shake a standing foot.
     """
     size = np.where(light["size"] > 0, light["size"], 1).astype(np.float32)
     rise = feet.rise / size * foot_weights
-    tilt = compute_slope_quaternions(feet.slope) * foot_weights[:, None]
+    tilt = feet.tilt * foot_weights[:, None]
     tilt[:, 3] += 1 - foot_weights
     tilt /= np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-20)
     stance = np.empty((len(foot_weights), 6), np.int16)
     stance[:, 0] = _quantise(rise, _STEPS_PER_BODY_LENGTH)
     stance[:, 1:4] = _quantise(tilt[:, :3], _UNIT_INT16)  # by less than half a turn, so that w is above 0
     stance[:, 4] = _quantise(foot_weights, _UNIT_INT16)
-    is_down = feet.is_standing[:, :_MAX_FEET_BITS]
+    is_down = feet.is_on_ground[:, :_MAX_FEET_BITS].astype(np.int64)
     stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
-    away = (feet.shown - light["position"].T[:, :, None]).astype(np.float32) / size[None, :, None]
+    away = np.moveaxis(feet.P - light["position"][:, None], 2, 0) / size[None, :, None]
     place = _rotate_back(_compute_body_axes(light), away)
     place[1] += legs.sole_heights[None] - rise[:, None]
     goals = _rotate_back(_make_rotations(tilt), place)

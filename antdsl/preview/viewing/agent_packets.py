@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.outputs.edits.edited_cache import EditedCache
 from antdsl.outputs.feelers import compute_feeler_rays, list_feelers
 from antdsl.plan.ir import Plan
 from antdsl.preview.agent_columns import CURRENT_COLUMNS, make_light_frame, make_packet_arrays
 from antdsl.preview.binary_packets import pack_arrays
-from antdsl.preview.viewing.action_arrays import make_action_arrays, read_stored_poses, store_poses
+from antdsl.preview.viewing.action_arrays import gather_actions, make_action_arrays, read_stored_poses, store_poses
+from antdsl.preview.viewing.edited_packets import make_edited_arrays
 from antdsl.preview.viewing.page_units import choose_unit, find_unit_size
 from antdsl.preview.viewing.view_state import PageInterest, SlotPackets, ViewState
 from antdsl.program.model import Program
@@ -27,41 +29,63 @@ class AgentPackets:
     message names."""
 
     def __init__(self) -> None:
-        self._last_key: tuple[World | None, int, int | None, PageInterest] = (None, 0, None, PageInterest())
+        self._last_key: tuple[World | None, int, int | None, PageInterest, EditedCache | None] = (
+            None,
+            0,
+            None,
+            PageInterest(),
+            None,
+        )
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the packet of the frame if the frame, the world or the displayed columns changed."""
-        world = view_state.world
-        key = (
-            world,
-            world.frame if view_state.stored_frame is None else view_state.stored_frame,
-            view_state.stored_frame,
-            view_state.interest,
-        )
+        """Yield the packet of the frame if the frame, the world, the edits or the displayed columns changed."""
+        world, stored_frame, view = view_state.world, view_state.stored_frame, view_state.edited.find_view()
+        frame = world.frame if stored_frame is None else stored_frame
+        key = world, frame, stored_frame, view_state.interest, view
         if key[0] is self._last_key[0] and key[1:] == self._last_key[1:]:
             return
         self._last_key = key
-        if view_state.stored_frame is not None:  # also while the session is simulating towards that frame
-            lights = view_state.session.read_light_frame(view_state.stored_frame)
+        if stored_frame is not None:  # also while the session is simulating towards that frame
+            lights = view_state.session.read_light_frame(stored_frame)
             if lights is not None:
-                plan = view_state.session.timeline.at(view_state.stored_frame).shot.plan
-                light = _renumber_states(_join_stored_arrays(lights), plan, view_state.shot.plan)
-                for pose_arrays in read_stored_poses(view_state.session, view_state.stored_frame).values():
-                    light |= pose_arrays
-                yield "frame", pack_arrays("frame", light, frame=view_state.stored_frame, light=True)
+                arrays = _add_edits(_make_stored_arrays(view_state, stored_frame, lights), view_state, frame)
+                yield "frame", pack_arrays("frame", arrays, frame=frame, light=True)
             return
-        arrays: Arrays = {}
-        factors = _find_column_factors(world, view_state.shot.program, view_state.interest)
-        store_poses(view_state.session)
-        lights = view_state.session.read_light_frame(world.frame) or {}  # this also stores the light frame
-        poses = read_stored_poses(view_state.session, world.frame)
-        for name, population in world.populations.items():
-            then = lights[name] if name in lights else make_light_frame(population)
-            arrays |= _join_stored_arrays({name: then}) | _make_current_arrays(population, factors)
-            arrays |= poses[name] if name in poses else make_action_arrays(world, view_state.shot, population, then)
-        arrays |= _make_item_arrays(world, view_state.shot.program)
+        arrays = _add_edits(_make_world_arrays(view_state), view_state, frame) | _make_item_arrays(world, view_state.shot.program)
         feelers, feeler_owners = _make_followed_feelers(world, view_state.shot.program, view_state.interest)
-        yield "frame", pack_arrays("frame", arrays | feelers, frame=world.frame, light=False, felt=feeler_owners)
+        yield "frame", pack_arrays("frame", arrays | feelers, frame=frame, light=False, felt=feeler_owners)
+
+
+def _make_stored_arrays(view_state: ViewState, frame: int, lights: Mapping[str, Arrays]) -> Arrays:
+    """Return the arrays of agents of a stored frame. `lights`: its light frame."""
+    plan = view_state.session.timeline.at(frame).shot.plan
+    arrays = _renumber_states(_join_stored_arrays(lights), plan, view_state.shot.plan)
+    for pose_arrays in read_stored_poses(view_state.session, frame).values():
+        arrays |= pose_arrays
+    return arrays
+
+
+def _make_world_arrays(view_state: ViewState) -> Arrays:
+    """Return the arrays of agents of the session's frame."""
+    world, arrays = view_state.world, Arrays()
+    factors = _find_column_factors(world, view_state.shot.program, view_state.interest)
+    store_poses(view_state.session)
+    lights = view_state.session.read_light_frame(world.frame) or {}  # this also stores the light frame
+    poses = read_stored_poses(view_state.session, world.frame)
+    for name, population in world.populations.items():
+        then = lights[name] if name in lights else make_light_frame(population)
+        arrays |= _join_stored_arrays({name: then}) | _make_current_arrays(population, factors)
+        if name in poses:
+            arrays |= poses[name]
+        else:
+            arrays |= make_action_arrays(gather_actions(world, view_state.shot, population, then))
+    return arrays
+
+
+def _add_edits(arrays: Arrays, view_state: ViewState, frame: int) -> Arrays:
+    """Return the arrays of agents with the edits that pages added. `arrays`: those without."""
+    edited = view_state.edited.read_frame(frame)
+    return arrays if edited is None else make_edited_arrays(*edited, view_state.world, view_state.shot, arrays)
 
 
 def _make_current_arrays(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:

@@ -22,7 +22,7 @@ from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.shapes import build_item_mesh
 from antdsl.bodies.skinned_mesh import BlendTarget, compute_blend_targets
-from antdsl.outputs.cache.pose_arrays import list_playing_machines, list_wearable_layers
+from antdsl.outputs.cache.pose_arrays import list_wearable_layers
 from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
@@ -36,22 +36,6 @@ Arrays = dict[str, NDArray[Any]]
 MAX_PAGE_LAYERS = 24  # maximum number of layers on pages; integers of this number of bits are exact in float32
 _CACHED_BODIES = 16  # number of outfits with cached bodies
 MAX_BLEND_TARGETS = 48  # maximum number of blend-shape targets on pages
-
-
-class RigPackets:
-    """The slots `rig:KEY`, one for each body of a species. Sent again if a body, or the clips that it plays, change."""
-
-    def __init__(self) -> None:
-        self._sent_rigs: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}
-
-    def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the packets of bodies that are new or have new clips."""
-        for population in view_state.world.populations.values():
-            for key, worn in outfits(view_state.world, view_state.shot, population).items():
-                rig_key = worn, tuple(list_playing_machines(population))
-                if self._sent_rigs.get(key) != rig_key:
-                    self._sent_rigs[key] = rig_key
-                    yield f"rig:{key}", make_rig_packet(key, *rig_key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +72,7 @@ def _outfit(world: World, population: Population, definition: Definition) -> Bod
         PlayedClip(each.name, each.on, each.is_additive, each.left_clip, each.right_clip, each.up_clip, each.down_clip)
         for each in plan.clips
     )
-    return BodyOutfit(definition, plays, layers, looks, "lean:turn" in plan.registers)
+    return BodyOutfit(definition, plays, layers, looks, "lean#turn" in plan.registers)
 
 
 def make_rig_packet(key: str, body_outfit: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from antdsl.preview.directing.verb_forms import VerbKey, list_note_forms
+from antdsl.preview.directing.hand_edits import EDITS_FILE, HandEdit
+from antdsl.preview.directing.hand_notes import HandNote
+from antdsl.preview.directing.verb_forms import FORMS_BY_LIST, VerbKey
 from antdsl.preview.session import Session
 from antdsl.preview.viewing.body_packets import body_of_key
+from antdsl.program.tables.colours import COLOUR_BY_NAME
 from antdsl.scene.checks.scene_checks import list_selector_names
 from antdsl.scene.crowds.initial_values import is_settable
+from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.notes.note_programs import remove_note_machines
 
 if TYPE_CHECKING:
@@ -21,7 +25,7 @@ _MAX_NAMES = 200  # of one kind
 
 
 def make_verbs_message(live: Live) -> dict[str, Any]:
-    """Return the verbs of notes with their keys, the named crowd lines, and the origin of positions on pages (mm)."""
+    """Return the verbs of notes and edits with their keys, the named crowd lines, and the origin of positions on pages (mm)."""
     session = live.session
     names, world = _list_names(session), session.world
     lines = [
@@ -29,20 +33,37 @@ def make_verbs_message(live: Live) -> dict[str, Any]:
         for line, ids in zip(session.shot.scene.model.crowd, world.lines, strict=True)
         if line.name is not None
     ]
-    verbs = [
-        {"verb": form.verb, "help": form.help, "keys": [make_key_entry(key, names) for key in form.keys]}
-        for form in list_note_forms()
-    ]
-    return {"op": "verbs", "notes": verbs, "lines": lines, "origin": [float(x) for x in world.origin]}
+    return {"op": "verbs", **make_form_entries(names), "lines": lines, "origin": [float(x) for x in world.origin]}
+
+
+def make_form_entries(names: Names) -> dict[str, list[dict[str, Any]]]:
+    """Return the verbs of each list with their keys. `names`: as from `_list_names`."""
+    return {
+        listed: [
+            {"verb": form.verb, "help": form.help, "keys": [_make_key_entry(key, names) for key in form.keys]}
+            for form in make_forms()
+        ]
+        for listed, make_forms in FORMS_BY_LIST.items()
+    }
 
 
 def make_notes_message(live: Live) -> dict[str, Any]:
     """Return the notes that pages added to the run."""
-    notes = [{"key": note.key, "line": note.text, "on": note.is_on, "problem": note.problem} for note in live.session.notes]
-    return {"op": "notes", "notes": notes, "file": live.screen.names.get_short_name(live.compiler.scene)}
+    lines = [_make_line_entry(note) for note in live.session.notes]
+    return {"op": "notes", "lines": lines, "problem": "", "file": live.screen.names.get_short_name(live.compiler.scene)}
 
 
-def make_key_entry(key: VerbKey, names: Names) -> dict[str, Any]:
+def make_edits_message(live: Live) -> dict[str, Any]:
+    """Return the edits that pages added to the simulated frames, and why the displayed frame lacks them."""
+    lines = [_make_line_entry(edit) for edit in live.screen.edited.edits]
+    return {"op": "edits", "lines": lines, "problem": live.screen.edited.problem, "file": EDITS_FILE}
+
+
+def _make_line_entry(line: HandNote | HandEdit) -> dict[str, Any]:
+    return {"key": line.key, "line": line.text, "on": line.is_on, "problem": line.problem}
+
+
+def _make_key_entry(key: VerbKey, names: Names) -> dict[str, Any]:
     """Return a key for a page. `names`: as from `_list_names`."""
     return {
         "name": key.name, "kind": key.kind.name, "unit": key.kind.unit, "required": key.is_required, "default": key.default,
@@ -66,13 +87,18 @@ def _list_names(session: Session) -> Names:
     selectors = list_selector_names(shot.scene, program)
     bodies = [body_of_key(shot, key) for name in world.populations for key in setting.list_body_keys(name)]
     agents = [*selectors.lines, *sorted(selectors.species)]
-    items = sorted(selectors.items)
+    items, meshes = sorted(selectors.items), [*sorted(setting.obstacles), *sorted(setting.surfaces)]
     attributes = {a.name: None for species in program.species.values() for a in species.attributes if is_settable(a)}
     return {
-        "agents": agents, "target": [*items, *agents], "state": sorted(each for each in selectors.states if "." not in each),
+        "agents": agents, "target": [*items, *agents, *sorted(selectors.cameras), *meshes],
+        "state": sorted(each for each in selectors.states if "." not in each),
         "camera": sorted(selectors.cameras), "map": sorted(setting.maps), "path": sorted(setting.curves),
-        "thing": [*sorted(setting.obstacles), *sorted(setting.surfaces), *items],
+        "thing": [*meshes, *items],
         "clip": sorted({clip for body in bodies for clip in body.clips}),
         "part": sorted({group for body in bodies for group in body.groups}, key=lambda name: (name != _USUAL_PART, name)),
         "values": [f"{{{name}: }}" for name in attributes],
+        "place": items, "body": list(BODY_WORDS), "colour": list(COLOUR_BY_NAME), "ground": ["follow", "free"],
+        "axis": ["x", "y", "z"], "mesh": sorted(setting.surfaces),
+        "joint": sorted({joint for body in bodies for joint in body.rig.names}),
+        "layers": sorted({f"[{layer}]" for body in bodies for layer in body.layers}),
     }  # fmt: skip

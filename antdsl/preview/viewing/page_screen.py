@@ -11,20 +11,22 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.directing.hand_edits import EditedRun
 from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.requests import MAX_PLANNED_AGENTS
 from antdsl.preview.session import Session
 from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.action_arrays import store_poses
 from antdsl.preview.viewing.agent_packets import AgentPackets
-from antdsl.preview.viewing.body_packets import ItemBodyPackets, RigPackets
+from antdsl.preview.viewing.body_packets import ItemBodyPackets
 from antdsl.preview.viewing.charts import ChartMessages
 from antdsl.preview.viewing.curves import SentCurves
-from antdsl.preview.viewing.directing_messages import make_notes_message, make_verbs_message
+from antdsl.preview.viewing.directing_messages import make_edits_message, make_notes_message, make_verbs_message
 from antdsl.preview.viewing.field_packets import FieldPackets
 from antdsl.preview.viewing.file_names import FileNames
 from antdsl.preview.viewing.geometry_packets import CurvePackets, FlowPackets, MeshPackets, SolidPackets
 from antdsl.preview.viewing.path_packets import PathPackets
+from antdsl.preview.viewing.rig_packets import RigPackets
 from antdsl.preview.viewing.scene_message import BoundingBox, make_scene_message
 from antdsl.preview.viewing.view_state import PacketMaker, PageInterest, ViewState
 
@@ -65,10 +67,18 @@ class PageScreen:
         self._last_packet_time = self._last_report_time = -inf
         self._scene: dict[str, Any] = {}
         self._verbs: dict[str, Any] = {}
-        self._notes: dict[str, Any] = {}
+        self._lines: list[dict[str, Any]] = [{}, {}]  # the messages with notes and edits
         self._status: dict[str, Any] = {}
         self._stops: dict[int, str] = {}
         self._hash: tuple[object, int, str] | None = None
+        self._edited: EditedRun | None = None
+
+    @property
+    def edited(self) -> EditedRun:
+        """Return the simulated frames with the edits that pages added. Only if there is a session."""
+        if self._edited is None:
+            self._edited = EditedRun(self.live.session)
+        return self._edited
 
     # --- what happened -----------------------------------------------------------------------------------------------
 
@@ -142,6 +152,7 @@ class PageScreen:
             client.tell(messages.make_stops_message(self.live))
             client.tell(make_verbs_message(self.live))
             client.tell(make_notes_message(self.live))
+            client.tell(make_edits_message(self.live))
             sent = self._send_packets(self.live.session, monotonic())
             for slot, packet in self._packet_by_slot.items():
                 if slot not in sent:
@@ -183,13 +194,16 @@ class PageScreen:
         """Send the slots that changed to all pages, and return these slots."""
         self._last_packet_time = time
         going = session.playing or self.live.is_seeking
-        view_state, sent = ViewState(session, self.live.ahead, self._interest, self.live.displayed_frame, time, going), set()
+        stored_frame, sent = self.live.displayed_frame, set()
+        view_state = ViewState(session, self.live.ahead, self._interest, stored_frame, time, going, self.edited)
         for view in self._packet_makers:
             for slot, packet in view.make_packets(view_state):
                 self._packet_by_slot[slot] = packet
                 sent.add(slot)
                 for client in self.live.clients:
                     client.show(slot, packet)
+        if self.edited.edits:
+            self._send_lines()  # a frame that cannot be shown with edits says why
         return sent
 
     def _send_scene(self, lays_out_charts: bool) -> bool:
@@ -205,14 +219,19 @@ class PageScreen:
         return lays_out_charts
 
     def _send_verbs(self) -> None:
-        """Send the verbs of notes and the notes of the run, each if it changed."""
-        verbs, notes = make_verbs_message(self.live), make_notes_message(self.live)
+        """Send the verbs of notes and edits, and the lines that pages added, each if it changed."""
+        verbs = make_verbs_message(self.live)
         if verbs != self._verbs:
             self._verbs = verbs
             self.live.send_to_all(verbs)
-        if notes != self._notes:
-            self._notes = notes
-            self.live.send_to_all(notes)
+        self._send_lines()
+
+    def _send_lines(self) -> None:
+        """Send the notes and edits that pages added, each list if it changed."""
+        for number, message in enumerate((make_notes_message(self.live), make_edits_message(self.live))):
+            if message != self._lines[number]:
+                self._lines[number] = message
+                self.live.send_to_all(message)
 
     def _make_scene_message(self, lays_out_charts: bool = True) -> dict[str, Any]:
         charts = self._charts.list_charts(self.live.session.shot.program) if lays_out_charts else self._scene.get("charts", [])

@@ -10,6 +10,8 @@ import numpy as np
 from antdsl.outputs.feelers import list_feelers
 from antdsl.preview.outcomes import make_silencing_settings
 from antdsl.preview.session import Session
+from antdsl.preview.viewing.body_packets import outfits
+from antdsl.preview.viewing.edited_packets import find_edited_outfits
 from antdsl.preview.viewing.field_packets import choose_full_value
 from antdsl.preview.viewing.file_names import FileNames, read_file_text
 from antdsl.preview.viewing.page_units import choose_unit, convert_constant, find_unit_size, list_colour_attributes
@@ -36,7 +38,7 @@ def make_scene_message(live: Live, box: BoundingBox, charts: list[dict[str, Any]
         "unit_mm": world.setting.unit_mm,
         "up": [float(x) for x in world.up], "low": low, "high": high,
         "camera": _make_camera_entry(session),
-        "species": [_make_species_entry(session, names, population) for population in world.populations.values()],
+        "species": [_make_species_entry(live, names, population) for population in world.populations.values()],
         "params": [_make_param_entry(session, names, name, param) for name, param in program.params.items()],
         "fields": _list_fields(session), "flows": list(world.flows), "curves": list(world.setting.curves),
         "solids": list(world.solids), "items": _list_items(session), "specs": [spec.name for spec in program.specs],
@@ -77,13 +79,15 @@ def _make_camera_entry(session: Session) -> dict[str, Any] | None:
     return {"at": at, "look_at": look_at, "focal": float(camera.focal[0]) or DEFAULT_FOCAL_MM}
 
 
-def _make_species_entry(session: Session, names: FileNames, population: Population) -> dict[str, Any]:
+def _make_species_entry(live: Live, names: FileNames, population: Population) -> dict[str, Any]:
+    session, view = live.session, live.screen.edited.find_view()
     world, shot, name = session.world, session.shot, population.name
+    worn = outfits(world, shot, population) if view is None else find_edited_outfits(view, world, shot)[name]
     declared = list_colour_attributes(world, name, shot.program.species[name].attributes)
     feelers = list_feelers(shot.program, name, world.params, world.setting.unit_mm, world.dt)
     return {
         "name": name,
-        "bodies": list(world.setting.list_body_keys(name)),
+        "bodies": list(worn),
         "attributes": [{"name": each.name, "unit": choose_unit(each)} for each in declared],
         "machines": [
             {"name": machine.name, "states": list(machine.states), "colours": [list(colour) for colour in machine.colours]}

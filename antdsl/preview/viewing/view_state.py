@@ -8,6 +8,7 @@ from typing import Protocol
 
 from antdsl.pipeline import Shot
 from antdsl.preview.ahead import Ahead
+from antdsl.preview.directing.hand_edits import EditedRun
 from antdsl.preview.requests import AgentRef, SetDisplay
 from antdsl.preview.session import Session
 from antdsl.runtime import World
@@ -48,7 +49,7 @@ class PageInterest:
 class ViewState:
     """A snapshot of the inputs of all views.
 
-    `session` and `ahead`: the session, and its simulated future frames.
+    `session` and `ahead`: the session, and its simulated future frames. `edited`: its frames with the edits that pages added.
     `interest`: the data that pages display.
     `stored_frame`: the stored frame that is displayed instead of the session's own, or None.
     `time`: the time in seconds.
@@ -61,6 +62,7 @@ class ViewState:
     stored_frame: int | None
     time: float
     is_advancing: bool  # it plays, or is on its way: the next moment comes soon
+    edited: EditedRun
 
     @property
     def world(self) -> World:

@@ -34,6 +34,13 @@ class LegsOfBody:
 
 def place_initial_feet(world: World) -> None:
     """Place the feet of all agents with legs on the ground, if feet are simulated."""
+    prepare_feet(world)
+    if world.feet:
+        step_feet(world)
+
+
+def prepare_feet(world: World) -> None:
+    """Give a world empty feet for each body with legs, if feet are simulated."""
     world.feet, world.legs_by_species, world.foot_ground = {}, {}, None
     if not world.options.feet:
         return
@@ -42,7 +49,6 @@ def place_initial_feet(world: World) -> None:
             world.feet[name], world.legs_by_species[name] = Feet.empty(len(legs.foot)), LegsOfBody(legs)
     if world.feet:
         world.foot_ground = FootGround(world)
-        step_feet(world)
 
 
 def record_ground_covered(world: World) -> None:

@@ -1,8 +1,11 @@
-// Notes: the messages about them, and the texts that name agents and places in their lines.
+// Notes and edits: the messages about them, and the texts that name agents and places in their lines.
 
 import type { Agent } from "./store";
 
-/** A key of a verb, from the server's table of notes. */
+/** Notes change the run, edits the frames that were simulated. */
+export type List = "notes" | "edits";
+
+/** A key of a verb, from the server's tables. */
 export interface VerbKey {
   name: string;
   kind: string;
@@ -31,37 +34,41 @@ export interface CrowdLine {
 export interface Verbs {
   op: "verbs";
   notes: Verb[];
+  edits: Verb[];
   lines: CrowdLine[];
   origin: [number, number, number]; // of positions on pages, in mm
 }
 
-export interface Note {
+export interface Line {
   key: number;
   line: string;
   on: boolean;
   problem: string; // why it was switched off
 }
 
-export interface Notes {
-  op: "notes"; // the notes that pages added, all of them
-  notes: Note[];
-  file: string;
+/** The notes or edits that pages added, all of them. */
+export interface Lines {
+  op: List;
+  lines: Line[];
+  problem: string; // why the displayed frame lacks them
+  file: string; // where to write them
 }
 
-export interface NoteProblem {
+export interface LineProblem {
   key: string; // empty: about the whole line
   severity: "error" | "warning";
   message: string;
   help: string;
 }
 
-/** The answer to a draft of a note. */
+/** The answer to a draft of a line. */
 export interface Directed {
   op: "directed";
+  list: List;
   line: string;
   ok: boolean;
   applied: boolean;
-  problems: NoteProblem[];
+  problems: LineProblem[];
 }
 
 /** A place that the user clicked: an item, an agent, or a point relative to the origin of positions (mm). */
@@ -131,6 +138,7 @@ export function putPlace(key: VerbKey, value: string, place: string): string {
     case "region":
       return `{around: ${place}, radius: ${/radius:\s*([^,}]+)/.exec(value)?.[1]?.trim() ?? "50 mm"}}`;
     case "path":
+    case "points":
       return /^\[\s*\[.*\]\s*\]$/.test(value) ? `${value.replace(/\s*\]$/, "")}, ${place}]` : `[${place}]`;
     default:
       return place;
@@ -143,4 +151,6 @@ export const PICKED: Record<string, { agents: boolean; items: boolean }> = {
   looks: { agents: true, items: true },
   region: { agents: false, items: true },
   path: { agents: false, items: false },
+  points: { agents: false, items: false },
+  place: { agents: false, items: true },
 };

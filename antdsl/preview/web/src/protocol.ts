@@ -2,7 +2,7 @@
 // The Python side: antdsl/preview/requests.py (requests of the page) and antdsl/preview/viewing (messages to the page).
 // Positions are in mm, relative to the origin of the world; directions are unit vectors; colours are display values 0..1.
 
-import type { Directed, Notes, Verbs } from "./directing";
+import type { Directed, Lines, List, Verbs } from "./directing";
 import type { Explanation } from "./explanation";
 
 export type Triple = [number, number, number];
@@ -27,8 +27,8 @@ export type Ask =
   | { op: "set"; name: string; value: string }
   | { op: "layer"; species: string; layer: string; on: boolean }
   | { op: "field"; name: string; on: boolean }
-  | { op: "direct"; verb: string; agents: string; values: Record<string, string>; apply: boolean } // a note; checked, or applied
-  | { op: "note"; key: number; action: "on" | "off" | "remove" }
+  | { op: "direct"; list: List; verb: string; agents: string; values: Record<string, string>; apply: boolean } // checked, or applied
+  | { op: "line"; list: List; key: number; action: "on" | "off" | "remove" }
   | { op: "reload" }
   | { op: "restart" } // simulate the files again from the first frame, without edits during the run
   | {
@@ -276,7 +276,7 @@ export type ServerMessage =
   | Hello
   | Scene
   | Verbs
-  | Notes
+  | Lines
   | Directed
   | Status
   | Problems
@@ -304,6 +304,7 @@ export type ServerMessage =
 //                 NAME/feet i16[n,l,3] NAME/stance i16[n,6]: see feet.ts;
 //                 of a species with several bodies NAME/body u8[n]; its plays, wears, look, lean, traits, feet and stance are
 //                 KEY/… for the agents of each body;
+//                 with edits NAME/tint u8[n,4]: a colour, and 1 for agents that have it;
 //                 item/NAME/position f32[m,3] item/NAME/size f32[m] item/NAME/amount/ATTRIBUTE f32[m];
 // feelers f32[k,2,3] feelers/hit u8[k] of the followed agents; rows by id. header: frame, light,
 // felt (the agents of the feelers: triples of species, agent and number of feelers).

@@ -21,7 +21,7 @@ export type Panel = (store: Store, place: HTMLElement, shown: Shown) => void;
 
 const PANELS: [id: string, label: string, title: string, panel: Panel][] = [
   ["why", "Why", "why the selected agent did what it did", why],
-  ["direct", "Direct", "notes for agents: what they do in some frames", direct],
+  ["direct", "Direct", "notes and edits for agents: what they do in some frames", direct],
   ["sliders", "Sliders", "numbers of the program, layers and fields", sliders],
   ["view", "View", "what the view displays, and how", look],
   ["machine", "States", "the states and the changes between them", machine],

@@ -1,23 +1,36 @@
-// Notes for agents: a verb from the server's table, its keys, the line to write, and the notes of the run.
+// Notes and edits for agents: a verb from the server's tables, its keys, the line to write, and the lines of this run.
 
-import { type Directed, nameAgents, type Verb } from "../../directing";
+import { type Directed, type List, nameAgents, type Verb } from "../../directing";
 import type { Store } from "../../store";
 import { el, setText, throttled } from "../dom";
 import type { Panel, Shown } from "../side";
 import { copyButton } from "./copying";
 import { type Fields, labelled, makeFields, problem, write } from "./fields";
-import { notes } from "./notes";
+import { lines } from "./written";
 
+const LISTS: readonly List[] = ["notes", "edits"];
+const ABOUT: Record<List, string> = {
+  notes: "A note changes the run: it is simulated again.",
+  edits: "An edit changes the simulated frames, as `antdsl edit` does with a cache. The run stays as it is.",
+};
+const LIST_NAMES: Record<List, string> = { notes: "note", edits: "edit" };
 const EVERY = 250; // ms between two checks while the user writes
 const NONE = "Select agents in the view, or write a crowd line or a species.";
 const TOO_MANY = "Too many agents for a list: write a crowd line or a species, and conditions below.";
 
 export const direct: Panel = (store, place, shown) => {
-  const form = new NoteForm(store, shown);
-  place.append(form.hint, form.element, notes(store, shown));
+  const form = new LineForm(store, shown);
+  const counts: Record<List, number> = { notes: 0, edits: 0 };
+  const written = LISTS.map((list) =>
+    lines(store, list, (count) => {
+      counts[list] = count;
+      shown.mark(counts.notes + counts.edits ? String(counts.notes + counts.edits) : "");
+    }),
+  );
+  place.append(form.hint, form.element, ...written);
 };
 
-class NoteForm {
+class LineForm {
   readonly hint = el("p", { class: "note", text: NONE, test: "direct-hint" });
   readonly element: HTMLFormElement;
   private readonly agents = el("input", {
@@ -28,6 +41,13 @@ class NoteForm {
     test: "direct-agents",
   });
   private readonly names = el("datalist", { id: "direct-agents" });
+  private readonly lists = new Map(
+    LISTS.map((list) => [
+      list,
+      el("input", { type: "radio", name: "direct-list", value: list, checked: list === "notes", test: `direct-list-${list}` }),
+    ]),
+  );
+  private readonly kind = el("p", { class: "help" });
   private readonly verbs = el("select", { test: "direct-verb" });
   private readonly about = el("p", { class: "help" });
   private readonly help = el("p", { class: "help of-key" }); // of one key, where no change of the focus moves other elements
@@ -54,7 +74,14 @@ class NoteForm {
       "form",
       { class: "direct" },
       el("div", { class: "field" }, labelled("Agents", this.agents), this.names, this.wrong),
-      el("div", { class: "field" }, labelled("Note", this.verbs), this.about),
+      el(
+        "fieldset",
+        { class: "lists" },
+        el("legend", { text: "Kind" }),
+        ...LISTS.map((list) => el("label", {}, this.lists.get(list), el("span", { text: LIST_NAMES[list] }))),
+        this.kind,
+      ),
+      el("div", { class: "field" }, labelled("Verb", this.verbs), this.about),
       this.places,
       el(
         "div",
@@ -75,20 +102,25 @@ class NoteForm {
     });
     this.agents.addEventListener("input", () => this.renew());
     this.verbs.addEventListener("change", () => this.choose());
+    for (const each of this.lists.values()) each.addEventListener("change", () => this.chooseList());
     this.shown.onVisibilityChange(() => (this.shown.shown() ? this.renew() : this.store.set("picking", null)));
     this.store.on("selected", () => this.take());
     this.store.on("status", () => this.fields?.setFrame() && this.renew());
     this.store.on("picking", () => this.fields?.showPicking());
     this.store.on("verbs", () => this.fill());
-    this.store.connection.on("directed", (message) => this.show(message));
+    this.store.connection.on("directed", (message) => message.list === this.list && this.show(message));
   }
 
   private get text(): string {
     return this.agents.value.trim();
   }
 
+  private get list(): List {
+    return LISTS.find((list) => this.lists.get(list)?.checked) ?? "notes";
+  }
+
   private get verb(): Verb | undefined {
-    return this.store.now.verbs?.notes.find((each) => each.verb === this.verbs.value);
+    return this.store.now.verbs?.[this.list].find((each) => each.verb === this.verbs.value);
   }
 
   /** Take the agents from the selection. Without one, what was written or selected before stays. */
@@ -103,14 +135,21 @@ class NoteForm {
   /** Fill in the server's table of verbs, and the names of agents. */
   private fill(): void {
     const { verbs, scene } = this.store.now;
-    const now = JSON.stringify([verbs?.notes, verbs?.lines]);
+    const now = JSON.stringify([verbs?.notes, verbs?.edits, verbs?.lines]);
     if (!verbs || now === this.table) return;
     this.table = now;
-    const before = this.verbs.value;
-    this.verbs.replaceChildren(...verbs.notes.map(({ verb }) => el("option", { value: verb, text: verb })));
-    if (verbs.notes.some((each) => each.verb === before)) this.verbs.value = before;
     const names = [...verbs.lines, ...(scene?.species ?? [])].map((each) => each.name);
     this.names.replaceChildren(...names.map((value) => el("option", { value })));
+    this.chooseList();
+  }
+
+  /** Fill in the verbs of the chosen list. A verb of both lists stays. */
+  private chooseList(): void {
+    const verbs = this.store.now.verbs?.[this.list] ?? [];
+    const before = this.verbs.value;
+    this.verbs.replaceChildren(...verbs.map(({ verb }) => el("option", { value: verb, text: verb })));
+    if (verbs.some((each) => each.verb === before)) this.verbs.value = before;
+    setText(this.kind, ABOUT[this.list]);
     this.choose();
   }
 
@@ -122,6 +161,7 @@ class NoteForm {
     this.fields = verb
       ? makeFields(
           this.store,
+          this.list,
           verb,
           () => this.renew(),
           (help) => setText(this.help, help),
@@ -142,7 +182,8 @@ class NoteForm {
   private send(applied: boolean): void {
     if (!this.verb) return;
     const values = this.fields?.values() ?? {};
-    this.store.connection.ask({ op: "direct", verb: this.verb.verb, agents: this.text, values, apply: applied });
+    const { list, text: agents } = this;
+    this.store.connection.ask({ op: "direct", list, verb: this.verb.verb, agents, values, apply: applied });
   }
 
   private show(answer: Directed | null): void {

@@ -1,6 +1,6 @@
 // The fields of a verb: a label, a text and a button for a click in the view where a key is a place.
 
-import { namePlace, PICKED, putPlace, type Verb, type VerbKey } from "../../directing";
+import { type List, namePlace, PICKED, putPlace, type Verb, type VerbKey } from "../../directing";
 import type { Store } from "../../store";
 import { button, el, setText } from "../dom";
 
@@ -23,8 +23,8 @@ interface Field {
   showPicking: (() => void) | undefined;
 }
 
-/** Return the fields of a verb. `explain` gets the help of the field that gets the focus. */
-export function makeFields(store: Store, verb: Verb, changed: () => void, explain: (help: string) => void): Fields {
+/** Return the fields of a verb of a list. `explain` gets the help of the field that gets the focus. */
+export function makeFields(store: Store, list: List, verb: Verb, changed: () => void, explain: (help: string) => void): Fields {
   const all = verb.keys.map((key) => makeField(store, verb, key, changed));
   for (const each of all) each.element.addEventListener("focusin", () => explain(each.key.help));
   const narrowing = all.filter((each) => each.key.narrows);
@@ -51,7 +51,7 @@ export function makeFields(store: Store, verb: Verb, changed: () => void, explai
     setFrame: () => {
       let any = false;
       for (const { key, input } of all) {
-        const value = initialFrame(store, key);
+        const value = list === "notes" || key.required ? initialFrame(store, key) : ""; // edits apply to all frames without
         if (!value || input.dataset.written || input.value === value) continue;
         input.value = value;
         any = true;
@@ -112,7 +112,7 @@ function makePick(store: Store, key: VerbKey, input: HTMLInputElement, changed: 
       if (!words) return;
       input.value = putPlace(key, input.value.trim(), words);
       input.dataset.written = "yes";
-      if (key.kind !== "path") store.set("picking", null);
+      if (!["path", "points"].includes(key.kind)) store.set("picking", null);
       changed();
     },
   };

@@ -30,8 +30,15 @@ export function numbersOf(herd: Herd, colour: string): { values: NumberArray; un
   return values && about && { values, unit: about.unit };
 }
 
-/** Set the colours of all rows. `range`: start and end of the colour ramp. */
+/** Set the colours of all rows. `range`: start and end of the colour ramp. Colours of edits override all others. */
 export function paint(herd: Herd, colour: string, range: Range | null): void {
+  paintValues(herd, colour, range);
+  const tint = herd.column("tint");
+  for (let row = 0; tint && row < herd.count; row++)
+    if (tint[4 * row + 3]) herd.rows.tone.set(tint.subarray(4 * row, 4 * row + 3) as Uint8Array, 4 * row);
+}
+
+function paintValues(herd: Herd, colour: string, range: Range | null): void {
   const { tone } = herd.rows;
   const machine = machineOf(herd.species, colour);
   const states = machine && herd.column(`state/${machine.name}`);

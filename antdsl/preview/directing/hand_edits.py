@@ -1,0 +1,177 @@
+"""The edits that pages added, and the simulated frames with them. The run itself does not change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from antdsl.bodies.agents.definition import BodyError
+from antdsl.diagnostics import Report
+from antdsl.outputs.cache.cache_reader import Arrays, CacheError
+from antdsl.outputs.cache.manifest import Manifest
+from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable
+from antdsl.outputs.edits.edit_lines import EDITS_KEY, EditList, PlacedEdit, read_edits
+from antdsl.outputs.edits.edited_cache import EditedCache, apply_edits
+from antdsl.outputs.edits.verbs.joints import OffsetLine
+from antdsl.outputs.edits.verbs.terrain import Ground
+from antdsl.pipeline import Shot
+from antdsl.preview.directing.line_drafts import EDIT_SOURCE, LineDraft, write_draft
+from antdsl.preview.directing.recorded_frames import RecordedFrames
+from antdsl.preview.directing.verb_forms import VerbForm
+from antdsl.preview.session import Session
+from antdsl.preview.timeline import Timeline
+from antdsl.scene.document import MappingNode, SequenceNode
+
+EDITS_FILE = "edits.yaml"  # where users write edits
+_PREFIX = f"{EDITS_KEY}:\n  - "
+_NOT_SHOWN = ("the preview does not show offsets of joints", "copy the line: `antdsl edit` applies it")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandEdit:
+    """An edit by hand.
+
+    `key`: identifies it for pages. `text`: its line. `is_on`: whether it is displayed. `problem`: why it was switched off."""
+
+    key: int
+    text: str
+    is_on: bool = True
+    problem: str = ""
+
+
+HandEdits = tuple[HandEdit, ...]
+
+
+class _ViewKey(NamedTuple):
+    """What a view of the frames was made for. `history`: the timeline and its version. `next_ids`: by species, the first id that
+    no agent has."""
+
+    shot: Shot
+    history: tuple[Timeline, int]
+    edits: HandEdits
+    next_ids: Mapping[str, int]
+
+
+class EditedRun:
+    """The simulated frames of a session with edits. `version` increases when what they show may have changed. `problem`: why the
+    last frame could not be shown with edits."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.edits: HandEdits = ()
+        self.version = 0
+        self.problem = ""
+        self._recorded: RecordedFrames | None = None
+        self._view: EditedCache | None = None
+        self._view_key: _ViewKey | None = None
+
+    def draft(self, form: VerbForm, agents: str, values: Mapping[str, str]) -> tuple[LineDraft, bool]:
+        """Return a line with these texts, checked against the simulated frames, and whether it is free of errors."""
+        draft = write_draft(form, agents, values)
+        manifest = self._read_frames().manifest
+        edits, report = _read_line(draft.text, manifest)
+        for each in report.diagnostics:
+            if not (draft.missing and each.code == "missing-key"):
+                draft.report.add(each)
+        draft.report_unknown_keys(form, values)
+        if edits is not None:
+            nodes = edits.document.entries[EDITS_KEY]
+            if isinstance(nodes, SequenceNode) and isinstance(nodes.items[0], MappingNode):
+                draft.report_nested_keys(nodes.items[0])
+        if draft.report.ok and edits is not None:
+            for edit in edits.edits:
+                for file in edit.line.list_files(manifest):
+                    message = f"the preview reads no files: it does not show `{file.path}`"
+                    draft.report.warning("cannot-read", message, edits.span(edit, file.key), _NOT_SHOWN[1])
+                if isinstance(edit.line, OffsetLine):
+                    draft.report.warning("cannot-read", _NOT_SHOWN[0], edits.span(edit, "joint"), _NOT_SHOWN[1])
+        return draft, draft.report.ok and not draft.missing
+
+    def replace_edits(self, edits: HandEdits, frame: int) -> str:
+        """Replace the edits. Return why they cannot be applied to a frame; then nothing changes."""
+        if any(each.is_on for each in edits):
+            try:
+                self._apply(edits).frame(frame)
+            except (NotEditable, BodyError, CacheError) as why:
+                return str(why)
+        self.edits = edits
+        self.version += 1
+        return ""
+
+    def read_frame(self, number: int) -> tuple[EditedCache, Arrays] | None:
+        """Return the view with the edits, and its arrays of a frame. None without edits, or if the frame cannot be shown with
+        them; then `problem` says why."""
+        self.problem = ""
+        view = self.find_view()
+        try:
+            return None if view is None else (view, view.frame(number))
+        except CacheError as why:
+            self.problem = str(why)
+            return None
+
+    def find_view(self) -> EditedCache | None:
+        """Return the simulated frames with the edits that are on; None without such edits. Edits that no longer fit are switched
+        off, with the reason."""
+        if not any(each.is_on for each in self.edits):
+            return None
+        timeline = self.session.timeline
+        key = _ViewKey(self.session.shot, (timeline, timeline.version), self.edits, self._find_next_ids())
+        if self._view is None or key != self._view_key:
+            self._switch_off_failed()
+            self._view = self._apply(self.edits) if any(each.is_on for each in self.edits) else None
+            self._view_key = key._replace(edits=self.edits)
+            self.version += 1
+        return self._view
+
+    def _switch_off_failed(self) -> None:
+        """Switch off the edits that the current programs or the edits above do not allow."""
+        passed: list[HandEdit] = []
+        for edit in self.edits:
+            problem = ""
+            if edit.is_on:
+                try:
+                    self._apply((*passed, edit))
+                except (NotEditable, BodyError) as why:
+                    problem = str(why)
+            passed.append(replace(edit, is_on=False, problem=problem) if problem else edit)
+        self.edits = tuple(passed)
+
+    def _read_frames(self) -> RecordedFrames:
+        if self._recorded is None or self._recorded.shot is not self.session.shot:
+            self._recorded = RecordedFrames.of(self.session)
+        return self._recorded
+
+    def _apply(self, edits: Iterable[HandEdit]) -> EditedCache:
+        """Return the frames with edits. Raises NotEditable or BodyError with the reason."""
+        frames = self._read_frames()
+        placed: list[PlacedEdit] = []
+        document: EditList | None = None
+        for each in edits:
+            if each.is_on:
+                document, report = _read_line(each.text, frames.manifest)
+                if document is None:
+                    raise NotEditable(report.errors[0].message)
+                placed += document.edits
+        for edit in placed:
+            for file in edit.line.list_files(frames.manifest):
+                raise NotEditable(f"the preview reads no files: it does not show `{file.path}`")
+        ground = Ground(frames, [mesh for mesh in frames.manifest.meshes if mesh.row.is_ground and not mesh.row.is_dug])
+        assert document is not None
+        listed = replace(document, edits=tuple(placed))
+        return apply_edits(frames, listed, EditInputs(ground, next_ids=self._find_next_ids()))
+
+    def _find_next_ids(self) -> dict[str, int]:
+        """Return by species the first id that no simulated agent has."""
+        known = self._view_key.next_ids if self._view_key is not None else {}
+        lights = self.session.timeline.light_frames.values()
+        counts = {}
+        for name, population in self.session.world.populations.items():
+            ids = (int(light[name]["id"].max()) + 1 for light in lights if name in light and len(light[name]["id"]))
+            own = max(ids, default=0) if name not in known else 0
+            counts[name] = max(own, population.next_id, known.get(name, 0))
+        return counts
+
+
+def _read_line(text: str, manifest: Manifest) -> tuple[EditList | None, Report]:
+    return read_edits(f"{_PREFIX}{text}".encode("utf-8", "replace"), EDIT_SOURCE, manifest)

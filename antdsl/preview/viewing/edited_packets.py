@@ -1,0 +1,158 @@
+"""The arrays of a page for a frame with edits, in the form of those without."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.machine_clips import PlayedClip
+from antdsl.outputs.cache.cache_reader import Arrays
+from antdsl.outputs.cache.frame_agents import find_species_rows, get_agent_ids
+from antdsl.outputs.cache.manifest import ClipEntry, Manifest, SpeciesEntry
+from antdsl.outputs.cache_bodies import CacheBodies
+from antdsl.outputs.edits.edited_cache import EditedCache
+from antdsl.outputs.edits.frame_rows import match_rows
+from antdsl.outputs.edits.verbs.agent_moves import find_axes
+from antdsl.pipeline import Shot
+from antdsl.preview.viewing.action_arrays import SpeciesActions, make_action_arrays
+from antdsl.preview.viewing.body_packets import MAX_PAGE_LAYERS, BodyOutfit, outfits
+from antdsl.runtime import World
+from antdsl.scene.thing_models import UNIT_MM
+
+PageArrays = dict[str, NDArray[Any]]
+_FEET_LENGTHS = ("P", "rise")  # fields of feet in scene units
+_DIRECTION_SCALE = np.float32(127)
+
+
+def make_edited_arrays(
+    view: EditedCache, frame: Arrays, world: World, shot: Shot, unedited: Mapping[str, NDArray[Any]]
+) -> PageArrays:
+    """Return the arrays of agents for a page in a frame with edits.
+
+    `unedited`: those without edits, of the same frame. Agents that edits left where they were keep their bits. An attribute of a
+    copy, and of an agent that the frame without edits lacks, is 0."""
+    arrays: PageArrays = {}
+    worn = find_edited_outfits(view, world, shot)
+    for number, entry in enumerate(view.manifest.species):
+        own = {
+            name.removeprefix(f"{entry.name}/"): array for name, array in unedited.items() if name.startswith(f"{entry.name}/")
+        }
+        rows = find_species_rows(frame, number)
+        light = _make_light_arrays(view.manifest, entry, frame, rows, world)
+        at, is_known = match_rows(light["id"].astype(np.int64), own["id"].astype(np.int64))
+        _retain_bits(light, own, at, is_known)
+        actions = _gather_actions(view, number, frame, rows, light, worn[entry.name], world)
+        for name, array in own.items():
+            if name == "born" or name.startswith("column/"):
+                light[name] = np.where(is_known, array[at] if len(array) else np.zeros(len(at), array.dtype), 0).astype(
+                    array.dtype
+                )
+        tint = _make_tint(entry, frame, rows)
+        light |= {} if tint is None else {"tint": tint}
+        arrays |= {f"{entry.name}/{name}": array for name, array in light.items()} | make_action_arrays(actions)
+    return arrays
+
+
+def _make_light_arrays(
+    manifest: Manifest, entry: SpeciesEntry, frame: Arrays, rows: NDArray[np.intp], world: World
+) -> PageArrays:
+    """Return the displayed values of the agents in some rows, in the units of pages."""
+    unit_mm = UNIT_MM[manifest.units]
+    heading, up = find_axes(np.asarray(frame["orient"], np.float64)[rows])
+    velocity = np.asarray(frame["v"], np.float32)[rows] * np.float32(unit_mm)
+    light = {
+        "id": get_agent_ids(frame)[rows].astype(np.int32),
+        "position": frame["P"][rows] * np.float32(unit_mm),
+        "heading": np.rint(heading * _DIRECTION_SCALE).astype(np.int8),
+        "up": np.rint(up * _DIRECTION_SCALE).astype(np.int8),
+        "size": frame["pscale"][rows] * np.float32(unit_mm),
+        "speed": np.sqrt((velocity * velocity).sum(axis=1)),
+    }
+    for number, machine in enumerate(entry.machines):
+        states = frame["state" if number == 0 else f"{machine.name}.state"][rows]
+        light[f"state/{machine.name}"] = np.nan_to_num(states).astype(np.uint8)
+    return light
+
+
+def _retain_bits(light: PageArrays, own: PageArrays, at: NDArray[np.intp], is_known: NDArray[np.bool_]) -> None:
+    """Copy the directions of agents that edits did not turn. Those in frames are rotations, which round differently."""
+    for name in ("heading", "up"):
+        if not len(own["id"]):
+            continue
+        same = is_known & (np.abs(light[name].astype(np.int16) - own[name][at]) <= 1).all(axis=1)
+        light[name][same] = own[name][at[same]]
+
+
+def _make_tint(entry: SpeciesEntry, frame: Arrays, rows: NDArray[np.intp]) -> NDArray[np.uint8] | None:
+    """Return the colours that edits gave, uint8[n, 4]: red, green, blue, and 1 for agents that have one. None without any."""
+    stored = np.asarray(frame["Cd"], np.float32)[rows]
+    palette = np.array([state.colour for state in entry.machines[0].states] if entry.machines else [(1.0, 1.0, 1.0)], np.float32)
+    states = np.clip(frame["state"][rows], 0, len(palette) - 1) if entry.machines else np.zeros(len(rows), np.int64)
+    is_set = (stored != palette[states]).any(axis=1)
+    if not is_set.any():
+        return None
+    return np.column_stack([np.rint(np.clip(stored, 0, 1) * 255), is_set]).astype(np.uint8)
+
+
+def _gather_actions(
+    view: EditedCache,
+    number: int,
+    frame: Arrays,
+    rows: NDArray[np.intp],
+    light: PageArrays,
+    worn: Mapping[str, BodyOutfit],
+    world: World,
+) -> SpeciesActions:
+    manifest, entry = view.manifest, view.manifest.species[number]
+    unit_mm = np.float32(UNIT_MM[manifest.units])
+    stored = {
+        name: array * unit_mm if name.startswith("feet.") and name.rpartition(".")[2] in _FEET_LENGTHS else array
+        for name, array in frame.items()
+        if _find_owner(name) in (entry.name, *worn)
+    }
+    numbers = CacheBodies(manifest, {}).numbers(number, get_agent_ids(frame)[rows])
+    seconds = int(frame["frame"]) * world.dt
+    return SpeciesActions(
+        entry.name, entry.playing, entry.wears, entry.channels, manifest.seed, seconds, worn, numbers, stored, light
+    )
+
+
+def _find_owner(name: str) -> str:
+    """Return the species or body that an array of a frame such as `feet.ant#0.P` is about; empty for other arrays."""
+    parts = name.split(".")
+    return parts[1] if len(parts) > 1 and parts[0] in ("clips", "wears", "channels", "looks", "leans", "feet") else ""
+
+
+def find_edited_outfits(view: EditedCache, world: World, shot: Shot) -> Mapping[str, Mapping[str, BodyOutfit]]:
+    """Return the outfits of each species of a view, by the keys of its bodies."""
+    originals = {entry.name: entry for entry in view.original.manifest.species}
+    edited = {}
+    for number, entry in enumerate(view.manifest.species):
+        is_same = (_list_looks(entry), view.manifest.bodies) == (
+            _list_looks(originals[entry.name]),
+            view.original.manifest.bodies,
+        )
+        edited[entry.name] = outfits(world, shot, world.populations[entry.name]) if is_same else _make_outfits(view, number)
+    return edited
+
+
+def _list_looks(entry: SpeciesEntry) -> tuple[object, ...]:
+    return entry.body, entry.definition, entry.bodies, entry.wears
+
+
+@lru_cache(maxsize=8)
+def _make_outfits(view: EditedCache, number: int) -> Mapping[str, BodyOutfit]:
+    """Return the outfits of a species with bodies or layers of edits."""
+    entry, bodies = view.manifest.species[number], CacheBodies(view.manifest, view.read_static())
+    clips = tuple(PlayedClip(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in entry.clips)
+    leans = any(any(clip[3:]) for clip in clips)  # clips for turning and climbing
+    worn = {}
+    for which, key in enumerate(bodies.keys(number)):
+        definition = bodies.definition(number, which)
+        layers = tuple(name for name in entry.wears if name in definition.layers)[:MAX_PAGE_LAYERS]
+        worn[key] = BodyOutfit(definition, clips, layers, tuple(name for name in entry.looks if name in definition.groups), leans)
+    return worn

@@ -1,0 +1,26 @@
+"""The bodies of species on pages, each sent once: those of the scene, and those that edits gave."""
+
+from __future__ import annotations
+
+from antdsl.outputs.cache.pose_arrays import list_playing_machines
+from antdsl.preview.viewing.body_packets import BodyOutfit, make_rig_packet, outfits
+from antdsl.preview.viewing.edited_packets import find_edited_outfits
+from antdsl.preview.viewing.view_state import SlotPackets, ViewState
+
+
+class RigPackets:
+    """The slots `rig:KEY`, one for each body of a species. Sent again if a body, or the clips that it plays, change."""
+
+    def __init__(self) -> None:
+        self._sent_rigs: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}
+
+    def make_packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the packets of bodies that are new or have new clips."""
+        world, shot, view = view_state.world, view_state.shot, view_state.edited.find_view()
+        edited = {} if view is None else find_edited_outfits(view, world, shot)
+        for name, population in world.populations.items():
+            for key, worn in (edited[name] if edited else outfits(world, shot, population)).items():
+                rig_key = worn, tuple(list_playing_machines(population))
+                if self._sent_rigs.get(key) != rig_key:
+                    self._sent_rigs[key] = rig_key
+                    yield f"rig:{key}", make_rig_packet(key, *rig_key)

@@ -1,0 +1,231 @@
+"""Edits by hand: what a page shows of the simulated frames with edits, and what `antdsl edit` makes of the same lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run
+from directed import open_directed
+from empty_scenes import CASES
+from empty_scenes import scene as empty_scene
+from live_client import Message, Page
+from sampling import sampled
+
+from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.edits.edited_cache import load_edits
+from antdsl.preview import Live
+from antdsl.preview.directing.recorded_frames import RecordedFrames
+from antdsl.runtime import Options
+
+LAST = 30
+Arrays = Mapping[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene, and a cache of its frames next to it."""
+    folder = tmp_path_factory.mktemp("shown")
+    open_directed(folder, count=30, last=LAST)
+    assert run("run", str(folder / "scene.yaml"), "--out", str(folder / "cache"), "--quiet", cwd=folder).returncode == 0
+    return folder / "scene.yaml"
+
+
+@pytest.fixture
+def page(scene: Path) -> Iterator[Page]:
+    live = Live.open(scene, None, Options(feet=True), checkpoint_interval=10)
+    live.start()
+    opened = Page(live)
+    opened.ask("step", count=LAST - 1)
+    opened.hash_at(LAST)
+    yield opened
+    live.stop()
+
+
+def draft(page: Page, verb: str, agents: str, apply: bool = False, **values: str) -> Message:
+    """The answer of the server about an edit."""
+    number = len(page.told)
+    page.ask("direct", list="edits", verb=verb, agents=agents, values=values, apply=apply)
+    return page.until(lambda: next((m for m in page.told[number:] if m["op"] in ("directed", "refused")), None))
+
+
+def read_frame(page: Page, frame: int) -> Arrays:
+    """The arrays of a frame, after a visit of the one before: so they are those of all earlier requests."""
+    for number in (frame - 1, frame):
+        page.ask("seek", frame=number, exact=True)
+        page.hash_at(number)
+    return page.frame_arrays(frame)
+
+
+def cached(scene: Path, *lines: str) -> Cache:
+    """The cache with these edits."""
+    cache = open_cache(scene.with_name("cache"))
+    if not lines:
+        return cache
+    path = scene.with_name("edits.yaml")
+    path.write_text("edits:\n" + "".join(f"  - {line}\n" for line in lines))
+    loaded, report = load_edits(cache, path)
+    assert loaded is not None, [d.message for d in report.errors]
+    return loaded.view
+
+
+def positions(arrays: Arrays) -> np.ndarray:
+    return arrays["ant/position"].reshape(-1, 3)
+
+
+def test_frames_of_a_session_are_those_of_a_cache(page: Page, scene: Path) -> None:
+    cache = cached(scene)
+    recorded = RecordedFrames.of(page.live.session)
+    assert recorded.manifest.species == cache.manifest.species and recorded.manifest.lines == cache.manifest.lines
+    assert recorded.frames() == cache.frames()
+    for frame in (30, 17, 18, 1, 29, 20):
+        own, theirs = recorded.frame(frame), cache.frame(frame)
+        for name in theirs:
+            assert np.array_equal(own[name], theirs[name], equal_nan=theirs[name].dtype.kind == "f"), (frame, name)
+
+
+EDITS = [
+    ("kill", "guards.3..9", {}),
+    ("kill", "ant", {"share": "30 %", "seed": "4", "frames": "20..30"}),
+    ("clip", "guards", {"inside": "{around: leaf, radius: 80 mm}"}),
+    ("duplicate", "guards.3", {"by": "[40 mm, 0, 0]", "later": "7", "count": "2"}),
+    ("hold", "guards.1", {"frames": "12..20"}),
+    ("retime", "guards", {"frames": "10..20", "speed": "50 %", "near": "leaf", "within": "100 mm"}),
+    ("move", "guards.5..7", {"by": "[0, 0, 30 mm]", "frames": "24..30"}),
+    ("rotate", "guards.5..7", {"by": "90 deg"}),
+    ("scale", "guards.2", {"by": "200 %"}),
+    ("expand", "guards", {"by": "150 %"}),
+    ("face", "guards", {"to": "leaf"}),
+    ("pin", "guards.4", {"to": "[[-100, 0, 0], [100, 0, 0]]", "speed": "20 mm/s"}),
+    ("drop", "guards.6", {"onto": "ground"}),
+    ("replace", "guards.8", {"colour": "red"}),
+    ("replace", "guards.8", {"body": "spider"}),
+    ("smooth", "guards", {"orient": "9", "position": "9"}),
+    ("mirror", "guards", {"axis": "x"}),
+]
+
+
+@pytest.mark.parametrize("case", sampled(EDITS, [EDITS[3], EDITS[5], EDITS[14]]))
+def test_an_edit_is_shown_as_a_cache_has_it_and_others_keep_their_bits(
+    page: Page, scene: Path, case: tuple[str, str, dict[str, str]]
+) -> None:
+    verb, agents, values = case
+    plain_frames = {frame: read_frame(page, frame) for frame in (27, LAST)}
+    answer = draft(page, verb, agents, apply=True, **values)
+    assert answer["applied"], answer
+    changed = False
+    for frame in (27, LAST):
+        arrays, plain, edited = read_frame(page, frame), plain_frames[frame], cached(scene, answer["line"])
+        expected, original = edited.frame(frame), cached(scene).frame(frame)
+        ids = arrays["ant/id"]
+        assert ids.tolist() == expected["id"].tolist()
+        assert np.array_equal(positions(arrays), expected["P"])
+        assert np.array_equal(arrays["ant/size"], expected["pscale"])
+        assert np.array_equal(arrays["ant/state/main"], expected["state"])
+        selected = {int(i) for i in plain["ant/id"] if not _is_same(expected, original, int(i))}
+        for name in ("position", "heading", "up", "size", "speed", "born"):
+            own, other = (a[f"ant/{name}"].reshape(len(a["ant/id"]), -1) for a in (arrays, plain))
+            rows = [k for k, i in enumerate(ids) if int(i) in plain["ant/id"] and int(i) not in selected]
+            theirs = np.searchsorted(plain["ant/id"], ids[rows])
+            assert np.array_equal(own[rows], other[theirs]), name
+        changed |= bool(selected) or len(ids) != len(plain["ant/id"]) or "ant/tint" in arrays or "ant/body" in arrays
+        assert ("ant/body" in arrays) == (len(edited.manifest.species[0].bodies) > 1)
+    assert changed, "the edit has an effect"
+    assert page.last("status")["hash"] == page.hash_at(LAST) and not page.last("status")["edited"]
+    page.ask("line", list="edits", key=0, action="off")
+    page.until(lambda: page.last("edits")["lines"] and not page.last("edits")["lines"][0]["on"])
+    off = read_frame(page, LAST)
+    assert {name: a.tobytes() for name, a in off.items()} == {name: a.tobytes() for name, a in plain_frames[LAST].items()}
+
+
+def _is_same(one: Arrays, other: Arrays, agent: int) -> bool:
+    """Whether an agent has the same place, direction and size in two frames."""
+    rows = [np.flatnonzero(each["id"] == agent) for each in (one, other)]
+    if any(len(row) != 1 for row in rows):
+        return False
+    return all(np.array_equal(one[name][rows[0]], other[name][rows[1]]) for name in ("P", "orient", "pscale", "v", "Cd"))
+
+
+def test_lines_apply_in_order_and_are_switched_off_and_removed(page: Page, scene: Path) -> None:
+    plain = read_frame(page, LAST)
+    lines = [
+        draft(page, "move", "guards.1", apply=True, by="[10 mm, 0, 0]")["line"],
+        draft(page, "duplicate", "guards.1", apply=True, by="[0, 0, 20 mm]")["line"],
+    ]
+    assert draft(page, "move", "guards.1", apply=True, by="[10 mm, 0, 0]")["op"] == "refused"
+    both = read_frame(page, LAST)
+    assert np.array_equal(positions(both), cached(scene, *lines).frame(LAST)["P"])
+    assert len(both["ant/id"]) == 31 and both["ant/id"][-1] == 31
+    page.ask("line", list="edits", key=0, action="off")
+    copied = read_frame(page, LAST)
+    assert np.array_equal(positions(copied), cached(scene, lines[1]).frame(LAST)["P"])
+    page.ask("line", list="edits", key=0, action="on")
+    page.ask("line", list="edits", key=1, action="remove")
+    moved = read_frame(page, LAST)
+    assert np.array_equal(positions(moved), cached(scene, lines[0]).frame(LAST)["P"])
+    assert [line["line"] for line in page.last("edits")["lines"]] == lines[:1]
+    page.ask("line", list="edits", key=0, action="remove")
+    assert {n: a.tobytes() for n, a in read_frame(page, LAST).items()} == {n: a.tobytes() for n, a in plain.items()}
+
+
+def test_a_value_that_is_wrong_is_reported_at_its_key(page: Page) -> None:
+    cases: list[tuple[str, str, dict[str, str], str, str]] = [
+        ("kill", "", {}, "agents", ""),
+        ("kill", "gards", {}, "agents", "no crowd line or species is named `gards`"),
+        ("kill", "guards", {"frames": "900..905"}, "frames", "the cache has no frames 900 to 905"),
+        ("hold", "guards", {}, "frames", "missing"),
+        ("move", "guards", {}, "", "`move` has `by` or `to`"),
+        ("move", "guards", {"by": "[1 kg, 0, 0]"}, "by", "kg"),
+        ("rotate", "guards", {"by": "20 mm"}, "by", "is not an angle"),
+        ("face", "guards", {"to": "leef"}, "to", "`leef`"),
+        ("kill", "guards", {"frames": "1..3, off: yes"}, "frames", "another key, `off`"),
+        ("offset", "guards", {"joint": "tail_9", "rotate": "[0, 30 deg, 0]"}, "", "no body has a joint `tail_9`"),
+        ("scale", "guards", {"speed": "3"}, "", "has no key `speed`"),
+        ("replace", "guards", {"body": "nobody.glb"}, "", "the preview reads no files"),
+    ]
+    for verb, agents, values, key, words in cases:
+        answer = draft(page, verb, agents, apply=True, **values)
+        assert not answer["applied"], answer
+        assert any(words in each["message"] for each in answer["problems"] if each["key"] == key), answer
+    answer = draft(page, "offset", "guards", joint="head", rotate="[0, 30 deg, 0]")
+    assert answer["ok"] and answer["problems"][0]["severity"] == "warning"
+    assert draft(page, "dance", "guards")["op"] == draft(page, "merge", "guards")["op"] == "refused"
+    assert page.last("edits")["lines"] == []
+
+
+def test_edits_follow_an_edited_program_and_frames_that_are_simulated_later(page: Page, scene: Path) -> None:
+    program = scene.with_name("a.ant")
+    text = program.read_text()
+    try:
+        assert draft(page, "retime", "guards", apply=True, later="-8")["applied"]
+        early = positions(read_frame(page, 22))
+        page.ask("seek", frame=10, exact=True)
+        page.hash_at(10)
+        program.write_text(text.replace("max_speed 30 mm/s", "max_speed 50 mm/s"))
+        page.until(lambda: page.last("outcome") and page.last("outcome")["of"] in ("saved", "reload"))
+        page.ask("step", count=20)
+        page.hash_at(30)
+        faster = positions(read_frame(page, 22))
+        assert np.abs(faster - early).max() > 1
+        page.ask("line", list="edits", key=0, action="off")
+        assert np.array_equal(positions(read_frame(page, 30)), faster)
+    finally:
+        program.write_text(text)
+
+
+@pytest.mark.parametrize("case", sampled(list(CASES), list(CASES)[:1]))
+def test_edits_are_possible_where_no_agent_is_there(tmp_path: Path, case: str) -> None:
+    live = Live.open(empty_scene(tmp_path / "scene", case))
+    live.start()
+    try:
+        page = Page(live)
+        page.ask("step", count=6)
+        page.until(lambda: (status := page.last("status")) and status["hash"] and status["head"] >= 6)
+        for verb, values in (("kill", {}), ("move", {"by": "[1 mm, 0, 0]"}), ("retime", {"speed": "50 %"}), ("duplicate", {})):
+            answer = draft(page, verb, "person", apply=True, **values)
+            assert answer["op"] == "directed" and (answer["applied"] or answer["problems"]), answer
+        assert not [message for message in page.told if message["op"] == "refused"]
+    finally:
+        live.stop()
