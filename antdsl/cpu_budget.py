@@ -17,7 +17,8 @@ _SOONEST_SIGNAL_SECONDS = 1e-6
 
 
 class CpuBudgetSpent(BaseException):
-    """Error if work has used more processor time than its budget. It is no Exception, so that no handler of those catches it."""
+    """Error if work has used more processor time than its budget. It is not an Exception, so that `except Exception` does not
+    catch it."""
 
 
 @contextmanager

@@ -19,7 +19,7 @@ def check_new_folder(folder: Path) -> None:
 
 
 def describe_example(name: str) -> str:
-    """Return what an example shows: the text at the top of its first program, else the first comment of its scene."""
+    """Return the description of an example: the text at the top of its first program, else the first comment of its scene."""
     for path in (*sorted(example_file(name).glob("*.ant")), example_file(name) / "scene.yaml"):
         for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
             if line.startswith(('"', "# ")):

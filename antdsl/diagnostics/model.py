@@ -91,7 +91,7 @@ def find_fix(message: str, span: Span | None, help: str | None) -> Fix | None:
 @dataclass(slots=True)
 class Report:
     """Findings of one or more stages. The same code at the same place is stored once. `dropped_warnings`: warnings about a
-    program that do not hold for a scene that uses it, so that they hold nowhere."""
+    program that a scene refutes; they are reported nowhere."""
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
     dropped_warnings: list[Diagnostic] = field(default_factory=list)

@@ -79,7 +79,7 @@ def _require_alive(
     state_intervals: tuple[StateInterval, ...],
     lifetime: tuple[int, int] | None,
 ) -> None:
-    """Check that the agent lived in the frame before, as far as the frames show; they need not store ids."""
+    """Check that the agent existed in the previous frame. Frames without ids are not checked."""
     if "id" not in cache.manifest.attributes:
         return
     if lifetime is None:

@@ -118,7 +118,7 @@ def _transition_lines(transition: TransitionReport, hide_condition: bool) -> Ite
 
 
 def _condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
-    """Yield a part and its inner parts; a part that only tests the existence of an equal part is replaced by that."""
+    """Yield a part and its inner parts; a part that only tests whether an equal part exists is replaced by that part."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
     if part.role in ("draw", "bar"):

@@ -318,8 +318,7 @@ class SurfaceCells:
         return self._link_cells(2)
 
     def _link_cells(self, steps: int) -> CellLinks:
-        """Return pairs of cells in voxels at most one step apart along each axis, and at most `steps` in total (with 2:
-        exactly 2)."""
+        """Return pairs of cells in neighbouring voxels: 1 step apart if `steps` is 1, 2 steps along different axes if it is 2."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _POINTS_PER_CHUNK):
             chosen = np.arange(a, min(a + _POINTS_PER_CHUNK, len(self)))

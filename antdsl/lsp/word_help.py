@@ -34,7 +34,7 @@ def collapse_whitespace(text: str) -> str:
 
 
 def find_help_text(node: Any) -> str:
-    """Return the text that says what a declared thing is for; "" without one."""
+    """Return the purpose of a declared thing, as a text; "" without one."""
     help = getattr(node, "help", None)
     return help.text if help is not None else ""
 

@@ -126,7 +126,7 @@ def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
 @inlined
 def rotate_between_normals(v: Vec3, source: Vec3, target: Vec3, direction: Vec3) -> Vec3:
     """Return a vector rotated by the smallest rotation from unit normal `source` to `target`. For opposite normals, the rotation
-    goes over `direction`."""
+    passes through `direction`."""
     cosine = dot(source, target)
     if cosine < -1 + 1e-9:
         hinge = cross(source, direction)

@@ -76,7 +76,7 @@ def normalise_or_fallback(a: VectorArrays, fallback: VectorArrays, min_length: f
 
 def rotate_between_normals(v: Array, source: Array, target: Array, direction: Array) -> Array:
     """Return vectors rotated by the smallest rotation from unit normals `source` to `target`. For opposite normals, the rotation
-    goes over `direction`."""
+    passes through `direction`."""
     cosine = dot(source, target)
     opposite = cosine < -1 + 1e-9
     axis = compute_stacked_cross(source, target)

@@ -65,7 +65,7 @@ class Compiler:
     def files(self) -> RequestedPaths:
         """Return all files of the last shot and of later attempts; some may not exist yet.
 
-        Each has the root below which no link is followed."""
+        Each comes with its root; links below a root are not followed."""
         roots_by_path: RequestedPaths = {self.scene: None, **self._files, **self._attempted_files}
         for path in map(Path, self._parsed_files):
             roots_by_path.setdefault(path, path.parent)

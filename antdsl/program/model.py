@@ -57,7 +57,7 @@ class FaceLine:
 @expression_class
 class Assign:
     """An assignment. `op` is `=`, `+=` or `-=`.
-    - `per_second`: the added value is a rate, to be multiplied by dt. This is so in a state's body.
+    - `per_second`: the added value is a rate, to be multiplied by dt. This applies in the body of a state.
     - `pair_agent`, `other_agents`, `element`: for a pair value, the other agent, or the set of others and the name bound to
       each."""
 

@@ -319,7 +319,7 @@ class PathColumns(NamedTuple):
 
 
 class HistogramBins(NamedTuple):
-    """Histograms, a row for each of `part_count` parts. `bin_starts`: least half chords. `first`: where a search starts."""
+    """Histograms with `part_count` rows. `bin_starts`: the least half chord of each bin. `first`: the bin where a search starts."""
 
     turns: Array2[I64]
     tilts: Array2[I64]

@@ -1,7 +1,7 @@
 """Agents in the order of the cells of a grid, by a counting sort in parallel chunks.
 
-The sort counts the agents of each cell. Running sums of the counts give the first position of each cell, and each agent goes
-to the next position of its cell (D. E. Knuth, The Art of Computer Programming 3, 5.2). Each thread processes one chunk of
+The sort counts the agents of each cell. Running sums of the counts give the first position of each cell, and each agent is
+stored at the next position of its cell (D. E. Knuth, The Art of Computer Programming 3, 5.2). Each thread processes one chunk of
 agents. Within a cell, chunks follow each other, so the order is the same as with one thread."""
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Reciprocal collision avoidance in the tangent plane of an agent's ground. It finds the velocity nearest to the wish with
-which the agent hits no other within a time horizon.
+"""Reciprocal collision avoidance in the tangent plane of an agent's ground. It finds the velocity nearest to the wish that
+avoids all collisions within a time horizon.
 
 Source: J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-Body Collision Avoidance, Robotics Research, Springer Tracts
 in Advanced Robotics 70, 2011, p. 3-19.

@@ -14,7 +14,7 @@ _TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies is 
 def find_affected(cache: EditedCache, *, includes_touched: bool = True) -> dict[int, int]:
     """Return the affected agents by key, each with the first frame in which it is affected.
 
-    Of two agents that overlap because of edits, it is the one that edits leave as it is; of two that edits changed, the one with
+    Of two agents that overlap because of edits, it is the one that no edit changes; of two that edits changed, the one with
     the greater id. `includes_touched`: an agent that touched another one, which edits removed or moved away, is
     affected too."""
     sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]

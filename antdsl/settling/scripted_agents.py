@@ -34,12 +34,10 @@ def place_scripted_agents(
     free_ids: Mapping[str, Ids],
     next_ids: Mapping[str, int],
 ) -> None:
-    """Put all agents of a frame into a world, except the `free_ids` ones by species, which keep what they did.
-
-    Their velocities lead to where they are in the `next_arrays` frame, so that free agents meet them there.
-
-    Agents that the frame lacks are removed, and those that the world lacks are added: copies of an edit as their original
-    (`next_ids`: the first id of a copy), else as the agent with the nearest lower id."""
+    """Copy all agents of a frame into a world, except the free ones (`free_ids`, by species), whose state does not change. Their
+    velocities lead to their positions in the next frame (`next_arrays`), where free agents meet them. Agents that the frame
+    lacks are removed. Agents that the world lacks are added: copies made by an edit like their original (`next_ids`: the first
+    id of a copy), others like the agent with the nearest lower id."""
     numbers, ids = get_species_numbers(arrays), get_agent_ids(arrays)
     for number, entry in enumerate(manifest.species):
         population = world.populations.get(entry.name)

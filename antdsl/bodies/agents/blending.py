@@ -1,4 +1,4 @@
-"""Blends clips by a tree of layers: from what agents play to the resulting poses.
+"""Blends clips by a tree of layers: from the clips that agents play to the resulting poses.
 
 An agent has a list of clips. Each clip has a time, a weight, a transform group and the layer that it is an input of. Layers have
 a mode, a weight and a parent layer. Inputs of a layer are its clips in list order, then its layers in list order. The root layer,

@@ -1,4 +1,5 @@
-"""Converts what agents play from lists per agent, as in a file of agents: clip names, times, weights, groups and layers."""
+"""Converts the clips that agents play from lists per agent, as in a file of agents: clip names, times, weights, groups and
+layers."""
 
 from __future__ import annotations
 

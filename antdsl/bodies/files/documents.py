@@ -51,7 +51,7 @@ def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
 
 def _order_joints(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
     """Return the joints, and the number of each joint's parent (-1 for a root). The order is that of the text if parents precede
-    their children there, else it goes from the roots down. Return None after errors."""
+    their children there, else from the roots down. Return None after errors."""
     joints = form.transforms
     parent: dict[str, tuple[str, Span]] = {}
     children: dict[str, list[str]] = {name: [] for name in joints}

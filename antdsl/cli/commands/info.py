@@ -21,7 +21,7 @@ def info(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     verify: bool = typer.Option(False, "--verify", help="Read all files, and compare them with their hashes."),
 ) -> None:
-    """Say what is in a cache and what it was made from."""
+    """Describe a cache: its contents, and the inputs that it was made from."""
     from antdsl.diagnostics.model import replace_unprintable
     from antdsl.outputs.edits.edited_cache import EditedCache, open_edited_cache
 

@@ -55,7 +55,7 @@ def test(
     ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print only failures and their number."),
 ) -> None:
-    """Run the specs of programs and say what was not as expected."""
+    """Run the specs of programs and report what failed."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import choose_exit_code, print_report

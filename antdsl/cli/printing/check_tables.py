@@ -144,7 +144,8 @@ def _describe_memory(program: Program) -> dict[str, str]:
 
 
 def format_import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: RunChoices) -> Iterator[str]:
-    """Yield, for each mesh of the scenes in `files`, what was read and what was changed. Scenes with errors are included."""
+    """Yield a report for each mesh of the scenes in `files`: its contents, and changes on import. Scenes with errors are
+    included."""
     from antdsl.pipeline import read_mesh_imports
     from antdsl.scene.geometry.import_notes import format_import_report
 

@@ -227,7 +227,7 @@ def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -
 
 
 def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
-    """Return for each face, float64[m], the distance (mm) from its `middle` to faces of other `pieces`, less `error`; infinite
+    """Return for each face, float64[m], the distance (mm) from its `middle` to faces of other `pieces`, minus `error`; infinite
     for faces without a piece.
 
     Each piece is a separate scene of rays. A face is measured to the piece with the nearest box, and then only to pieces with

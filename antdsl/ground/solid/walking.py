@@ -282,8 +282,8 @@ def _rotate_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Ve
 
 @kernel_helper
 def _rotate_between(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
-    """Return a vector rotated by the smallest rotation from one unit normal to the other. For opposite normals, the rotation goes
-    over `direction`."""
+    """Return a vector rotated by the smallest rotation from one unit normal to the other. For opposite normals, the rotation
+    passes through `direction`."""
     cosine = dot(old_normal, new_normal)
     if cosine < -1 + 1e-9:
         hinge = cross(old_normal, direction)

@@ -54,8 +54,8 @@ def open_edited_cache(folder: Path) -> Cache:
 
 
 def read_inputs(cache: Cache, entry: EditsEntry, edits: EditList) -> EditInputs:
-    """Return what the edits of a cache need in addition to it. Raises CacheError if a file or the entry is damaged, ManifestError
-    if another cache is missing."""
+    """Return the inputs that the edits of a cache need in addition to the cache. Raises CacheError if a file or the entry is
+    damaged, ManifestError if another cache is missing."""
     arrays: Mapping[str, NDArray[Any]] = {}
     if entry.arrays is not None:
         try:

@@ -77,7 +77,7 @@ class SettledFrames:
 
 @dataclass(frozen=True, eq=False)
 class SettledLayer(CacheView):
-    """A view of a cache in which some agents are as they were simulated again."""
+    """A view of a cache in which the frames of a new simulation replace those of some agents."""
 
     settled: SettledFrames
 

@@ -114,7 +114,7 @@ def _smooth(values: Array, frames: NDArray[np.int64], reach: float, has_trend: b
 class FollowingCamera:
     """A camera that moves with an agent.
 
-    `centre` (n, 3): the points of the track that it goes with, never far from the agent.
+    `centre` (n, 3): the points of the smoothed track that the camera follows, never far from the agent.
     `angle`: the direction of the camera from the agent, to the right of its heading in the first frame, in radians.
     `is_close`: the body fills the picture; else the camera is at eye level, with other agents in view.
     `offset`: from the agent to the camera instead, along the axes of the world.
@@ -140,7 +140,7 @@ class FollowingCamera:
         is_close: bool = True,
         offset: Array | None = None,
     ) -> FollowingCamera:
-        """Return the camera. Where smoothing moves the track too far from the agent, the camera goes nearer to it."""
+        """Return the camera. Where smoothing moves the track too far from the agent, the camera moves closer to it."""
         camera = cls(track, body, focal, track.place, angle, is_close, offset)
         first = camera.make_camera(int(track.frames[0]))
         most = _MAX_OFF_CENTRE * float(np.linalg.norm(np.subtract(first.at, first.look_at)))

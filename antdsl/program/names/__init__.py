@@ -1,6 +1,6 @@
 """Resolves names: the first half of a check.
 
-- `collect`: goes over all files once, and gathers their declarations and the behaviours that each file can call.
+- `collect`: reads all files once, and gathers their declarations and the behaviours that each file can call.
 - `ordering`: puts each declaration after the declarations that it uses.
 - `scope`: the names that are visible at a place of the text, and their meanings.
 - `missing_things`: reports an undeclared thing of the world, with the line that declares it."""

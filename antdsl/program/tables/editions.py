@@ -31,7 +31,7 @@ class EditionDefault:
         return self.defaults[edition - 1]
 
     def explicit_line(self, edition: int) -> str:
-        """Return the line of a species that sets what is the default in an edition."""
+        """Return the line of a species that sets the default of an edition explicitly."""
         return f"{self.setting} {self.in_edition(edition)}"
 
 

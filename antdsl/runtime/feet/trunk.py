@@ -30,7 +30,8 @@ _MIN_SQUARED_SLOPE = _F(1e-6)
 def fit_plane(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
     """Return height, slope ahead and slope aside of the plane through the ground of the feet of agent `i`, before smoothing.
 
-    `points` [3, L, n]: the ground position of each foot. `ground_numbers` [L, n]: what the foot stands on, as `Feet.on`."""
+    `points` [3, L, n]: the ground position of each foot. `ground_numbers` [L, n]: the thing that the foot stands on, as
+    `Feet.on`."""
     count, mean_x, mean_y, mean_z = _ZERO, _ZERO, _ZERO, _ZERO
     for leg in range(legs):
         weight = _ONE if ground_numbers[leg, i] != NO_GROUND else _ZERO

@@ -1,4 +1,4 @@
-"""The notes of a running world: which agents they act on, and what they remember between steps."""
+"""The notes of a running world: the affected agents, and the values stored between steps."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimensio
 def check_value(
     scene: Scene, report: Report, value: Quantity, attribute: AttributeDecl, *path: PathKey, deviation: float = 0.0
 ) -> bool:
-    """Return whether an attribute can have a value less `deviation` (base units); report an error otherwise."""
+    """Return whether an attribute can have a value minus `deviation` (base units); report an error otherwise."""
     if not check_dimension(scene, report, value, attribute.type.dimension, attribute.name, *path):
         return False
     help = explain_range(attribute.name, value.to_base_units(scene.model.unit_mm, float(1 / scene.model.fps)) - deviation)

@@ -118,7 +118,7 @@ def _stage_painted(line: _Line, value: PaintedDraw, target: AttributeDecl, *path
 def _convert_quantity(
     line: _Line, quantity: Quantity, target: AttributeDecl, *path: PathKey, deviation: float = 0.0
 ) -> float | None:
-    """Return a quantity in base units; None, with an error, if the attribute cannot have it, less `deviation`."""
+    """Return a quantity in base units; None, with an error, if the attribute cannot have it minus `deviation`."""
     model = line.scene.model
     if not check_value(line.scene, line.report, quantity, target, *path, deviation=deviation):
         return None

@@ -49,7 +49,7 @@ def split_state_name(name: str, machine: str) -> str:
 
 
 def add_note_machines(program: Program, scene: Scene) -> Program:
-    """Return the program with what the notes of a scene need. The same object without notes."""
+    """Return the program with the additions that the notes of a scene need. The same object without notes."""
     notes = [(note, scene.span("notes", number)) for number, note in enumerate(scene.model.notes)]
     if not notes:
         return program

@@ -25,7 +25,7 @@ DEFAULT_ITEM_RADIUS = 10.0  # mm
 def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, ItemThing]) -> tuple[stage_of.ItemData, ...] | None:
     """Return the items of one name, at the first frame. On failure, report an error and return None.
 
-    Their motion goes into `staging.item_tracks`."""
+    Their motion is stored in `staging.item_tracks`."""
     if isinstance(value, UsdThing):
         return _place_usd_items(staging, name, value, staging.program.world[name])
     model = staging.scene.model

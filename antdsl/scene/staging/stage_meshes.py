@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
-    """Return a mesh at the first frame. On failure, report an error and return None. Its motion goes into `staging.motion`."""
+    """Return a mesh at the first frame. On failure, report an error and return None. Its motion is stored in `staging.motion`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):

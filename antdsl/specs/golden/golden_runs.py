@@ -1,8 +1,8 @@
 """Golden runs: the results of a run, stored as text beside its scene; a later run is compared with it frame by frame.
 
 `scene.golden.json` has a hash for every frame. At most STATIONS times, at regular intervals, it also has the content of
-`fingerprints`. Thus the first frame that differs is always known. Which attribute of which agent differs is known there or at the
-next of those frames."""
+`fingerprints`. Thus the first frame that differs is always known. The first of those frames after a difference shows which
+attribute of which agent differs."""
 
 from __future__ import annotations
 

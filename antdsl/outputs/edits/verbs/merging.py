@@ -99,7 +99,7 @@ class MergeLayer(EditLayer):
 
     @cached_property
     def _offsets(self) -> list[int]:
-        """Return by species of the merged cache what is added to ids of the other one."""
+        """Return, by species of the merged cache, the offset that is added to ids of the other cache."""
         own = [max(self.inputs.next_ids[entry.name], 1) for entry in self.source.manifest.species]
         return own + [0] * (len(self.manifest.species) - len(own))
 

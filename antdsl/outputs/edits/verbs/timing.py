@@ -21,7 +21,7 @@ from antdsl.scene.values import FrameRangeValue, make_error
 
 
 class TimeLine(AgentsLine):
-    """A line that changes when agents do what they do. Afterwards they continue with a delay.
+    """A line that changes the timing of agents. Afterwards they continue with a delay.
 
     `ease`: the number of frames before and after `frames` in which the speed changes.
     `catch_up`: the number of frames after these in which the delay is made up for; without it, it remains."""

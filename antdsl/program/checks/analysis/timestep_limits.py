@@ -34,7 +34,7 @@ class StepInfluence(IntEnum):
 class ShortStepValue:
     """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; if `power` is above 0, it vanishes.
     - `limit`: the limit, if it is known. `changers`: the first two operations that change the previous value.
-    - `deviation_power`: the deviation from the limit or previous value goes with `dt ** off`; infinite if `dt` has no influence.
+    - `deviation_power`: that of the deviation from the limit or previous value; infinite if `dt` has no influence.
     - `cause`: the operation that causes the deviation, or in which the value vanishes."""
 
     influence: StepInfluence = StepInfluence.NONE

@@ -296,7 +296,7 @@ def _shift_outside_all(
     most: F64,
     turns: I64,
 ) -> BodyShift:
-    """Return the shift that brings a body outside the ground and obstacles, and its depth in what it is deepest in.
+    """Return the shift that brings a body outside the ground and obstacles, and the greatest remaining depth.
 
     A body that touches an obstacle then leaves the ground again."""
     table, pieces, boxes, buffers = ground

@@ -72,7 +72,7 @@ def stop_long_steps(
 
 
 def _without_near(hits: PathPairs, near: NearbyPairs, rank: NDArray[np.int64]) -> PathPairs:
-    """Return the pairs that meet on their paths and are not near each other at the end."""
+    """Return the pairs that collide on their paths but are not near each other at the end."""
     known = rank[near.rows.take(near.i)] * len(rank) + rank[near.rows.take(near.j)]
     others = np.flatnonzero(~np.isin(rank[hits.i] * len(rank) + rank[hits.j], known))
     return PathPairs(hits.i.take(others), hits.j.take(others), hits.time.take(others), hits.direction.take(others, axis=1))

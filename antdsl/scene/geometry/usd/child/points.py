@@ -22,7 +22,7 @@ def read_point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     """Return the points of all Points prims at or below the stage's prim. Without such prims, return one for each child with a
     position.
 
-    `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
+    With `kind`, return all prims at any depth below it that have this text as `userProperties:kind`."""
     geom = import_pxr_module("UsdGeom")
     clouds = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
     empties = [] if clouds else _find_placed_children(stage) if kind is None else _find_prims_of_kind(stage, kind)
