@@ -319,7 +319,7 @@ class PathColumns(NamedTuple):
 
 
 class HistogramBins(NamedTuple):
-    """Histograms with `part_count` rows. `bin_starts`: the least half chord of each bin. `first`: the bin where a search starts."""
+    """Histograms with `part_count` rows. `bin_starts`: the least half chord of each bin. `first`: where a search starts."""
 
     turns: Array2[I64]
     tilts: Array2[I64]

@@ -99,9 +99,9 @@ class LoadedEdits:
     entry: EditsEntry
     inputs: EditInputs
 
-    def add_settled(self, settled: SettledFrames) -> LoadedEdits:
+    def add_settled(self, settled_frames: SettledFrames) -> LoadedEdits:
         """Return the edits with agents that were simulated again."""
-        inputs = replace(self.inputs, arrays={**self.inputs.arrays, **settled.pack()})
+        inputs = replace(self.inputs, arrays={**self.inputs.arrays, **settled_frames.pack()})
         entry = self.entry.model_copy(update={"arrays": encode_edit_arrays(dict(inputs.arrays))[0]})
         return LoadedEdits(self.edits, apply_edits(self.view.original, self.edits, inputs), entry, inputs)
 

@@ -81,15 +81,15 @@ def keep_rows(arrays: Arrays, manifest: Manifest, is_chosen: Callable[[LongArray
     return {**arrays, **{name: arrays[name][is_chosen(keys)] for name, keys in rows.iterate_agent_arrays()}}
 
 
-def join_frames(one: Arrays, other: Arrays, manifest: Manifest) -> dict[str, NDArray[Any]]:
-    """Return a frame with the agents of both: species after species, by id. All else is of `one`.
+def join_frames(first: Arrays, second: Arrays, manifest: Manifest) -> dict[str, NDArray[Any]]:
+    """Return a frame with the agents of both: species after species, by id. All else is of `first`.
 
-    A frame that lacks an array of agents gets neutral values for it. `one` and `other` have no agent in common."""
-    tables = FrameRows(one, manifest), FrameRows(other, manifest)
+    A frame that lacks an array of agents gets neutral values for it. `first` and `second` have no agent in common."""
+    tables = FrameRows(first, manifest), FrameRows(second, manifest)
     named = [dict(table.iterate_agent_arrays()) for table in tables]
-    joined = dict(one)
+    joined = dict(first)
     for name in dict.fromkeys((*named[0], *named[1])):
-        sample = one[name] if name in named[0] else other[name]
+        sample = first[name] if name in named[0] else second[name]
         parts, keys = [], []
         for table, names in zip(tables, named, strict=True):
             own = names[name] if name in names else _find_lacking_keys(table, name)

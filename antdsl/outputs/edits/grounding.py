@@ -21,12 +21,12 @@ _LIFT = 0.5  # body lengths: ground up to there above a point counts as below it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grounds:
-    """The ground that agents leave, and the one that they come to. `down`: the unit vector along which they fall onto it; None
-    if they only follow it along their own up."""
+    """The ground that agents leave, and the one that they come to. `down_direction`: the unit vector along which they fall onto
+    it; None if they only follow it along their own up."""
 
     old: Terrain | MirroredTerrain
     new: Terrain
-    down: Floats | None = None
+    down_direction: Floats | None = None
 
 
 def move_on_ground(arrays: Arrays, manifest: Manifest, moves: AgentMoves, grounds: Grounds) -> dict[str, NDArray[Any]]:
@@ -40,10 +40,10 @@ def move_on_ground(arrays: Arrays, manifest: Manifest, moves: AgentMoves, ground
     old = grounds.old.find_along(start, up, lift, reach)
     height = ((start - old.position) * up).sum(axis=1)
     turned_up = rotate(moves.rotation, up)
-    if grounds.down is None:
+    if grounds.down_direction is None:
         new = grounds.new.find_along(moves.position - turned_up * height[:, None], turned_up, lift, reach + distance)
     else:
-        new = grounds.new.find_below(moves.position, np.broadcast_to(-grounds.down, start.shape), lift)
+        new = grounds.new.find_below(moves.position, np.broadcast_to(-grounds.down_direction, start.shape), lift)
     aligned = find_shortest_rotations(rotate(moves.rotation, old.normal), new.normal)
     is_grounded = old.is_hit & new.is_hit
     rotation = np.where(is_grounded[:, None], multiply_quaternions(aligned, moves.rotation), moves.rotation)

@@ -21,18 +21,18 @@ _ROWS = f"{SETTLED_PREFIX}rows."
 class SettledFrames:
     """The frames of agents that were simulated again.
 
-    `keys`, `begins` int64[n]: the agents (`make_agent_keys`), and the last frame in which each is as edits leave it.
+    `keys`, `first_frames` int64[n]: the agents (`make_agent_keys`), and the last frame in which each is as edits leave it.
     `frames`: the rows of these agents in the arrays of each frame."""
 
     keys: NDArray[np.int64]
-    begins: NDArray[np.int64]
+    first_frames: NDArray[np.int64]
     frames: Mapping[int, Arrays]
 
     @staticmethod
-    def of(frames: Mapping[int, Arrays], begins: Mapping[int, int]) -> SettledFrames:
-        """Return the frames of agents. `begins`: by agent."""
-        keys = np.array(sorted(begins), np.int64)
-        return SettledFrames(keys, np.array([begins[key] for key in keys.tolist()], np.int64), frames)
+    def of(frames: Mapping[int, Arrays], first_frames: Mapping[int, int]) -> SettledFrames:
+        """Return the frames of agents. `first_frames`: by agent."""
+        keys = np.array(sorted(first_frames), np.int64)
+        return SettledFrames(keys, np.array([first_frames[key] for key in keys.tolist()], np.int64), frames)
 
     def describe(self) -> str:
         """Return how many agents and which frames these are, in words."""
@@ -42,7 +42,11 @@ class SettledFrames:
     def pack(self) -> dict[str, NDArray[Any]]:
         """Return arrays to store. The rows of all frames are concatenated."""
         names = sorted({name for arrays in self.frames.values() for name in arrays})
-        packed: dict[str, NDArray[Any]] = {_KEYS: self.keys, _BEGINS: self.begins, _FRAMES: np.array([*self.frames], np.int64)}
+        packed: dict[str, NDArray[Any]] = {
+            _KEYS: self.keys,
+            _BEGINS: self.first_frames,
+            _FRAMES: np.array([*self.frames], np.int64),
+        }
         for name in names:
             parts = [arrays[name] for arrays in self.frames.values() if name in arrays]
             counts = [len(arrays[name]) if name in arrays else -1 for arrays in self.frames.values()]
@@ -85,6 +89,6 @@ class SettledLayer(CacheView):
         """Return the arrays of a frame with these agents. `names`: the names to return; None for all."""
         if number not in self.settled.frames:
             return self.source.frame(number, names)
-        keys = self.settled.keys[self.settled.begins < number]
-        others = keep_rows(self.source.frame(number), self.manifest, lambda each: ~np.isin(each, keys))
+        keys = self.settled.keys[self.settled.first_frames < number]
+        others = keep_rows(self.source.frame(number), self.manifest, lambda agent_keys: ~np.isin(agent_keys, keys))
         return select_arrays(join_frames(others, self.settled.frames[number], self.manifest), names)

@@ -125,16 +125,16 @@ def find_changed(old: Trunks, new: Trunks) -> NDArray[np.bool_]:
     return is_changed
 
 
-def find_overlaps(trunks: Trunks, chosen: NDArray[np.bool_], min_depth: float = _MIN_DEPTH) -> Iterator[tuple[int, int]]:
+def find_overlaps(trunks: Trunks, is_chosen: NDArray[np.bool_], min_depth: float = _MIN_DEPTH) -> Iterator[tuple[int, int]]:
     """Yield the keys of agents that overlap, at least one of them chosen: by more than `min_depth` of the smaller width."""
     from scipy.spatial import cKDTree
 
     good = np.flatnonzero(np.isfinite(trunks.middle).all(axis=1) & (trunks.radius > 0))
-    if len(good) < 2 or not chosen.any():
+    if len(good) < 2 or not is_chosen.any():
         return
     reach = float((trunks.half + (1 + max(-min_depth, 0)) * trunks.radius)[good].max())
     pairs = cKDTree(trunks.middle[good]).query_pairs(2 * reach, output_type="ndarray")
-    pairs = good[pairs][(chosen[good[pairs]]).any(axis=1)] if len(pairs) else np.empty((0, 2), np.intp)
+    pairs = good[pairs][(is_chosen[good[pairs]]).any(axis=1)] if len(pairs) else np.empty((0, 2), np.intp)
     one, other = pairs[:, 0], pairs[:, 1]
     arm = trunks.axis * trunks.half[:, None]
     distance = measure_segment_distances(trunks.middle[one], arm[one], trunks.middle[other], arm[other])

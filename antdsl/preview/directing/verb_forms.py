@@ -43,14 +43,14 @@ class KeyKind(NamedTuple):
 
 
 class VerbKey(NamedTuple):
-    """A key of a verb. `default`: as in a scene, empty for none. `narrows`: it selects among the agents."""
+    """A key of a verb. `default`: as in a scene, empty for none. `is_selector`: it selects among the agents."""
 
     name: str
     kind: KeyKind
     is_required: bool
     default: str
     help: str
-    narrows: bool
+    is_selector: bool
 
 
 class VerbForm(NamedTuple):
@@ -149,7 +149,9 @@ def _make_form(verb: str, model: type[ScenePart]) -> VerbForm:
         if name not in _UNFILLED_KEYS
     ]
     own = {model.model_fields[name].alias or name for name in model.__annotations__ if name in model.model_fields}
-    keys.sort(key=lambda k: (k.narrows, not k.is_required, k.name not in _FIRST_KEYS, k.name in _LAST_KEYS, k.name not in own))
+    keys.sort(
+        key=lambda k: (k.is_selector, not k.is_required, k.name not in _FIRST_KEYS, k.name in _LAST_KEYS, k.name not in own)
+    )
     return VerbForm(verb, _shorten(_HELP_PATTERN.sub("", model.__doc__ or "")), tuple(keys))
 
 

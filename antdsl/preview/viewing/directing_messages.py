@@ -67,7 +67,7 @@ def _make_key_entry(key: VerbKey, names: Names) -> dict[str, Any]:
     """Return a key for a page. `names`: as from `_list_names`."""
     return {
         "name": key.name, "kind": key.kind.name, "unit": key.kind.unit, "required": key.is_required, "default": key.default,
-        "help": key.help, "example": _make_example(key, names), "narrows": key.narrows,
+        "help": key.help, "example": _make_example(key, names), "narrows": key.is_selector,
         "choices": names.get(key.kind.name, [])[:_MAX_NAMES],
     }  # fmt: skip
 

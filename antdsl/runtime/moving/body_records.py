@@ -25,30 +25,30 @@ class BodyPoses(NamedTuple):
 class BodyLimits(NamedTuple):
     """Limits of bodies in a step.
 
-    `most`: the largest tilt (radians). `max_turn` (rad/s). `dt` (s). `size` (mm). `shapes`: the numbers of a `BodyShape` of 1 mm
-    for each body of the species. `body`: the index of each agent's body. `ease`, `jump`: how far a body shifts by choice, and at
-    most (body lengths)."""
+    `max_tilts`: the largest tilt (radians). `max_turn` (rad/s). `dt` (s). `size` (mm). `shapes`: the numbers of a `BodyShape` of
+    1 mm for each body of the species. `body`: the index of each agent's body. `ease`, `max_shift`: how far a body shifts by
+    choice, and at most (body lengths)."""
 
-    most: Array1[F32]
+    max_tilts: Array1[F32]
     max_turn: Array1[F32]
     dt: F32
     size: Array1[F32]
     shapes: Array2[F64]
     body: Array1[U8]
     ease: F64
-    jump: F64
+    max_shift: F64
 
 
 class BodyRegisters(NamedTuple):
     """Values that a body retains from step to step.
 
-    `lift`: its shift (mm). `wait`: how strongly its feet wait for it, 0 to 1. `depth`: its depth inside a surface (body lengths).
-    `out`: the direction out of the surface that it touched."""
+    `lift`: its shift (mm). `wait_share`: how strongly its feet wait for it, 0 to 1. `depth`: its depth inside a surface (body
+    lengths). `outward_direction`: the direction out of the surface that it touched."""
 
     lift: VectorColumns
-    wait: Array1[F32]
+    wait_share: Array1[F32]
     depth: Array1[F32]
-    out: VectorColumns
+    outward_direction: VectorColumns
 
 
 class BodyRows(NamedTuple):
@@ -67,10 +67,10 @@ class BodyStances(NamedTuple):
 
 
 class FaceBuffers(NamedTuple):
-    """Work buffers for face numbers. There are `several` buffers, each for a chunk of `count` rows."""
+    """Work buffers for face numbers. There are `buffer_count` buffers, each for a chunk of `count` rows."""
 
     numbers: Array1[I64]
-    several: I64
+    buffer_count: I64
     count: I64
 
 
@@ -86,10 +86,11 @@ class ContactFaces(NamedTuple):
 class FaceSearch(NamedTuple):
     """Tables for a search of faces: `piece` and the cuts of the topology, a tree of boxes, and buffers.
 
-    `several_pieces`: whether a path may meet another piece, or a face that cuts its own piece. `near`: the distances to those."""
+    `several_pieces`: whether a path may meet another piece, or a face that cuts its own piece. `clearances`: the distances to
+    those."""
 
     several_pieces: BOOL
-    near: ClearanceTables
+    clearances: ClearanceTables
     pieces: Array1[I32]
     cuts: Array1[I64]
     boxes: BoxTree

@@ -91,42 +91,42 @@ class CorrectionWalker:
         )
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
-    def _move_back_in_range(self, population: Population, rows: Rows, moved: GroundMove, size: Floats) -> Rows | None:
+    def _move_back_in_range(self, population: Population, rows: Rows, move: GroundMove, size: Floats) -> Rows | None:
         """Move agents back towards their start if curved ground took them too far.
 
         Return the ascending indices of the rows that are within range afterwards, or None for all rows."""
         for _ in range(_MAX_BACKTRACKS):
-            far, most = self._measure_reach(population, rows, moved)
+            far, most = self._measure_reach(population, rows, move)
             if far is None:
                 return None
             over = np.flatnonzero(far > most * _DISTANCE_SLACK_FACTOR)
             if not len(over):
                 break
             start = self._start_positions[population.name][rows[over]]
-            back = (moved.position[over] - start) * (most[over] / far[over] - 1.0)[:, None]
-            again, ground = moved.take_rows(over), self._crowd.world.ground
+            back = (move.position[over] - start) * (most[over] / far[over] - 1.0)[:, None]
+            again, ground = move.take_rows(over), self._crowd.world.ground
             threads = self._crowd.world.options.threads
-            moved.put_rows(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
-        far, most = self._measure_reach(population, rows, moved)
+            move.put_rows(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
+        far, most = self._measure_reach(population, rows, move)
         return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
-    def _measure_reach(self, population: Population, rows: Rows, moved: GroundMove) -> tuple[Floats | None, Floats]:
+    def _measure_reach(self, population: Population, rows: Rows, move: GroundMove) -> tuple[Floats | None, Floats]:
         """Return the distances (mm) of agents from their start, and the largest allowed distances. Instead of the distances,
         return None if no agent exceeds its limit."""
         began, max_speed = self._start_positions[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
-        is_too_far = _has_row_out_of_range(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
+        is_too_far = _has_row_out_of_range(rows, move.position, began, population.position, max_speed, self._dt, far, most)
         return (far if is_too_far else None), most
 
-    def _apply_move(self, population: Population, rows: Rows, moved: GroundMove) -> Floats:
+    def _apply_move(self, population: Population, rows: Rows, move: GroundMove) -> Floats:
         """Write the new positions and footings of agents; return their displacements (3, k) mm.
 
         Bodies retain their up, because leaning bodies would overlap others again. The next step aligns them with their feet.
         The arrays were created by the walk of this substep, so they are not shared."""
         at, velocity = (vec.get_vector_registers(population.now, name) for name in ("position", "velocity"))
         got = np.empty((3, len(rows)))
-        _store_arrivals(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
-        population.footing.put_rows(rows, moved.footing)  # last, because the footings on a plane are the positions themselves
+        _store_arrivals(rows, move.position, move.up, self._dt, at, velocity, population.position, population.normal, got)
+        population.footing.put_rows(rows, move.footing)  # last, because the footings on a plane are the positions themselves
         return got
 
 
@@ -161,7 +161,7 @@ def write_stances(
     species: FootPositions,
     dt: F64,
     start: Array2[F64],
-    walked: Array2[F64],
+    travel: Array2[F64],
     normal: Array2[F64],
     reach: Array1[F64],
     mass: Array1[F64],
@@ -169,13 +169,13 @@ def write_stances(
     """Write the stances of the given rows of a species after a substep of `dt` s, from index `first` on among all rows in
     pairs.
 
-    The outputs are as in `contact_solver._PairAgents`; `walked` (3, k) is the displacement (mm)."""
+    The outputs are as in `contact_solver._PairAgents`; `travel` (3, k) is the displacement (mm)."""
     began, place, feet, max_speed, weight = species
     for n in simd_range(0, rows.size):
         row, k = rows[n], first + n
         start_point = _read_row(began, row)
         store_column(start, k, start_point)
-        store_column(walked, k, minus(_read_row(place, row), start_point))
+        store_column(travel, k, minus(_read_row(place, row), start_point))
         normal[0, k], normal[1, k], normal[2, k] = feet[row, 0], feet[row, 1], feet[row, 2]
         reach[k] = np.float64(_FLOAT32_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
         mass[k] = max(np.float64(weight[row]), _MIN_MASS)
@@ -196,7 +196,7 @@ def _prepare_walk(
     displacement: Strided2[F64],
     feet: Strided2[F32],
     facing: VectorColumns,
-    long: Array1[F32],
+    body_lengths: Array1[F32],
     step: Array2[F32],
     normal: Array2[F32],
     up: Array2[F64],
@@ -208,7 +208,7 @@ def _prepare_walk(
     These are: step and ground normal, float32; the same normal, headings and sizes (mm), float64."""
     for k in simd_range(0, rows.size):
         row = rows[k]
-        size[k] = long[row]
+        size[k] = body_lengths[row]
         for axis in range(3):
             step[axis, k], heading[axis, k] = displacement[axis, k], facing[axis][row]
             normal[axis, k] = feet[row, axis]
@@ -218,49 +218,50 @@ def _prepare_walk(
 @kernel
 def _has_row_out_of_range(
     rows: Array1[I64],
-    to: Strided2[F64],
-    began: Strided2[F64],
+    end_positions: Strided2[F64],
+    start_positions: Strided2[F64],
     place: Strided2[F64],
     max_speed: Array1[F32],
     dt: F64,
-    far: Array1[F64],
-    most: Array1[F64],
+    distances: Array1[F64],
+    max_distances: Array1[F64],
 ) -> BOOL:
-    """Return whether any of the given rows would end at `to` (k, 3) farther from its start than allowed, or at an unknown
-    distance.
+    """Return whether any of the given rows would end at `end_positions` (k, 3) farther from its start than allowed, or at an
+    unknown distance.
 
-    `began` (n, 3): start positions. Writes the distances from the start (mm) to `far`, and the allowed distances to `most`."""
+    `start_positions` (n, 3): start positions. Writes the distances from the start (mm) to `distances`, and the allowed distances
+    to `max_distances`."""
     is_too_far = False
     for k in range(rows.size):
         row = rows[k]
-        start = _read_row(began, row)
-        displacement, walked = minus(_read_row(to, k), start), minus(_read_row(place, row), start)
-        far[k] = np.sqrt(dot(displacement, displacement))
-        most[k] = max(np.float64(max_speed[row]) * dt, np.sqrt(dot(walked, walked)))
-        is_too_far |= not far[k] <= most[k] * _DISTANCE_SLACK_FACTOR
+        start = _read_row(start_positions, row)
+        displacement, walked = minus(_read_row(end_positions, k), start), minus(_read_row(place, row), start)
+        distances[k] = np.sqrt(dot(displacement, displacement))
+        max_distances[k] = max(np.float64(max_speed[row]) * dt, np.sqrt(dot(walked, walked)))
+        is_too_far |= not distances[k] <= max_distances[k] * _DISTANCE_SLACK_FACTOR
     return is_too_far
 
 
 @kernel
 def _store_arrivals(
     rows: Array1[I64],
-    to: Strided2[F64],
-    above: Strided2[F64],
+    end_positions: Strided2[F64],
+    ups: Strided2[F64],
     dt: F32,
-    at: VectorColumns,
+    positions: VectorColumns,
     velocity: VectorColumns,
     place: Strided2[F64],
     feet: Strided2[F32],
-    got: Array2[F64],
+    reached_moves: Array2[F64],
 ) -> None:
     """Write the values of agents at the end of their corrections, except footings.
 
-    `to`, `above` (k, 3): positions and ups. `got` (3, k) mm: the displacements."""
+    `end_positions`, `ups` (k, 3): positions and ups. `reached_moves` (3, k) mm: the displacements."""
     for k in simd_range(0, rows.size):
         row = rows[k]
-        end, up = _read_row(to, k), _to_float32(_read_row(above, k))
+        end, up = _read_row(end_positions, k), _to_float32(_read_row(ups, k))
         displacement = minus(end, _read_row(place, row))
-        store_column(got, k, displacement)
+        store_column(reached_moves, k, displacement)
         pushed = _to_float32(displacement)
         size = np.sqrt(dot(pushed, pushed))
         good = size > _MIN_VECTOR_LENGTH and np.isfinite(size)
@@ -274,7 +275,7 @@ def _store_arrivals(
         v = plus(v, times(against, most if most < back else back))
         v = minus(v, times(up, dot(v, up)))
         for axis in range(3):
-            at[axis][row], velocity[axis][row] = end[axis], v[axis]
+            positions[axis][row], velocity[axis][row] = end[axis], v[axis]
             place[row, axis], feet[row, axis] = end[axis], up[axis]
 
 
@@ -286,21 +287,25 @@ def select_displaced(corrections: Floats) -> tuple[Rows, Floats]:
 
 
 def find_unresolved_rows(
-    near: NearbyPairs, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats, held: Flags
+    nearby_pairs: NearbyPairs, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats, is_held: Flags
 ) -> Flags:
     """Return which rows (k) must be measured again, and update their positions.
 
     `moved_rows`: the rows to move. `requested_moves`, `reached_moves` (3, ..) mm: their requested and actual displacements.
-    `held` (k): set for rows that advanced too little; flags that are already set stay."""
-    touched = np.zeros(len(held), np.bool_)
-    _mark_unresolved_rows(moved_rows, requested_moves, reached_moves, near.radius, near.middle, held, touched)
+    `is_held` (k): set for rows that advanced too little; flags that are already set stay."""
+    touched = np.zeros(len(is_held), np.bool_)
+    _mark_unresolved_rows(moved_rows, requested_moves, reached_moves, nearby_pairs.radius, nearby_pairs.middle, is_held, touched)
     return touched
 
 
-def find_overlapping_pairs(near: NearbyPairs, touched: Flags) -> Flags | None:
-    """Return which pairs (m) have a `touched` row (k). Return None if no such pair overlaps enough for another pass."""
-    which = np.empty(len(near.i), np.bool_)
-    return which if _mark_overlapping_pairs(near.i, near.j, near.gap, near.radius, touched, which) else None
+def find_overlapping_pairs(nearby_pairs: NearbyPairs, is_touched: Flags) -> Flags | None:
+    """Return which pairs (m) have a `is_touched` row (k). Return None if no such pair overlaps enough for another pass."""
+    which = np.empty(len(nearby_pairs.i), np.bool_)
+    return (
+        which
+        if _mark_overlapping_pairs(nearby_pairs.i, nearby_pairs.j, nearby_pairs.gap, nearby_pairs.radius, is_touched, which)
+        else None
+    )
 
 
 @kernel
@@ -320,31 +325,32 @@ def _select_moves(corrections: Array2[F64], moved_rows: Array1[I64], requested_m
 def _mark_unresolved_rows(
     moved_rows: Array1[I64],
     requested_moves: Strided2[F64],
-    got: Strided2[F64],
+    reached_moves: Strided2[F64],
     radius: Array1[F64],
     middle: Strided2[F64],
-    held: Array1[BOOL],
-    touched: Array1[BOOL],
+    is_held: Array1[BOOL],
+    is_touched: Array1[BOOL],
 ) -> None:
     for n in simd_range(0, moved_rows.size):
-        row, to, on = moved_rows[n], get_column(requested_moves, n), get_column(got, n)
+        row, to, on = moved_rows[n], get_column(requested_moves, n), get_column(reached_moves, n)
         short, far = minus(to, on), _MISSED_RADIUS_SHARE * radius[row]
         store_column(middle, row, plus(get_column(middle, row), on))
         if dot(short, short) > far * far:
-            touched[row] = True
+            is_touched[row] = True
             if dot(on, to) < _HELD_DISTANCE_SHARE * dot(to, to):
-                held[row] = True
+                is_held[row] = True
 
 
 @kernel
 def _mark_overlapping_pairs(
-    i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], touched: Array1[BOOL], which: Array1[BOOL]
+    i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], is_touched: Array1[BOOL], is_overlapping: Array1[BOOL]
 ) -> BOOL:
-    """Write to `which` the pairs that have a `touched` row. Return whether any of them overlaps enough for another pass."""
+    """Write to `is_overlapping` the pairs that have a `is_touched` row. Return whether any of them overlaps enough for another
+    pass."""
     for pair in simd_range(0, i.size):
-        which[pair] = touched[i[pair]] | touched[j[pair]]
+        is_overlapping[pair] = is_touched[i[pair]] | is_touched[j[pair]]
     has_overlap = False
     for pair in range(i.size):
-        if which[pair]:
+        if is_overlapping[pair]:
             has_overlap |= gap[pair] < -((radius[i[pair]] + radius[j[pair]]) * _VISIBLE_OVERLAP_SHARE)
     return has_overlap

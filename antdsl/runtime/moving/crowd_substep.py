@@ -207,12 +207,12 @@ class _CrowdSubstep:
             parallel.run_in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
             self.step = step
 
-    def follow_feet(self, came_from: NDArray[np.float64], walls: WallsAhead, posture: Posture) -> None:
-        """Turn bodies that are not aligned with their feet towards the feet. `came_from` (n, 3): positions before the walk
-        (mm)."""
+    def follow_feet(self, previous_positions: NDArray[np.float64], walls: WallsAhead, posture: Posture) -> None:
+        """Turn bodies that are not aligned with their feet towards the feet. `previous_positions` (n, 3): positions before the
+        walk (mm)."""
         p, n = self.population, len(self.population)
         previous, limits = (
-            BodyPosture(*self.previous_axes, came_from),
+            BodyPosture(*self.previous_axes, previous_positions),
             TurnLimits(self.max_tilts, p.now["max_turn"], self.dt, posture),
         )
         (rows,) = p.get_buffers("following", 1, (n,), np.int64)
@@ -295,8 +295,8 @@ class _CrowdSubstep:
         ground: MeshGround,
         arrival: ArrivalArrays,
         walk: CrowdWalk,
-        pending: WaitingAgents,
-        to: Footing,
+        waiting_agents: WaitingAgents,
+        footing: Footing,
         place: NDArray[np.float64],
         statuses: NDArray[np.uint8],
     ) -> None:
@@ -306,11 +306,11 @@ class _CrowdSubstep:
         p, n = self.population, len(self.population)
         above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
         (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
-        placed, moved = get_footing_arrays(to), PoseArrays(place, above, ahead, direction, distance)
-        rows = walk.continue_waiting(pending, statuses, placed, moved, blocked, self.threads)
-        if pending.left_out_count:
+        placed, moved = get_footing_arrays(footing), PoseArrays(place, above, ahead, direction, distance)
+        rows = walk.continue_waiting(waiting_agents, statuses, placed, moved, blocked, self.threads)
+        if waiting_agents.left_out_count:
             others = np.flatnonzero(statuses != loop.FINISHED_STATUS)
-            result = GroundMove(to, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
+            result = GroundMove(footing, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
             result.put_rows(others, self._move_rows(ground, others))
             rows = np.union1d(rows, others)
         if len(rows):
@@ -334,8 +334,8 @@ class _CrowdSubstep:
         size = p.now["size"][rows].astype(np.float64)
         return ground.move(p.footing.take_rows(rows), *vectors, size, self.threads)
 
-    def _update_arrived(self, rows: NDArray[np.intp], walked: WalkedPoses, arrival: ArrivalArrays) -> None:
-        work = partial(update_arrived_rows, rows, walked, arrival)
+    def _update_arrived(self, rows: NDArray[np.intp], walked_poses: WalkedPoses, arrival: ArrivalArrays) -> None:
+        work = partial(update_arrived_rows, rows, walked_poses, arrival)
         parallel.run_in_parts(work, len(rows), self.threads, _ARRIVALS_PER_THREAD)
 
 

@@ -20,7 +20,7 @@ _SOLID_CONTACT_PER_BODY = 0.02  # body lengths; the largest distance of an agent
 _FALL_BODY_LENGTHS_PER_SECOND = 7.5  # falling speed of agents with a max_speed of 0
 
 
-def limit_fall_speed(world: World, population: Population, moved: GroundMove, dt: np.float32) -> GroundMove:
+def limit_fall_speed(world: World, population: Population, move: GroundMove, dt: np.float32) -> GroundMove:
     """Limit the result of a walk. An agent that would exceed `max_speed` moves only that far, on the straight line to its target.
 
     It is then in the air of the solid that it falls from or falls to. Its next step continues from that position."""
@@ -28,18 +28,18 @@ def limit_fall_speed(world: World, population: Population, moved: GroundMove, dt
     speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_FALL_BODY_LENGTHS_PER_SECOND)).astype(
         np.float64
     )
-    displacement = moved.position - population.position
+    displacement = move.position - population.position
     far, most = length(displacement), speed * float(dt)
-    from_solid, to_solid = population.footing.mesh >= first, moved.footing.mesh >= first
+    from_solid, to_solid = population.footing.mesh >= first, move.footing.mesh >= first
     rows = np.flatnonzero((from_solid | to_solid) & (far > most * _DISTANCE_SLACK_FACTOR))
     if not len(rows):
-        return moved
+        return move
     place = population.position[rows] + displacement[rows] * (most[rows] / far[rows])[:, None]
-    solid = np.where(from_solid[rows], population.footing.mesh[rows], moved.footing.mesh[rows])
-    footing, position = moved.footing.copy(), moved.position.copy()
+    solid = np.where(from_solid[rows], population.footing.mesh[rows], move.footing.mesh[rows])
+    footing, position = move.footing.copy(), move.position.copy()
     footing.put_rows(rows, Footing.from_solids(solid, place))
     position[rows] = place
-    return dataclasses.replace(moved, footing=footing, position=position)
+    return dataclasses.replace(move, footing=footing, position=position)
 
 
 def find_airborne(world: World, population: Population, rows: Rows) -> Rows:

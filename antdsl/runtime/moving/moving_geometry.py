@@ -247,15 +247,15 @@ def _push_out_agents(world: World, population: Population, name: str) -> None:
         _apply_move(population, rows, moved)
 
 
-def _apply_move(population: Population, rows: NDArray[np.intp], moved: GroundMove) -> None:
+def _apply_move(population: Population, rows: NDArray[np.intp], move: GroundMove) -> None:
     """Place the given agents at the results of a push, and project their velocity onto the ground at the new positions."""
     footing = population.footing.copy()  # a copy: a snapshot may share the previous footing
-    footing.put_rows(rows, moved.footing)
+    footing.put_rows(rows, move.footing)
     population.footing = footing
-    population.position[rows] = moved.position
+    population.position[rows] = move.position
     velocity = _read_vectors(population, "velocity", rows)
-    up = np.asarray(moved.up).T
+    up = np.asarray(move.up).T
     flat = velocity - up * (velocity * up).sum(axis=0)
-    for name, value in (("position", moved.position.T), ("up", up), ("heading", moved.heading.T), ("velocity", flat)):
+    for name, value in (("position", move.position.T), ("up", up), ("heading", move.heading.T), ("velocity", flat)):
         for axis, component in zip(AXES, value, strict=True):
             population.now[f"{name}.{axis}"][rows] = component

@@ -85,20 +85,20 @@ def _is_at_start(population: Population, threads: int) -> bool:
 
 def _slide_along_obstacle(
     scene: RayScene, place: VectorArrays, step: VectorArrays, up: VectorComponents, radius: Floats,
-    clear: Floats, threads: int,
+    clearance: Floats, threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return the steps (mm) of agents at `place`, deflected along one obstacle. `clear`: a lower bound (mm) of their distance
+    """Return the steps (mm) of agents at `place`, deflected along one obstacle. `clearance`: a lower bound (mm) of their distance
     from it."""
     n, tables = len(radius), scene.get_tables()
     if tables is not None:
         (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
-        work = partial(deflect_steps, tables, place, step, normals, radius, clear, rows, columns, hit_rows, faces)
+        work = partial(deflect_steps, tables, place, step, normals, radius, clearance, rows, columns, hit_rows, faces)
         parts = parallel.run_in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         if not any([left for _, _, _, left in parts]):
             return _deflect_at_hits(scene, step, rows, columns, hit_rows, faces, parts, threads)
     rows, columns = np.empty(n, np.int64), np.empty((9, n), np.float32)
-    parts = parallel.run_in_parts(partial(select_touching, place, step, radius, clear, rows, columns), n, threads)
+    parts = parallel.run_in_parts(partial(select_touching, place, step, radius, clearance, rows, columns), n, threads)
     rows, columns = parallel.join_parts(parts, rows, columns)
     count, columns = len(rows), np.ascontiguousarray(columns)
     if not count:
@@ -139,31 +139,31 @@ def _deflect_at_hits(
     return _replace_rows(step, rows, columns[3:6])
 
 
-def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], own: Floats) -> VectorArrays:
-    """Return the steps, with those of the given rows replaced by `own` (3, k)."""
+def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], new_steps: Floats) -> VectorArrays:
+    """Return the steps, with those of the given rows replaced by `new_steps` (3, k)."""
     to = np.empty((3, len(step[0])), np.float32)
-    replace_rows(step, rows, own, to)
+    replace_rows(step, rows, new_steps, to)
     return to[0], to[1], to[2]
 
 
 def _deflect_at_face(
     scene: RayScene, place: VectorComponents, step: VectorComponents, up: VectorComponents, margin: Floats,
     hit_rows: Rows,
-    free: Floats, normal: VectorArrays, threads: int,
+    free_length: Floats, normal: VectorArrays, threads: int,
 ) -> None:  # fmt: skip
-    """Deflect, in place, the steps of agents `hit_rows` along a face with this normal, which they hit after `free` mm."""
+    """Deflect, in place, the steps of agents `hit_rows` along a face with this normal, which they hit after `free_length` mm."""
     u, intended_steps = vec.take_rows(up, hit_rows), vec.take_rows(step, hit_rows)
     size = vec.length(intended_steps)
     wall = vec.normalise_or_fallback(vec.project_to_plane(normal, u), normal)
-    part = free / size
+    part = free_length / size
     rest = vec.scale(intended_steps, _F(1) - part)
     into = np.minimum(vec.dot(rest, wall), _F(0))
     new_steps = vec.add(vec.scale(intended_steps, part), vec.subtract(rest, vec.scale(wall, into)))
     # In a corner, sliding along one wall leads into the next: the step then ends at the free length.
-    again, free, _ = _find_hits(scene, vec.take_rows(place, hit_rows), new_steps, margin[hit_rows], threads)
+    again, free_length, _ = _find_hits(scene, vec.take_rows(place, hit_rows), new_steps, margin[hit_rows], threads)
     if len(again):
         short = vec.take_rows(new_steps, again)
-        short = vec.scale(short, free / vec.length(short))
+        short = vec.scale(short, free_length / vec.length(short))
         for component, value in zip(new_steps, short, strict=True):
             component[again] = value
     for component, value in zip(step, new_steps, strict=True):
@@ -185,29 +185,29 @@ def _find_hits(
 
 
 @kernel
-def is_unchanged(one: VectorColumns, other: VectorColumns, begin: I64, end: I64) -> BOOL:
+def is_unchanged(first: VectorColumns, second: VectorColumns, begin: I64, end: I64) -> BOOL:
     """Return whether two sets of vectors are equal from `begin` to before `end`, without any NaN."""
     is_same = True
     for i in range(begin, end):
-        is_same = is_same and one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]
+        is_same = is_same and first[0][i] == second[0][i] and first[1][i] == second[1][i] and first[2][i] == second[2][i]
     return is_same
 
 
 @inlined
-def _measure_step(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
+def _measure_step(step: VectorColumns, radius: Array1[F32], clearance: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
     """Return the length of a step (mm), its margin (mm), and whether it may touch an obstacle."""
     vector = (step[0][i], step[1][i], step[2][i])
     size = np.sqrt(dot(vector, vector))
     margin = (_FLOAT32_ZERO if radius[i] <= 0 else radius[i]) * _CENTRE_MARGIN_SHARE
-    return size, margin, size > _MIN_STEP_MM and clear[i] <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
+    return size, margin, size > _MIN_STEP_MM and clearance[i] <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
 
 
 @inlined
 def _keep_margin(
-    step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clear: F32, gap: F32, out: Vec3F32
+    step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clearance: F32, gap: F32, direction: Vec3F32
 ) -> tuple[Vec3F32, F32, BOOL]:
-    """Return a step that keeps the margin from the face `gap` mm away along `out`, its length, and whether it may hit a face."""
-    wall = minus(out, times(up, dot(out, up)))
+    """Return a step that keeps the margin from a face `gap` mm away along `direction`, its length, and if it may hit a face."""
+    wall = minus(direction, times(up, dot(direction, up)))
     long = np.sqrt(dot(wall, wall))
     if long > _MIN_VECTOR_LENGTH and np.isfinite(long):
         wall = times(wall, _FLOAT32_ONE / long)
@@ -221,11 +221,11 @@ def _keep_margin(
     if long > size:
         step = times(step, size / long)
     if gap < 0:
-        clear = _FLOAT32_INFINITY  # an agent inside the obstacle is not held
-    elif not gap <= clear:
-        clear = gap
+        clearance = _FLOAT32_INFINITY  # an agent inside the obstacle is not held
+    elif not gap <= clearance:
+        clearance = gap
     size = np.sqrt(dot(step, step))
-    return step, size, size > _MIN_STEP_MM and clear <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
+    return step, size, size > _MIN_STEP_MM and clearance <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
 
 
 class TouchCounts(NamedTuple):
@@ -247,7 +247,7 @@ def deflect_steps(
     step: VectorColumns,
     up: Strided2[F32],
     radius: Array1[F32],
-    clear: Array1[F32],
+    clearance: Array1[F32],
     rows: Array1[I64],
     columns: Array2[F32],
     hit_rows: Array1[I64],
@@ -256,12 +256,12 @@ def deflect_steps(
     end: I64,
 ) -> TouchCounts:
     """Find the agents from `begin` to before `end` with a step that may touch an obstacle. Write from index `begin` on: `rows`:
-    these agents. `columns` [10, n]: position, deflected step, `up` of the ground, margin. `hit_rows`: the agents that hit. `hits`
-    [4, n]: free length of the step (mm) and normal of the face. `clear`: a lower bound (mm) of the distance. Agents outside the
-    obstacle are left out if its nearest face is out of range: their steps do not change."""
+    these agents. `columns` [10, n]: position, deflected step, `up` of the ground, margin. `hit_rows`: the agents that hit.
+    `hits` [4, n]: free length of the step (mm) and normal of the face. `clearance`: a lower bound (mm) of the distance. Agents
+    outside the obstacle are left out if its nearest face is out of range: their steps do not change."""
     asking = begin
     for i in range(begin, end):
-        _, _, may_touch = _measure_step(step, radius, clear, i)
+        _, _, may_touch = _measure_step(step, radius, clearance, i)
         if may_touch:
             rows[asking] = i
             asking += 1
@@ -275,7 +275,7 @@ def deflect_steps(
         prefetch_lists(grid, cubes, 9 * (high - low))
         for n in range(low, high):
             i = rows[n]
-            size, margin, _ = _measure_step(step, radius, clear, i)
+            size, margin, _ = _measure_step(step, radius, clearance, i)
             at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
             reach = np.float64((size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK) * _RAY_SLACK_FACTOR
             gap, out = measure_signed_distance(grid, at, reach)
@@ -283,7 +283,7 @@ def deflect_steps(
                 continue
             left += 1 if gap != gap else 0
             new_step, size, may_touch = _keep_margin(
-                (step[0][i], step[1][i], step[2][i]), above, size, margin, clear[i], gap, out
+                (step[0][i], step[1][i], step[2][i]), above, size, margin, clearance[i], gap, out
             )
             k = begin + count
             rows[k], columns[9, k] = i, margin
@@ -304,12 +304,12 @@ def deflect_steps(
 
 
 @kernel
-def replace_rows(step: VectorColumns, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
-    """Write the steps to `to` (3, n), with those of the given rows replaced by `own` (3, k)."""
+def replace_rows(step: VectorColumns, rows: Array1[I64], new_steps: Strided2[F32], target: Array2[F32]) -> None:
+    """Write the steps to `target` (3, n), with those of the given rows replaced by `new_steps` (3, k)."""
     for i in simd_range(0, step[0].size):
-        to[0, i], to[1, i], to[2, i] = step[0][i], step[1][i], step[2][i]
+        target[0, i], target[1, i], target[2, i] = step[0][i], step[1][i], step[2][i]
     for k in range(rows.size):
-        to[0, rows[k]], to[1, rows[k]], to[2, rows[k]] = own[0, k], own[1, k], own[2, k]
+        target[0, rows[k]], target[1, rows[k]], target[2, rows[k]] = new_steps[0, k], new_steps[1, k], new_steps[2, k]
 
 
 @kernel
@@ -317,20 +317,20 @@ def select_touching(
     place: VectorColumns,
     step: VectorColumns,
     radius: Array1[F32],
-    clear: Array1[F32],
+    clearance: Array1[F32],
     rows: Array1[I64],
     columns: Array2[F32],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Find the agents from `begin` to before `end` with a step that may touch an obstacle. Return `begin` and their number.
-    `clear`: a lower bound (mm) of the distance from the obstacle. From index `begin` on, writes the agents to `rows`. Writes to
-    `columns` [9, ..] the length of the step, the margin (mm), `clear`, the position and the step."""
+    `clearance`: a lower bound (mm) of the distance from the obstacle. From index `begin` on, writes the agents to `rows`. Writes
+    to `columns` [9, ..] the length of the step, the margin (mm), `clearance`, the position and the step."""
     count = begin
     for i in range(begin, end):
-        size, margin, may_touch = _measure_step(step, radius, clear, i)
+        size, margin, may_touch = _measure_step(step, radius, clearance, i)
         if may_touch:
-            rows[count], columns[0, count], columns[1, count], columns[2, count] = i, size, margin, clear[i]
+            rows[count], columns[0, count], columns[1, count], columns[2, count] = i, size, margin, clearance[i]
             for k in range(3):
                 columns[3 + k, count], columns[6 + k, count] = place[k][i], step[k][i]
             count += 1
@@ -339,30 +339,30 @@ def select_touching(
 
 @kernel
 def keep_margins(
-    near: Array2[F32],
-    above: VectorColumns,
+    columns: Array2[F32],
+    ups: VectorColumns,
     gaps: Array1[F32],
-    out: Array2[F32],
+    direction: Array2[F32],
     new_steps: Array2[F32],
-    going: Array1[I64],
+    moving_rows: Array1[I64],
     rays: Array2[F32],
 ) -> I64:
     """Write steps `new_steps` [3, n] that keep the margin from the nearest face, for agents found by `select_touching`.
 
-    `above`: up of the ground. `gaps`, `out` [3, n]: distance and direction of the nearest face. Returns how many agents may hit
-    it. Writes these agents to `going`, and to `rays` [9, n] their position, direction, range, length of the step and margin."""
+    `ups`: up of the ground. `gaps`, `direction` [3, n]: distance and direction of the nearest face. Returns the number of
+    agents that may hit it. Writes them to `moving_rows`, and position, direction, range, step and margin to `rays` [9, n]."""
     count = 0
     for i in range(gaps.size):
-        margin, up, away = near[1, i], (above[0][i], above[1][i], above[2][i]), (out[0, i], out[1, i], out[2, i])
+        margin, up, away = (columns[1, i], (ups[0][i], ups[1][i], ups[2][i]), (direction[0, i], direction[1, i], direction[2, i]))
         step, size, may_touch = _keep_margin(
-            (near[6, i], near[7, i], near[8, i]), up, near[0, i], margin, near[2, i], gaps[i], away
+            (columns[6, i], columns[7, i], columns[8, i]), up, columns[0, i], margin, columns[2, i], gaps[i], away
         )
         new_steps[0, i], new_steps[1, i], new_steps[2, i] = step
         if may_touch:
-            going[count] = i
+            moving_rows[count] = i
             inverse = _FLOAT32_ONE / size
             for k in range(3):
-                rays[k, count], rays[3 + k, count] = near[3 + k, i], step[k] * inverse
+                rays[k, count], rays[3 + k, count] = columns[3 + k, i], step[k] * inverse
             rays[6, count], rays[7, count], rays[8, count] = size + margin, size, margin
             count += 1
     return count
@@ -385,16 +385,16 @@ def measure_drift(
     rows: Array1[I64],
     place: VectorColumns,
     start: VectorColumns,
-    wide: Array1[F32],
-    at: Array2[F32],
+    radii: Array1[F32],
+    positions: Array2[F32],
     radius: Array1[F32],
     drift: Array1[F32],
 ) -> None:
-    """Write the positions `at` (3, k) of rows, their radii, and an upper bound `drift` (mm) of their distance from the start of
-    the step."""
+    """Write the positions `positions` (3, k) of rows, their radii, and an upper bound `drift` (mm) of their distance from the
+    start of the step."""
     for k in simd_range(0, rows.size):
         row = rows[k]
         to = (place[0][row], place[1][row], place[2][row])
         displacement = minus(to, (start[0][row], start[1][row], start[2][row]))
-        at[0, k], at[1, k], at[2, k] = to
-        radius[k], drift[k] = wide[row], np.sqrt(dot(displacement, displacement)) * _STEP_SLACK_FACTOR
+        positions[0, k], positions[1, k], positions[2, k] = to
+        radius[k], drift[k] = radii[row], np.sqrt(dot(displacement, displacement)) * _STEP_SLACK_FACTOR

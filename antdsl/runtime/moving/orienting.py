@@ -103,11 +103,11 @@ def _estimate_up_from_probes(
     return np.where(dot(up, ground) < _MAX_PROBE_TILT_COSINE, ground, up)
 
 
-def _normalise_or_default(v: Floats, otherwise: Floats) -> Floats:
-    """Return unit vectors (3, n) in the directions of `v`, or `otherwise` where v has no direction."""
+def _normalise_or_default(v: Floats, default_vectors: Floats) -> Floats:
+    """Return unit vectors (3, n) in the directions of `v`, or `default_vectors` where v has no direction."""
     size = np.sqrt(dot(v, v))
     good = size > 1e-12
-    return np.where(good, v / np.where(good, size, 1.0), otherwise)
+    return np.where(good, v / np.where(good, size, 1.0), default_vectors)
 
 
 _UP_ESTIMATORS: dict[str, Callable[..., Floats]] = {"turns": _estimate_up_from_turns, "probes": _estimate_up_from_probes}

@@ -93,44 +93,45 @@ def perpendicular(v: Vec3, up: Vec3) -> Vec3:
 
 
 @kernel_helper
-def turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
+def turn_axis(first: Vec3, second: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
     """Return the axis of the least rotation from one unit vector to another, and the cosine and sine of its angle.
 
     Near half a turn, where the axis is undefined, the rotation passes through `ahead`."""
-    axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
+    axis, cosine = cross(first, second), min(max(dot(first, second), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
     if sine > _FLIP_SINE or cosine > 0:
         return divide_vector(axis, max(sine, 1e-300)), cosine, sine
-    return normalise_vector(cross(one, ahead)), cosine, sine
+    return normalise_vector(cross(first, ahead)), cosine, sine
 
 
 @kernel_helper
-def turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
-    """Return a heading after the rotation from the normal `one` to the normal `other`; it is perpendicular to `other`."""
-    axis, cosine, sine = turn_axis(one, other, heading)
-    return perpendicular(rotate_about_axis(heading, axis, cosine, sine), other)
+def turn_heading(heading: Vec3, first_normal: Vec3, second_normal: Vec3) -> Vec3:
+    """Return a heading after the rotation from the normal `first_normal` to the normal `second_normal`; it is perpendicular to
+    `second_normal`."""
+    axis, cosine, sine = turn_axis(first_normal, second_normal, heading)
+    return perpendicular(rotate_about_axis(heading, axis, cosine, sine), second_normal)
 
 
 @kernel_helper
-def tilt_within(stands: Vec3, look: Vec3, goal: Vec3, most: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
-    """Return the up `stands` turned towards a goal by at most `most` radians, and the heading `look` turned with it.
+def tilt_within(body_up: Vec3, look: Vec3, goal: Vec3, max_angle: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
+    """Return the up `body_up` turned towards a goal by at most `max_angle` radians, and the heading `look` turned with it.
 
     Also returns the angle of this turn and the angle of the full turn (radians)."""
-    axis, cosine, sine = turn_axis(stands, goal, look)
+    axis, cosine, sine = turn_axis(body_up, goal, look)
     full_tilt = atan2(_F(sine), _F(cosine))
     tilt, c, s, up = full_tilt, cosine, sine, goal
-    if not full_tilt <= most:
-        c32, s32 = compute_cos_and_sin(most)
-        tilt, c, s = most, np.float64(c32), np.float64(s32)
-        up = normalise_vector(rotate_about_axis(stands, axis, c, s))
+    if not full_tilt <= max_angle:
+        c32, s32 = compute_cos_and_sin(max_angle)
+        tilt, c, s = max_angle, np.float64(c32), np.float64(s32)
+        up = normalise_vector(rotate_about_axis(body_up, axis, c, s))
     return up, perpendicular(rotate_about_axis(look, axis, c, s), up), (tilt, full_tilt)
 
 
 @kernel_helper
-def turn_within(heading: Vec3, goal: Vec3, up: Vec3, most: F64) -> Vec3:
-    """Return the heading turned towards a goal by at most `most` radians. Both are perpendicular to `up`."""
+def turn_within(heading: Vec3, goal: Vec3, up: Vec3, max_angle: F64) -> Vec3:
+    """Return the heading turned towards a goal by at most `max_angle` radians. Both are perpendicular to `up`."""
     left = cross(up, heading)
-    yaw, most_yaw, result = atan2(_F(dot(left, goal)), _F(dot(heading, goal))), _F(most), goal
+    yaw, most_yaw, result = atan2(_F(dot(left, goal)), _F(dot(heading, goal))), _F(max_angle), goal
     if not abs(yaw) <= most_yaw:
         c, s = compute_cos_and_sin(most_yaw if yaw > 0 else -most_yaw)
         result = normalise_vector(plus(times(heading, np.float64(c)), times(left, np.float64(s))))

@@ -21,7 +21,7 @@ def bend_paths(
     magic: F64,
     buffers: ClampBuffers,
     cut: Array2[F64],
-    stopped: Array1[I64],
+    stopped_rows: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
     """Deflect paths at the impacts of `pairs`: a body continues from there along the other one. Return the number of stopped
@@ -41,20 +41,20 @@ def bend_paths(
             over = 1 if towards - far > 0 else over
             direction = negate(direction)
         buffers.pairs[pair] = over
-    return bend_along(pairs.i, pairs.j, pairs.direction, paths.displacement, magic, buffers, cut, stopped, changed)
+    return bend_along(pairs.i, pairs.j, pairs.direction, paths.displacement, magic, buffers, cut, stopped_rows, changed)
 
 
 @kernel
 def find_next_impacts(
-    pairs: PathPairs, paths: PathArrays, touched: Array1[BOOL], latest: Array1[BOOL], first: Array1[F64]
+    pairs: PathPairs, paths: PathArrays, is_touched: Array1[BOOL], latest: Array1[BOOL], first: Array1[F64]
 ) -> I64:
-    """Write the impacts of the pairs with a `touched` row, and to `first` (n) the first impact of each row. Return the number
+    """Write the impacts of the pairs with a `is_touched` row, and to `first` (n) the first impact of each row. Return the number
     of impacts.
 
     `latest` (n): rows that have changed since the last call. Only impacts of their pairs are computed again."""
     for pair in range(pairs.i.size):
         p, q = pairs.i[pair], pairs.j[pair]
-        if (latest[p] | latest[q]) & (touched[p] | touched[q]):
+        if (latest[p] | latest[q]) & (is_touched[p] | is_touched[q]):
             moves = minus(get_column(paths.displacement, p), get_column(paths.displacement, q))
             heavier = max(compute_heavier_share(paths.mass, p, q), compute_heavier_share(paths.mass, q, p))
             share = 1 - _STOP_OVERLAP_SHARE - _PRESSING_SHARE * heavier
@@ -72,14 +72,14 @@ def find_next_impacts(
 
 @kernel
 def shorten_paths(
-    pairs: PathPairs, paths: PathArrays, first: Array1[F64], only_first: BOOL, halts: BOOL, factor: Array1[F64],
-    touched: Array1[BOOL], latest: Array1[BOOL],
+    pairs: PathPairs, paths: PathArrays, first: Array1[F64], only_first: BOOL, stops_rows: BOOL, factor: Array1[F64],
+    is_touched: Array1[BOOL], latest: Array1[BOOL],
 ) -> None:  # fmt: skip
     """Shorten the displacements of the rows that move towards another row up to their impact.
 
     The tangent plane at the impact then separates both bodies for the whole substep, even if paths become shorter. `only_first`:
-    use only impacts that are the first of both rows, because later ones may not occur. `halts`: stop the rows completely.
-    `factor` (n): a work buffer. Sets the flags `touched` and `latest`."""
+    use only impacts that are the first of both rows, because later ones may not occur. `stops_rows`: stop the rows completely.
+    `factor` (n): a work buffer. Sets the flags `is_touched` and `latest`."""
     factor[:] = 1.0
     for pair in range(pairs.i.size):
         time = pairs.time[pair]
@@ -89,22 +89,23 @@ def shorten_paths(
         for side in range(2):
             own, other = (pairs.j[pair], pairs.i[pair]) if side else (pairs.i[pair], pairs.j[pair])
             is_first = (first[own] == time) & (first[other] == time)
-            if halts or ((is_first | (not only_first)) and -dot(direction, get_column(paths.displacement, own)) > 0):
-                factor[own] = min(factor[own], 0.0 if halts else time)
+            if stops_rows or ((is_first | (not only_first)) and -dot(direction, get_column(paths.displacement, own)) > 0):
+                factor[own] = min(factor[own], 0.0 if stops_rows else time)
             direction = negate(direction)
     for k in simd_range(0, factor.size):
         latest[k] = factor[k] < 1.0
-        touched[k] |= latest[k]
+        is_touched[k] |= latest[k]
         store_column(paths.displacement, k, times(get_column(paths.displacement, k), factor[k]))
 
 
 @kernel
-def list_corrections(displacement: Array2[F64], walked: Array2[F64], rows: Array1[I64], corrections: Array2[F64]) -> I64:
-    """Write the rows that do not end at `walked` (3, n) mm, and the displacements (mm) from there. Return their number."""
+def list_corrections(displacement: Array2[F64], travel: Array2[F64], rows: Array1[I64], corrections: Array2[F64]) -> I64:
+    """Write the rows that do not end at `travel` (3, n) mm, and the displacements (mm) from there. Return their
+    number."""
     for k in simd_range(0, rows.size):
-        path, step = get_column(displacement, k), get_column(walked, k)
+        path, step = get_column(displacement, k), get_column(travel, k)
         rows[k] = 1 if (path[0] != step[0]) | (path[1] != step[1]) | (path[2] != step[2]) else 0
     count = compact_indices(rows, rows.size)
     for n in range(count):
-        store_column(corrections, n, minus(get_column(displacement, rows[n]), get_column(walked, rows[n])))
+        store_column(corrections, n, minus(get_column(displacement, rows[n]), get_column(travel, rows[n])))
     return count

@@ -108,23 +108,23 @@ def prepare_steps(
 
 
 @inlined
-def _level_heading(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
+def _level_heading(heading: VectorColumns, headings: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
     """Return the heading of agent i along the ground, in float64."""
     if state[i] == STANDING_STATE:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
-    return np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i])
+    return np.float64(headings[0][i]), np.float64(headings[1][i]), np.float64(headings[2][i])
 
 
 @kernel
 def walk_triangles(
     surface: SurfaceTables,
-    near: ClearanceTables,
+    clearances: ClearanceTables,
     footing: FootingArrays,
     size: Array1[F32],
     normal: Array2[F32],
     level_heading: VectorColumns,
     arrival: ArrivalArrays,
-    pending: PendingWalks,
+    pending_walks: PendingWalks,
     new_footing: FootingArrays,
     place: Array2[F64],
     begin: I64,
@@ -133,10 +133,10 @@ def walk_triangles(
     """Walk agents over triangles by their float32 steps and headings. Update the agents that arrive, as `update_arrived_rows`
     does.
 
-    `footing`: initial footings. `new_footing`, `place` (n, 3): resulting footings and positions (mm). `pending`: values of agents
-    that wait for a later walk. Returns `begin`, and the numbers of waiting agents and of agents that are left out."""
+    `footing`: initial footings. `new_footing`, `place` (n, 3): resulting footings and positions (mm). `pending_walks`: values of
+    agents that wait for a later walk. Returns `begin`, and the numbers of waiting agents and of agents that are left out."""
     mesh, face, b1s, b2s, overs = footing
-    first, step, how = surface.first, arrival.step, pending.statuses
+    first, step, how = surface.first, arrival.step, pending_walks.statuses
     registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
     for group in range(begin - 8 * PREFETCH_EIGHTS, end, 8):
         # Columns need explicit prefetches: there are more than a processor prefetches automatically.
@@ -165,10 +165,10 @@ def walk_triangles(
             up = (np.float64(x), np.float64(y), np.float64(z))
             long, look = np.float64(size[i]), _level_heading(heading, level_heading, state, i)
             f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
-            walk = walk_agent(surface, near, True, f, weights, overs[i], long, displacement, look, up)
+            walk = walk_agent(surface, clearances, True, f, weights, overs[i], long, displacement, look, up)
             if walk.stop.event:
                 how[i] = WAITING_STATUS
-                store_waiting(pending.float_values, pending.integer_values, i, np.float64(size[i]), walk)
+                store_waiting(pending_walks.float_values, pending_walks.integer_values, i, np.float64(size[i]), walk)
                 continue
             how[i] = FINISHED_STATUS
             # No edge connects two meshes.
@@ -177,7 +177,7 @@ def walk_triangles(
             for k in range(3):
                 place[k, i] = pose.place[k]
             update_arrived_agent(i, pose, walk.stop.followed_borders > 0, arrival)
-    waiting, left = compact_waiting(how, pending.float_values, pending.integer_values, begin, end)
+    waiting, left = compact_waiting(how, pending_walks.float_values, pending_walks.integer_values, begin, end)
     return begin, waiting, left
 
 

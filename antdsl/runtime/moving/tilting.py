@@ -128,14 +128,14 @@ def compute_stance(
     size: Array1[F32],
     max_turn: Array1[F32],
     dt: F32,
-    most: Array1[F32],
-    looking: VectorColumns,
+    max_tilts: Array1[F32],
+    level_headings: VectorColumns,
     state: Array1[I32],
 ) -> None:
     """Compute the stance of body i at the start of a step.
 
-    Writes its tilt limit (radians) to `most`, its `state` without walls, and, if it leans, its heading along the ground to
-    `looking`."""
+    Writes its tilt limit (radians) to `max_tilts`, its `state` without walls, and, if it leans, its heading along the ground to
+    `level_headings`."""
     walking = maximum(max_speed[i], _FLOAT32_ZERO) / (size[i] if size[i] > 0 else _FLOAT32_ONE) * _RIGHT_ANGLE
     rate = maximum(max_turn[i], _FLOAT32_ZERO)
     if not rate < walking and rate == rate:
@@ -143,18 +143,22 @@ def compute_stance(
     if walking != walking:
         rate = walking
     rate = maximum(rate, _MIN_TILT_RATE)
-    most[i] = (rate if np.isfinite(rate) else _FLOAT32_PI / dt) * dt
+    max_tilts[i] = (rate if np.isfinite(rate) else _FLOAT32_PI / dt) * dt
     state[i] = STANDING_STATE
     if _is_leaning(up, normal, i):
         state[i] = LEANING_STATE
         level_heading = turn_heading(read_vector(heading, i), read_vector(up, i), get_row64(normal, i))
-        looking[0][i], looking[1][i], looking[2][i] = _F(level_heading[0]), _F(level_heading[1]), _F(level_heading[2])
+        level_headings[0][i], level_headings[1][i], level_headings[2][i] = (
+            _F(level_heading[0]),
+            _F(level_heading[1]),
+            _F(level_heading[2]),
+        )
 
 
 @kernel
 def tilt_rows(
-    rows: Array1[I64], state: Array1[I32], normal: Array2[F32], looking: VectorColumns, walls: WallArrays, posture: Posture,
-    start_up: VectorColumns, start_heading: VectorColumns, now_up: VectorColumns, now_heading: VectorColumns,
+    rows: Array1[I64], state: Array1[I32], normal: Array2[F32], level_headings: VectorColumns, walls: WallArrays,
+    posture: Posture, start_up: VectorColumns, start_heading: VectorColumns, now_up: VectorColumns, now_heading: VectorColumns,
 ) -> None:  # fmt: skip
     """Tilt the bodies of `rows` that have a wall ahead according to `state`, or a posture."""
     wall, ahead, angle, far, over = walls
@@ -164,7 +168,7 @@ def tilt_rows(
             ground = get_row64(normal, i)
             heading, up = read_vector(now_heading, i), ground
             if j >= 0:
-                heading = read_vector(looking, i)
+                heading = read_vector(level_headings, i)
                 up = _tilt_up(ground, get_column64(wall, j), get_column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
             if posture.is_set:
                 up = stand_up(up, posture, i)
@@ -186,14 +190,14 @@ def _level_rows(
     rows: Array1[I64],
     up: Array2[F32],
     heading: Array2[F32],
-    along: Array2[F32],
+    replaced_headings: Array2[F32],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Replace the headings and ups of leaning agents, from `begin` to before `end`, by those along the ground.
 
     Returns `begin` and the number of leaning agents. From index `begin` on, writes their `rows`, and their `up`, `heading` and
-    replaced heading `along` (3, n)."""
+    replaced heading `replaced_headings` (3, n)."""
     count = begin
     for i in range(begin, end):
         if not _is_leaning(now_up, normal, i):
@@ -201,7 +205,11 @@ def _level_rows(
         level_heading = turn_heading(read_vector(start_heading, i), read_vector(start_up, i), get_row64(normal, i))
         rows[count] = i
         for k in range(3):
-            up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(level_heading[k])
+            up[k, count], heading[k, count], replaced_headings[k, count] = (
+                start_up[k][i],
+                start_heading[k][i],
+                _F(level_heading[k]),
+            )
             start_up[k][i] = normal[i, k]
             now_up[k][i] = normal[i, k]
             start_heading[k][i] = _F(level_heading[k])
@@ -215,16 +223,21 @@ def _restore_rows(
     rows: Array1[I64],
     up: Strided2[F32],
     heading: Strided2[F32],
-    along: Strided2[F32],
+    replaced_headings: Strided2[F32],
     start_up: VectorColumns,
     start_heading: VectorColumns,
     now_up: VectorColumns,
     now_heading: VectorColumns,
 ) -> None:
-    """Restore up and heading of the given rows. A heading that differs from the replaced one, `along`, is not restored."""
+    """Restore up and heading of the given rows. A heading that differs from the replaced one, `replaced_headings`, is not
+    restored."""
     for j in range(rows.size):
         i = rows[j]
-        has_turned = now_heading[0][i] != along[0, j] or now_heading[1][i] != along[1, j] or now_heading[2][i] != along[2, j]
+        has_turned = (
+            now_heading[0][i] != replaced_headings[0, j]
+            or now_heading[1][i] != replaced_headings[1, j]
+            or now_heading[2][i] != replaced_headings[2, j]
+        )
         for k in range(3):
             start_up[k][i] = up[k, j]
             now_up[k][i] = up[k, j]
@@ -240,7 +253,7 @@ def limit_steps(
     velocity: VectorColumns,
     up: VectorColumns,
     normal: Array2[F32],
-    most: Array1[F32],
+    max_tilts: Array1[F32],
     walls: WallArrays,
     posture: Posture,
     begin: I64,
@@ -265,7 +278,7 @@ def limit_steps(
             towards = _measure_approach(divide_vector(own_step, max(size, 1e-300)), w, a)
             across = cross(stands, w)
             left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stands, w))))
-            tilt = angle[j] - left + np.float64(most[i])
+            tilt = angle[j] - left + np.float64(max_tilts[i])
             free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
             limit = free / max(towards, 0.05) if towards > 0.05 else np.inf
         if posture.is_set:
@@ -298,12 +311,12 @@ class TurnLimits(NamedTuple):
 @kernel
 def follow_ground(
     state: Array1[I32],
-    previous: BodyPosture,
+    previous_posture: BodyPosture,
     place: Strided2[F64],
     limits: TurnLimits,
     walls: WallArrays,
     half: Array1[F64],
-    raised: F64,
+    rise: F64,
     now_up: VectorColumns,
     now_heading: VectorColumns,
     rows: Array1[I64],
@@ -312,9 +325,9 @@ def follow_ground(
 ) -> None:
     """Turn the bodies from `begin` to before `end` after their feet; changes `now_up` and `now_heading`.
 
-    `previous`: postures before the step. `place`: new positions of the feet. `rows`: a work buffer. Bodies that are aligned with
-    their feet, according to `state`, are skipped. A body tilts first if a turn would move its head into a wall."""
-    before_up, before_heading, before = previous
+    `previous_posture`: postures before the step. `place`: new positions of the feet. `rows`: a work buffer. Bodies that are
+    aligned with their feet, according to `state`, are skipped. A body tilts first if a turn would move its head into a wall."""
+    before_up, before_heading, before = previous_posture
     most, max_turn, dt, posture = limits
     wall, ahead, angle, far, over = walls
     count = begin
@@ -342,7 +355,7 @@ def follow_ground(
         facing = turn_within(one, other, up, min(yaw_limit, 4.0))
         if j >= 0:
             w, a = get_column64(wall, j), get_column64(ahead, j)
-            middle = plus(times(up, 2 * raised * half[j]), times(a, _measure_approach(displacement, w, a) - far[j]))
+            middle = plus(times(up, 2 * rise * half[j]), times(a, _measure_approach(displacement, w, a) - far[j]))
             with_turn = dot(plus(middle, times(facing, half[j])), w)
             without = dot(plus(middle, times(one, half[j])), w)
             if with_turn < min(without, 0.0):

@@ -212,11 +212,11 @@ def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32
 
 
 @kernel_helper
-def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_turn: F32, creep: F32) -> Vec3F32:
+def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_turn: F32, creep_speed: F32) -> Vec3F32:
     """Return the velocity turned by at most `max_turn` (radians) from the previous one. From rest it may have any direction.
 
     It keeps only its component in that direction. So a push against the motion first brakes, and does not speed up an agent that
-    cannot turn. Below the speed `creep` (mm/s) the velocity keeps its length, and the agent turns almost on the spot."""
+    cannot turn. Below the speed `creep_speed` (mm/s) the velocity keeps its length, and the agent turns almost on the spot."""
     if not length(previous_velocity) > 0:
         max_turn = _F(4.0)
     ahead, good = _normalise(previous_velocity)
@@ -236,11 +236,11 @@ def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_
         return velocity
     c, s = compute_cos_and_sin(max_turn)
     turned = plus(times(ahead, c), times(side, s))
-    return times(turned, maximum(dot(velocity, turned), _minimum(length(velocity), creep)))
+    return times(turned, maximum(dot(velocity, turned), _minimum(length(velocity), creep_speed)))
 
 
 @inlined
-def update_arrived_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: ArrivalArrays) -> None:
+def update_arrived_agent(i: I64, pose: AgentPose, is_blocked: BOOL, arrival: ArrivalArrays) -> None:
     """Write position, up, heading and direction of agent i after its walk, in float64, as `update_arrived_rows` describes."""
     place, above, ahead, direction = pose
     old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
@@ -252,7 +252,7 @@ def update_arrived_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: Arriva
     u = (_F(above[0]), _F(above[1]), _F(above[2]))
     v = (velocity[0][i], velocity[1][i], velocity[2][i])
     v = times((_F(direction[0]), _F(direction[1]), _F(direction[2])), length(v))
-    if blocked:
+    if is_blocked:
         rate = _FLOAT32_ONE / dt
         travel = (_F(place[0] - old[i, 0]), _F(place[1] - old[i, 1]), _F(place[2] - old[i, 2]))
         travel = times(travel, rate)
@@ -283,13 +283,13 @@ def update_arrived_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: Arriva
 
 
 @kernel
-def update_arrived_rows(rows: Array1[I64], walked: WalkedPoses, arrival: ArrivalArrays, begin: I64, end: I64) -> None:
+def update_arrived_rows(rows: Array1[I64], walked_poses: WalkedPoses, arrival: ArrivalArrays, begin: I64, end: I64) -> None:
     """Write velocity, heading, position and up of `rows` from `begin` to before `end` into the registers after the walk.
 
     The `state` of a body that is aligned with its feet becomes "hastens" in two cases: its up turns by more than `most`
     (radians), or it turns more than `TURN_SLACK_FACTOR` times as fast as `max_turn` allows. For all other bodies, the previous up
     and heading are stored in `bodies`."""
-    place, above, ahead, direction, blocked = walked
+    place, above, ahead, direction, blocked = walked_poses
     for j in range(begin, end):
         i = rows[j]
         pose = AgentPose(
@@ -318,7 +318,7 @@ def _turn_heading(
     wish: Vec3F32,
     max_speed: F32,
     max_turn: F32,
-    at_once: BOOL,
+    is_immediate: BOOL,
     tilt: F32,
     dt: F32,
     turn_share: F32,
@@ -341,7 +341,7 @@ def _turn_heading(
         facing, good = _normalise(along)
         if faced and good:
             direction = facing
-    if dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
+    if dot(heading, direction) < 0 and not (is_immediate and not np.isfinite(max_turn)):
         left = cross(up, heading)
         side, good = _normalise(project_to_plane(direction, heading))
         if not good:
@@ -352,7 +352,7 @@ def _turn_heading(
     eager = _minimum(length(velocity) / maximum(max_speed * SLOW_SPEED_SHARE, _F(1e-6)), _FLOAT32_ONE)
     if faced:
         eager = _FLOAT32_ONE
-    change = times(minus(direction, heading), _FLOAT32_ONE if at_once else turn_share * eager)
+    change = times(minus(direction, heading), _FLOAT32_ONE if is_immediate else turn_share * eager)
     if np.isfinite(max_turn):
         size, most = length(change), maximum(max_turn, _FLOAT32_ZERO) * dt
         most = np.sqrt(maximum(most * most - tilt, _FLOAT32_ZERO))

@@ -88,9 +88,9 @@ def compute_turn_seconds(heading: Floats, direction: Floats, max_turn: Floats) -
     return np.where(np.isfinite(max_turn), angle / np.maximum(max_turn, 1e-6), 0.0)
 
 
-def _compute_urgency(speed: Floats, most: Floats) -> Floats:
+def _compute_urgency(speed: Floats, max_speed: Floats) -> Floats:
     low, high = _URGENT_SHARES
-    return smooth_share((speed / np.maximum(most, 1e-9) - low) / (high - low))
+    return smooth_share((speed / np.maximum(max_speed, 1e-9) - low) / (high - low))
 
 
 def _record_departures(agents: NoteAgents, leaves: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -63,15 +63,15 @@ def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
     return need, direction
 
 
-def _turn_aside(world: World, outward: Floats, travel: Floats) -> Floats:
+def _turn_aside(world: World, outward_directions: Floats, travel: Floats) -> Floats:
     """Return directions out (k, 3) turned to the side of a thing that moves by `travel` (3,) mm, so that no agent runs
     ahead of it."""
     (distance,) = length(travel[None]).tolist()
     if distance < 1e-6:
-        return outward
+        return outward_directions
     ahead = travel / distance
     left = np.cross(world.up, ahead)
-    side = np.where(dot(outward, np.broadcast_to(left, outward.shape)) < 0, -1.0, 1.0)
-    has_direction = (outward != 0).any(axis=1)
+    side = np.where(dot(outward_directions, np.broadcast_to(left, outward_directions.shape)) < 0, -1.0, 1.0)
+    has_direction = (outward_directions != 0).any(axis=1)
     turned: Floats = np.where(has_direction[:, None], side[:, None] * left, 0.0)
     return turned

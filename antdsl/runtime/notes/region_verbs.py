@@ -26,7 +26,7 @@ def lead_out_of_region(agents: NoteAgents, register: str, is_final: bool) -> Non
     """Lead agents out of the region of a `forbid`, and away from it in its falloff."""
     distances = measure_note_region(agents)
     assert distances is not None
-    _wish_direction(agents, distances.outward, compute_region_share(agents, distances.outside), register, is_final)
+    _wish_direction(agents, distances.outward_directions, compute_region_share(agents, distances.outside), register, is_final)
 
 
 def stop_at_region(agents: NoteAgents, step: Floats) -> Floats:

@@ -20,11 +20,11 @@ from antdsl.scene.thing_models import convert_point
 
 
 class RegionDistances(NamedTuple):
-    """How agents are to a region. `outside` (n,): the distance (mm) to it, negative inside. `outward` (n, 3): the unit direction
-    out, or away from it."""
+    """How agents are to a region. `outside` (n,): the distance (mm) to it, negative inside. `outward_directions` (n, 3): the
+    unit direction out, or away from it."""
 
     outside: Floats
-    outward: Floats
+    outward_directions: Floats
 
 
 def measure_region(world: World, region: NoteRegion, agents: NoteAgents) -> RegionDistances:
@@ -111,7 +111,7 @@ def cut_inward_steps(distances: RegionDistances, step: Floats, normal: Floats) -
     """Return steps (k, 3) mm that end outside a region, or no deeper inside: they slide along its border.
 
     `normal` (k, 3): of the ground."""
-    flat = distances.outward - dot(distances.outward, normal)[:, None] * normal
+    flat = distances.outward_directions - dot(distances.outward_directions, normal)[:, None] * normal
     size = length(flat)
     out = flat / np.where(size > 1e-6, size, np.inf)[:, None]
     reach = np.maximum(distances.outside, 0.0) / np.maximum(size, 1e-6)

@@ -146,11 +146,11 @@ def find_centres(world: World, around: Any) -> Centres:
     return Centres(np.concatenate([np.empty((0, 3)), *parts]), masks)
 
 
-def find_curve(world: World, along: str | tuple[PointValue, ...]) -> SampledCurve:
+def find_curve(world: World, curve: str | tuple[PointValue, ...]) -> SampledCurve:
     """Return a curve of the scene in its present position, or the curve through points."""
-    if isinstance(along, str):
-        return world.curves[along]
-    return make_curve(np.array([convert_point(point, world.setting.unit_mm) for point in along], np.float64) - world.origin)
+    if isinstance(curve, str):
+        return world.curves[curve]
+    return make_curve(np.array([convert_point(point, world.setting.unit_mm) for point in curve], np.float64) - world.origin)
 
 
 class OwnPoints(NamedTuple):

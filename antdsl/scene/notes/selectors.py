@@ -156,12 +156,12 @@ AgentConditions.model_rebuild()
 AnySelector = AgentName | tuple[Any, ...] | AgentConditions
 
 
-def combine_selector(of: AnySelector | None, keys: SelectorKeys) -> AnySelector:
-    """Return the agents `of` that also meet the selector keys of a line."""
-    if of is not None and not keys.is_narrow:
-        return of
+def combine_selector(selector: AnySelector | None, keys: SelectorKeys) -> AnySelector:
+    """Return the agents `selector` that also meet the selector keys of a line."""
+    if selector is not None and not keys.is_narrow:
+        return selector
     values = {name: getattr(keys, name) for name in SelectorKeys.model_fields}
-    return AgentConditions.model_construct(of=of, **values)
+    return AgentConditions.model_construct(of=selector, **values)
 
 
 def reads_frame(selector: AnySelector | None) -> bool:
@@ -239,9 +239,9 @@ def find_name_problems(
         yield SelectorProblem(path, f"`{name}` does not exist: `{name.name}` has {count:,} agents", numbers)
 
 
-def find_unknown_name(name: str, known: frozenset[str], words: str, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
+def find_unknown_name(name: str, known_names: frozenset[str], words: str, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
     """Yield the problem of a name that is not among the known ones. `words`: the message before the name."""
-    if name not in known:
-        near = find_nearest_name(name, known)
-        listed = "known: " + ", ".join(f"`{each}`" for each in sorted(known)[:12]) if known else "none exists here"
+    if name not in known_names:
+        near = find_nearest_name(name, known_names)
+        listed = "known: " + ", ".join(f"`{each}`" for each in sorted(known_names)[:12]) if known_names else "none exists here"
         yield SelectorProblem(path, f"{words} `{name}`", f"did you mean `{near}`?" if near else listed)

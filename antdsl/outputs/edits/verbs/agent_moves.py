@@ -123,13 +123,13 @@ def _set_rows(arrays: dict[str, NDArray[Any]], name: str, rows: NDArray[np.intp]
     arrays[name][rows] = values
 
 
-def blend_frames(own: Arrays, other: Arrays, share: float, manifest: Manifest) -> dict[str, NDArray[Any]]:
+def blend_frames(arrays: Arrays, other: Arrays, share: float, manifest: Manifest) -> dict[str, NDArray[Any]]:
     """Return a frame changed by `share` towards another one: a later one if it is above 0, else an earlier one.
 
     Agents that the other frame lacks stay as they are."""
-    near, far = FrameRows(own, manifest), FrameRows(other, manifest)
+    near, far = FrameRows(arrays, manifest), FrameRows(other, manifest)
     others = dict(far.iterate_agent_arrays())
-    blended = dict(own)
+    blended = dict(arrays)
     same_clips: dict[str, NDArray[np.bool_]] = {}
     for name, row_keys in near.iterate_agent_arrays():
         between = find_interpolation(name)
@@ -139,37 +139,39 @@ def blend_frames(own: Arrays, other: Arrays, share: float, manifest: Manifest) -
         if between == "clip":
             group = name.rpartition(".")[0]
             if group not in same_clips:
-                same_clips[group] = _find_same_clips(own, other, group, at, share > 0)
+                same_clips[group] = _find_same_clips(arrays, other, group, at, share > 0)
             is_there = is_there & same_clips[group]
         rows = np.flatnonzero(is_there)
-        values = _interpolate(between, own[name][rows], other[name][at[rows]], abs(share))
+        values = _interpolate(between, arrays[name][rows], other[name][at[rows]], abs(share))
         _set_rows(blended, name, rows, values)
     return blended
 
 
-def _find_same_clips(one: Arrays, other: Arrays, group: str, at: NDArray[np.intp], is_later: bool) -> NDArray[np.bool_]:
-    """Return which agents play the same clips in two frames, without a new start. `at`: their rows in the other frame.
+def _find_same_clips(one: Arrays, other: Arrays, group: str, other_rows: NDArray[np.intp], is_later: bool) -> NDArray[np.bool_]:
+    """Return which agents play the same clips in two frames, without a new start. `other_rows`: their rows in the other frame.
     `is_later`: the other frame is the later one."""
-    is_same = np.ones(len(at), np.bool_)
+    is_same = np.ones(len(other_rows), np.bool_)
     for field in ("clip", "before", "earlier"):
         name, turns = f"{group}.{field}", f"{group}.turns" if field == "clip" else f"{group}.{field}_turns"
         if name in one and name in other and len(other[name]):
-            earlier_turns, later_turns = (one[turns], other[turns][at]) if is_later else (other[turns][at], one[turns])
-            is_same &= (one[name] == other[name][at]) & (earlier_turns <= later_turns)
+            earlier_turns, later_turns = (
+                (one[turns], other[turns][other_rows]) if is_later else (other[turns][other_rows], one[turns])
+            )
+            is_same &= (one[name] == other[name][other_rows]) & (earlier_turns <= later_turns)
         elif name in one or name in other:
             is_same &= False
     return is_same
 
 
-def _interpolate(between: str, one: NDArray[Any], other: NDArray[Any], share: float) -> Floats:
+def _interpolate(interpolation: str, one: NDArray[Any], other: NDArray[Any], share: float) -> Floats:
     a, b = np.asarray(one, np.float64), np.asarray(other, np.float64)
-    if between == "rotation":
+    if interpolation == "rotation":
         return slerp(normalise_quaternion(a), normalise_quaternion(b), np.full(a.shape[:-1], share))
-    if between == "phase":
+    if interpolation == "phase":
         turn = (b - a + 0.5) % 1.0 - 0.5
         return (a + share * turn) % 1.0
     values = a + share * (b - a)
-    if between == "direction":
+    if interpolation == "direction":
         length = np.sqrt((values * values).sum(axis=-1, keepdims=True))
         values = np.where(length > 1e-9, values / np.maximum(length, 1e-9), a)
     return np.where(np.isfinite(values), values, a)

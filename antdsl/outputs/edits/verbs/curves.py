@@ -76,11 +76,11 @@ def find_on_curve(points: Floats, positions: Floats) -> tuple[Floats, Floats, Fl
     return place, tangent, along
 
 
-def walk_curve(points: Floats, along: Floats) -> tuple[Floats, Floats]:
+def walk_curve(points: Floats, distances: Floats) -> tuple[Floats, Floats]:
     """Return the points of a polyline [k, 3] at distances along it [n], at most its length, and the unit tangents there."""
     step = np.diff(points, axis=0)
     lengths = np.sqrt(np.maximum((step * step).sum(axis=1), 1e-30))
     ends = np.cumsum(lengths)
-    which = np.minimum(np.searchsorted(ends, along, side="right"), len(lengths) - 1)
-    share = np.clip((along - (ends[which] - lengths[which])) / lengths[which], 0.0, 1.0)
+    which = np.minimum(np.searchsorted(ends, distances, side="right"), len(lengths) - 1)
+    share = np.clip((distances - (ends[which] - lengths[which])) / lengths[which], 0.0, 1.0)
     return points[which] + share[:, None] * step[which], step[which] / lengths[which, None]

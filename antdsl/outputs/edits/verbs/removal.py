@@ -71,4 +71,4 @@ class ClipLayer(EditLayer):
         if self.line.inside is not None and (frames is None or frames.first <= number <= frames.last):
             region = AgentConditions.model_construct(region=self.line.inside)
             removed = removed & ~select_agents(region, arrays, self.manifest)
-        return keep_rows(arrays, self.manifest, lambda each: ~np.isin(each, keys[removed]))
+        return keep_rows(arrays, self.manifest, lambda agent_keys: ~np.isin(agent_keys, keys[removed]))

@@ -94,14 +94,14 @@ class SmoothLayer(EditLayer):
         changed["P"][rows] = values[:, :3] if ground is None else moved["P"][rows]
         return changed
 
-    def _read_window(self, known: dict[int, FrameValues], number: int, width: int, names: tuple[str, ...]) -> None:
+    def _read_window(self, values_by_frame: dict[int, FrameValues], number: int, width: int, names: tuple[str, ...]) -> None:
         """Read values of the frames around one, and forget those of other frames."""
         half, existing_frames = width // 2, set(self.frames())
         for each in range(number - half, number + half + 1):
-            if each in existing_frames and each not in known:
-                known[each] = self._read_values(each, names)
-        for other in [each for each in known if abs(each - number) > half]:
-            del known[other]
+            if each in existing_frames and each not in values_by_frame:
+                values_by_frame[each] = self._read_values(each, names)
+        for other in [each for each in values_by_frame if abs(each - number) > half]:
+            del values_by_frame[other]
 
     def _read_values(self, number: int, names: tuple[str, ...]) -> FrameValues:
         arrays = self.source.frame(number, IDENTITY_ARRAYS | set(names))

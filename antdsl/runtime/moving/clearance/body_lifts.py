@@ -49,7 +49,12 @@ def select_rows(
             state[i] = HURRYING_STATE
             for k in range(3):
                 looking[k][i] = heading[k][i]
-        waits = retained.wait[i] != 0 or retained.out[0][i] != 0 or retained.out[1][i] != 0 or retained.out[2][i] != 0
+        waits = (
+            retained.wait_share[i] != 0
+            or retained.outward_direction[0][i] != 0
+            or retained.outward_direction[1][i] != 0
+            or retained.outward_direction[2][i] != 0
+        )
         if levels[i] == SHARP or waits:
             rows[count], row_levels[count] = i, levels[i]
             count += 1
@@ -87,13 +92,13 @@ def list_bodies(
         if feet.mesh[row] >= 0 and feet.face[row] >= 0:
             climbs = has_bend[first[feet.mesh[row]] + feet.face[row]]
         x, y, z = retained.lift[0][row], retained.lift[1][row], retained.lift[2][row]
-        shifted = (x != 0) | (y != 0) | (z != 0) | (retained.depth[row] != 0) | (retained.wait[row] != 0)
+        shifted = (x != 0) | (y != 0) | (z != 0) | (retained.depth[row] != 0) | (retained.wait_share[row] != 0)
         is_listed = (levels[row] > 0) | (shifted & (not climbs) & (state[row] != STANDING_STATE))
         kind[row] = 1 if is_listed else 2 if climbs else 0
         if is_listed:
             state[row] = STANDING_STATE
         elif shifted:
-            retained.depth[row], retained.wait[row] = _F(0), _F(0)
+            retained.depth[row], retained.wait_share[row] = _F(0), _F(0)
             if not climbs:
                 for axis in range(3):
                     retained.lift[axis][row] = _F(0)

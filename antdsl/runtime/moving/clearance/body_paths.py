@@ -68,19 +68,19 @@ class FacesNearby(NamedTuple):
 
 
 @inlined
-def is_crossing(nearby: FacesNearby, f: I64, other: I64) -> BOOL:
+def is_crossing(nearby_faces: FacesNearby, f: I64, other: I64) -> BOOL:
     """Return whether a face belongs to another piece than face f, or both faces are cut by faces of their piece."""
-    pieces, cuts = nearby.pieces, nearby.cuts
+    pieces, cuts = nearby_faces.pieces, nearby_faces.cuts
     return pieces[f] != pieces[other] or (cuts[f + 1] > cuts[f] and cuts[other + 1] > cuts[other] and f != other)
 
 
 @kernel_helper
 def trace_bends(
-    surface: SurfaceTables, nearby: FacesNearby, start: FaceWalker, window: F64, eye: F64, points: Array1[F64]
+    surface: SurfaceTables, nearby_faces: FacesNearby, start: FaceWalker, window: F64, eye: F64, points: Array1[F64]
 ) -> GroundBend:
     """Walk a path of length `window` (mm). Return the turn of the ground along it, as a mean over the path and its mirror image.
 
-    If a face of `nearby` crosses the path at the height `eye` (mm), the path continues on that face. `points` receives the
+    If a face of `nearby_faces` crosses the path at the height `eye` (mm), the path continues on that face. `points` receives the
     positions of the feet, of the edges and of the end of the path."""
     table, link, forked, _ = surface
     walker, left, roll, pitch, count, climb, walks = start, window, 0.0, 0.0, 0, 0.0, True
@@ -109,11 +109,17 @@ def trace_bends(
         axis1, axis2 = load_vector(table, row + AXIS1_OFFSET), load_vector(table, row + AXIS2_OFFSET)
         travel = plus(times(axis1, c), times(axis2, s))
         meets = False
-        if nearby.count > 0 and count <= MAX_PATH_EDGES:
+        if nearby_faces.count > 0 and count <= MAX_PATH_EDGES:
             hit = find_first_hit(
-                table, nearby.boxes, nearby.faces, nearby.count, plus(place, times(normal, eye)), times(travel, length), 0.0
+                table,
+                nearby_faces.boxes,
+                nearby_faces.faces,
+                nearby_faces.count,
+                plus(place, times(normal, eye)),
+                times(travel, length),
+                0.0,
             )
-            if hit.face >= 0 and is_crossing(nearby, f, hit.face):
+            if hit.face >= 0 and is_crossing(nearby_faces, f, hit.face):
                 meets, walks = True, True
                 length = hit.path_fraction * length
                 other = load_vector(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
@@ -150,8 +156,8 @@ def trace_bends(
 
 
 @kernel_helper
-def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3, up: Vec3, heading: Vec3, most: F64) -> F64:
-    """Return how far (mm) a body must rise along its up to clear the profile below it, at most `most`.
+def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3, up: Vec3, heading: Vec3, max_rise: F64) -> F64:
+    """Return how far (mm) a body must rise along its up to clear the profile below it, at most `max_rise`.
 
     The body stands at `place`. The capsule must clear each point of the profile. Its ends must also clear the lines between the
     points."""
@@ -181,4 +187,4 @@ def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3,
                         if foot >= 0 and foot <= size:
                             lift = max(lift, rise)
         old_x, old_y = x, y
-    return min(lift, most)
+    return min(lift, max_rise)

@@ -129,11 +129,11 @@ class ClearStep:
             inputs = (at, BodyRows(self.rows, self.levels), up, p.normal, step, velocity, self.limits, read_registers(p))
             self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
 
-    def follow(self, previous: BodyPoses, outset: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
-        """Turn and shift bodies after the walk. `previous`: poses before it. `outset`: footings, positions and normals before
-        it."""
+    def follow(self, previous_poses: BodyPoses, outset: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
+        """Turn and shift bodies after the walk. `previous_poses`: poses before it. `outset`: footings, positions and normals
+        before it."""
         p, now, n = self.population, self.population.now, len(self.population)
-        self.previous = previous
+        self.previous = previous_poses
         (rows,), (climbers,) = (p.get_buffers(name, 1, (n,), np.int64) for name in ("uneven", "climbers"))
         (levels,), (kind,) = (p.get_buffers(name, 1, (n,), np.uint8) for name in ("bends of rows", "lifts"))
         lists = LiftLists(rows, levels, climbers, kind)
@@ -148,17 +148,17 @@ class ClearStep:
             return
         self.lifts = read_lift(p, rows)
         held, depths = (
-            (*vec.take_rows(previous.up, rows), *vec.take_rows(previous.heading, rows), *self.lifts),
+            (*vec.take_rows(previous_poses.up, rows), *vec.take_rows(previous_poses.heading, rows), *self.lifts),
             now["~depth"].take(rows),
         )
         self.headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
         idle = self._count_idle(rows, outset[1])
-        self._aim(rows, self.levels, previous)
+        self._aim(rows, self.levels, previous_poses)
         uneven = np.flatnonzero(self.levels == SHARP)
         depth, out = self._shift(rows[uneven], vec.take_rows(self.lifts, uneven))
         old, footing, (position, normal) = depths[uneven], outset[0], (each[rows[uneven]] for each in outset[1:])
         cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
-        is_lost = (cosine < _LOST_COSINE) & (dot_rows(vec.take_rows(previous.up, rows[uneven]), normal) >= _LOST_COSINE)
+        is_lost = (cosine < _LOST_COSINE) & (dot_rows(vec.take_rows(previous_poses.up, rows[uneven]), normal) >= _LOST_COSINE)
         out[:, is_lost] = (position - p.position[rows[uneven]])[is_lost].T
         too_deep = is_lost | ((depth > np.maximum(old, _MAX_DEPTH)) & (old < _STRANDED_DEPTH))
         deeper = np.flatnonzero(too_deep | idle[uneven])
@@ -169,7 +169,7 @@ class ClearStep:
             for k, axis in enumerate(AXES):
                 now[f"~out.{axis}"][rows[uneven[too_deep]]] = out[k, too_deep]
             self._stand_up(at)
-            self._aim(back, self.levels[at], previous)
+            self._aim(back, self.levels[at], previous_poses)
             turned, _ = self._shift(back, vec.take_rows(self.lifts, at))
             worse = np.flatnonzero((turned > np.maximum(old[deeper], _MAX_DEPTH)) | idle[at])
             outset_rows = footing.take_rows(back[worse]), position[deeper[worse]], normal[deeper[worse]]
@@ -198,21 +198,21 @@ class ClearStep:
         return idle > _MAX_IDLE
 
     def _escape(
-        self, at: Rows, old: NDArray[np.float32], turned: NDArray[np.float32], held: list[NDArray[np.float32]], outset: Stands
+        self, subset: Rows, old: NDArray[np.float32], turned: NDArray[np.float32], held: list[NDArray[np.float32]], outset: Stands
     ) -> NDArray[np.float32]:
         """Step back or aside with bodies that can neither walk nor turn. Return their remaining depths.
 
-        A body that cannot do that either keeps its pose. `at`: indices among `rows`. `old`: depths before the step. `turned`:
+        A body that cannot do that either keeps its pose. `subset`: indices among `rows`. `old`: depths before the step. `turned`:
         depths of the bodies where they stand. `held`: poses before the step. `outset`: footings, positions and normals before
         it."""
         p, now, most = self.population, self.population.now, np.maximum(old, _MAX_DEPTH)
         depths = np.where(turned > most, np.minimum(most + _YIELD_DEPTH, _MAX_YIELD), turned)
         depths[old > _MAX_YIELD] = _STRANDED_DEPTH
-        left = np.arange(len(at))
+        left = np.arange(len(subset))
         for back, aside in _ESCAPES:
             if not left.size:
                 break
-            rows, (footing, position, normal) = self.rows[at[left]], take_stands(outset, left)
+            rows, (footing, position, normal) = self.rows[subset[left]], take_stands(outset, left)
             self._restore_poses(rows, left, held)
             up, heading = normal.T.astype(np.float64), np.stack([each[left] for each in held[3:6]]).astype(np.float64)
             along = heading - up * vec.dot(up, heading)
@@ -224,15 +224,15 @@ class ClearStep:
             self._put(rows, (moved.footing, moved.position, moved.up.astype(np.float32)))
             for k, axis in enumerate(AXES):
                 now[f"up.{axis}"][rows], now[f"heading.{axis}"][rows] = moved.up[:, k], moved.heading[:, k]
-            self._aim(rows, self.levels[at[left]], self.previous)
-            depth, _ = self._shift(rows, vec.take_rows(self.lifts, at[left]))
+            self._aim(rows, self.levels[subset[left]], self.previous)
+            depth, _ = self._shift(rows, vec.take_rows(self.lifts, subset[left]))
             cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows), p.normal[rows])
             is_free = (depth <= most[left]) & (cosine >= _MIN_LEAN_COSINE) & ~moved.is_blocked
             depths[left[is_free]] = depth[is_free]
             self._put(rows[~is_free], take_stands((footing, position, normal), ~is_free))
             left = left[~is_free]
-        self._restore_poses(self.rows[at[left]], left, held)
-        now["~wait"][self.rows[at[left]]] = 0
+        self._restore_poses(self.rows[subset[left]], left, held)
+        now["~wait"][self.rows[subset[left]]] = 0
         return depths
 
     def _slide(self, rows: Rows, step: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -278,17 +278,17 @@ class ClearStep:
         for name, values in zip((*_POSE_REGISTERS, "~wait", "~depth"), columns, strict=True):
             now[name][back] = values[at]
 
-    def _stand_up(self, at: Rows) -> None:
+    def _stand_up(self, subset: Rows) -> None:
         """Set the poses of some of `rows` to the poses of the feet, so that bodies can be turned towards the feet again."""
-        p, rows = self.population, self.rows[at]
+        p, rows = self.population, self.rows[subset]
         for k, axis in enumerate(AXES):
             p.now[f"up.{axis}"][rows] = p.normal[rows, k]
-            p.now[f"heading.{axis}"][rows] = self.headings[k][at]
-            p.now[f"~lift.{axis}"][rows] = self.lifts[k][at]
+            p.now[f"heading.{axis}"][rows] = self.headings[k][subset]
+            p.now[f"~lift.{axis}"][rows] = self.lifts[k][subset]
 
-    def _put(self, rows: Rows, stands: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
+    def _put(self, rows: Rows, stances: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
         """Restore the footings, positions and normals of agents."""
-        p, (footing, position, normal) = self.population, stands
+        p, (footing, position, normal) = self.population, stances
         p.footing.put_rows(rows, footing)
         p.position[rows], p.normal[rows] = position, normal
         for k, axis in enumerate(AXES):
@@ -341,11 +341,11 @@ class ClearStep:
     def _search(self, count: int) -> FaceSearch:
         return face_search(self.walk, count, self.threads)
 
-    def _aim(self, rows: Rows, levels: NDArray[np.uint8], previous: BodyPoses) -> None:
+    def _aim(self, rows: Rows, levels: NDArray[np.uint8], previous_poses: BodyPoses) -> None:
         p, now = self.population, self.population.now
         at = get_footing_arrays(p.footing)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
-        inputs = (at, BodyRows(rows, levels), previous, poses, self.limits, read_registers(p))
+        inputs = (at, BodyRows(rows, levels), previous_poses, poses, self.limits, read_registers(p))
         self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))
 
     def _shift(self, rows: Rows, old: VectorArrays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -75,7 +75,7 @@ _VALLEY_GAP_PER_BODY = 0.01  # body lengths; the same for a valley that is too n
 @inlined
 def _buffer(buffers: FaceBuffers, boxes: BoxTree, begin: I64) -> I64:
     """Return the index at which the buffer of a chunk begins."""
-    return compute_buffer_index(begin, buffers.count, buffers.several) * boxes.triangle_order.size
+    return compute_buffer_index(begin, buffers.count, buffers.buffer_count) * boxes.triangle_order.size
 
 
 @kernel_helper
@@ -83,7 +83,7 @@ def _gather_others(search: FaceSearch, f: I64, weights: TriangleWeights, place: 
     """Write the faces that a path of length `reach` (mm) from `place`, on face f, may meet into a list; return their number.
 
     No path meets the piece of face f, unless faces cut their own piece."""
-    if not search.several_pieces or get_clearance(search.near, f, weights) > reach * (1 + _EYE_PER_BODY):
+    if not search.several_pieces or get_clearance(search.clearances, f, weights) > reach * (1 + _EYE_PER_BODY):
         return 0
     piece = -1 if search.cuts[search.cuts.size - 1] > 0 else np.int64(search.pieces[f])
     return gather_faces(search.pieces, search.boxes, place, place, reach, -1, piece, faces)
@@ -97,22 +97,23 @@ def _angle(a: Vec3, b: Vec3) -> F64:
 
 
 @kernel_helper
-def _approach_normal(up: Vec3, normal: Vec3, most: F64, ahead: Vec3) -> Vec3:
-    """Return the up direction. If it is more than `most` radians away from a normal, rotate it towards the normal."""
+def _approach_normal(up: Vec3, normal: Vec3, max_angle: F64, ahead: Vec3) -> Vec3:
+    """Return the up direction. If it is more than `max_angle` radians away from a normal, rotate it towards the normal."""
     angle, result = _angle(up, normal), up
-    if angle > most:
+    if angle > max_angle:
         axis, _, _ = turn_axis(up, normal, ahead)
-        c, s = compute_cos_and_sin(_F(angle - most))
+        c, s = compute_cos_and_sin(_F(angle - max_angle))
         result = normalise_vector(rotate_about_axis(up, axis, np.float64(c), np.float64(s)))
     return result
 
 
 @inlined
-def _find_largest_lean(turn: F64, most: F64) -> F64:
-    """Return how far (radians) a body leans before an edge at which the ground turns by `turn`, if it tilts by `most` in a step.
+def _find_largest_lean(turn: F64, max_angle: F64) -> F64:
+    """Return how far (radians) a body leans before an edge at which the ground turns by `turn`, if it tilts by `max_angle` in a
+    step.
 
     It leans no farther than it must, so that it is seldom far from the ground on either side."""
-    return max(_MAX_LEAN, 0.5 * turn - most - _KNIFE_SLACK)
+    return max(_MAX_LEAN, 0.5 * turn - max_angle - _KNIFE_SLACK)
 
 
 @kernel
@@ -120,7 +121,7 @@ def limit_steps(
     surface: SurfaceTables,
     search: FaceSearch,
     feet: FootingArrays,
-    listed: BodyRows,
+    body_rows: BodyRows,
     body_up: VectorColumns,
     normals: Array2[F32],
     step: VectorColumns,
@@ -134,7 +135,7 @@ def limit_steps(
 
     A step leads away from the surface that the body touched in the last step. It ends before an edge if the body cannot stand
     beyond it. It also ends before a valley that is too narrow for the body."""
-    table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
+    table, first, rows, levels = surface.table, surface.first, body_rows.rows, body_rows.levels
     points, faces = (
         allocate_scratch(PATH_FLOATS, F64),
         FaceList(search.buffers.numbers, _buffer(search.buffers, search.boxes, begin)),
@@ -145,7 +146,7 @@ def limit_steps(
         length = np.sqrt(dot(displacement, displacement))
         if feet.mesh[i] < 0 or feet.face[i] < 0 or feet.over[i] != 0 or not (length > 0 and length < np.inf):
             continue
-        wall, ground, size = read_vector(retained.out, i), get_row64(normals, i), np.float64(limits.size[i])
+        wall, ground, size = read_vector(retained.outward_direction, i), get_row64(normals, i), np.float64(limits.size[i])
         if dot(wall, wall) > 0:
             displacement = _retreat(
                 displacement,
@@ -155,8 +156,8 @@ def limit_steps(
             )
             for k in range(3):
                 step[k][i] = _F(displacement[k])
-                velocity[k][i], retained.out[k][i] = step[k][i] / limits.dt, _F(0)
-        part = _F(1) - retained.wait[i]
+                velocity[k][i], retained.outward_direction[k][i] = step[k][i] / limits.dt, _F(0)
+        part = _F(1) - retained.wait_share[i]
         if levels[j] == SHARP:
             f = first[feet.mesh[i]] + feet.face[i]
             row = ROW_FLOATS * f
@@ -174,18 +175,18 @@ def limit_steps(
                 free, up = left, read_vector(body_up, i)
                 for k in range(1, bend.count - 1):
                     n = load_vector(points, POINT_FLOATS * k + NORMAL_AT)
-                    turn, most = _angle(own, n), np.float64(limits.most[i])
+                    turn, most = _angle(own, n), np.float64(limits.max_tilts[i])
                     if _angle(up, n) > max(_MAX_LEAN + most, turn - _find_largest_lean(turn, most)) + _LEAN_SLACK:
                         free = min(free, max(points[POINT_FLOATS * k + DISTANCE_AT] - _EDGE_GAP_PER_BODY * size, 0.0))
                 # A body at its nearest possible distance from the surface beyond an edge cannot cross that edge.
-                turns_away = free < _EDGE_REACH_PER_BODY * size and free < left and retained.wait[i] == 0
+                turns_away = free < _EDGE_REACH_PER_BODY * size and free < left and retained.wait_share[i] == 0
                 last = POINT_FLOATS * (bend.count - 1)
                 if points[last + RISE_AT] < 0:
                     free = min(free, max(points[last + DISTANCE_AT] - _VALLEY_GAP_PER_BODY * size, 0.0))
                     turns_away = True
                 if turns_away:
                     for k in range(3):
-                        retained.out[k][i] = _F(-displacement[k] / length)
+                        retained.outward_direction[k][i] = _F(-displacement[k] / length)
                 part = _F(min(free / left, 1.0)) * part
         for k in range(3):
             step[k][i] = step[k][i] * part
@@ -211,9 +212,9 @@ def aim_bodies(
     surface: SurfaceTables,
     search: FaceSearch,
     feet: FootingArrays,
-    listed: BodyRows,
-    previous: BodyPoses,
-    now: BodyPoses,
+    body_rows: BodyRows,
+    previous_poses: BodyPoses,
+    current_poses: BodyPoses,
     limits: BodyLimits,
     retained: BodyRegisters,
     begin: I64,
@@ -221,15 +222,15 @@ def aim_bodies(
 ) -> None:
     """Turn the listed bodies from `begin` to before `end` towards their feet, and lift them off the path below them.
 
-    `previous`: poses before the step. `now`: poses of the feet; they are replaced by the poses of the bodies."""
-    table, first, rows, levels = surface.table, surface.first, listed.rows, listed.levels
+    `previous_poses`: poses before the step. `current_poses`: poses of the feet; they are replaced by the poses of the bodies."""
+    table, first, rows, levels = surface.table, surface.first, body_rows.rows, body_rows.levels
     faces = FaceList(search.buffers.numbers, _buffer(search.buffers, search.boxes, begin))
     ahead_points, behind_points = allocate_scratch(PATH_FLOATS, F64), allocate_scratch(PATH_FLOATS, F64)
     for j in range(begin, end):
         i = rows[j]
-        stands = read_vector(previous.up, i)
-        look = perpendicular(read_vector(previous.heading, i), stands)
-        normal, heading = read_vector(now.up, i), read_vector(now.heading, i)
+        stands = read_vector(previous_poses.up, i)
+        look = perpendicular(read_vector(previous_poses.heading, i), stands)
+        normal, heading = read_vector(current_poses.up, i), read_vector(current_poses.heading, i)
         long = limits.size[i]
         size = np.float64(long if long > 0 and np.isfinite(long) else _F(0))
         limited = np.isfinite(limits.max_turn[i])
@@ -261,11 +262,11 @@ def aim_bodies(
                 k = ahead_count - 2 - back_k
                 n = load_vector(ahead_points, POINT_FLOATS * k + NORMAL_AT)
                 extra, beyond = _LEAN_PER_BODY * ahead_points[POINT_FLOATS * k + DISTANCE_AT] / size, _angle(own, n)
-                lean = max(lean, _find_largest_lean(beyond, np.float64(limits.most[i])) - 4.0 * extra)
+                lean = max(lean, _find_largest_lean(beyond, np.float64(limits.max_tilts[i])) - 4.0 * extra)
                 target_up = _approach_normal(target_up, n, max(_MAX_LEAN + extra, 0.5 * beyond), travel)
             target_up = _approach_normal(target_up, normal, lean, travel)
             target_heading = turn_heading(target_heading, mean, target_up)
-        up, turned, (tilt, full_tilt) = tilt_within(stands, look, target_up, limits.most[i])
+        up, turned, (tilt, full_tilt) = tilt_within(stands, look, target_up, limits.max_tilts[i])
         yaw = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0)) if limited else 4.0
         facing = turn_within(turned, turn_heading(target_heading, target_up, up), up, yaw)
         rise = 0.0
@@ -274,14 +275,14 @@ def aim_bodies(
             rise = profile_lift(ahead_points, ahead_count, shape, place, up, facing, MAX_LIFT_PER_BODY * size)
             rise = max(rise, profile_lift(behind_points, behind_count, shape, place, up, facing, MAX_LIFT_PER_BODY * size))
         lag = (np.float64(full_tilt) - np.float64(tilt) - _MIN_WAIT_LAG) / (_MAX_WAIT_LAG - _MIN_WAIT_LAG)
-        retained.wait[i] = _F(min(max(lag, 0.0), 1.0))
+        retained.wait_share[i] = _F(min(max(lag, 0.0), 1.0))
         retained.depth[i] = _F(0)
         lift = read_vector(retained.lift, i)
         change = minus(times(up, rise), lift)
         distance = np.sqrt(dot(change, change))
         lift = plus(lift, times(change, min(limits.ease * size / max(distance, 1e-300), 1.0)))
         for k in range(3):
-            now.up[k][i], now.heading[k][i] = _F(up[k]), _F(facing[k])
+            current_poses.up[k][i], current_poses.heading[k][i] = _F(up[k]), _F(facing[k])
             retained.lift[k][i] = _F(lift[k])
 
 
@@ -293,7 +294,7 @@ def _shift_outside_all(
     shape: BodyShape,
     stance: BodyStance,
     shift: Vec3,
-    most: F64,
+    max_angle: F64,
     turns: I64,
 ) -> BodyShift:
     """Return the shift that brings a body outside the ground and obstacles, and the greatest remaining depth.
@@ -301,19 +302,19 @@ def _shift_outside_all(
     A body that touches an obstacle then leaves the ground again."""
     table, pieces, boxes, buffers = ground
     faces = FaceList(buffers.numbers, _buffer(buffers, boxes, begin))
-    result = shift_outside(table, pieces, boxes, faces, shape, stance, shift, most, turns)
+    result = shift_outside(table, pieces, boxes, faces, shape, stance, shift, max_angle, turns)
     if things.boxes.triangle_order.size == 0:
         return result
     others = FaceList(things.buffers.numbers, _buffer(things.buffers, things.boxes, begin))
     for turn in range(2):
         other = shift_outside(
-            things.table, things.pieces, things.boxes, others, shape, stance, result.shift, most, turns if turn == 0 else 0
+            things.table, things.pieces, things.boxes, others, shape, stance, result.shift, max_angle, turns if turn == 0 else 0
         )
         change = minus(other.shift, result.shift)
         if turn == 0 and dot(change, change) > 0:
-            result = shift_outside(table, pieces, boxes, faces, shape, stance, other.shift, most, turns)
+            result = shift_outside(table, pieces, boxes, faces, shape, stance, other.shift, max_angle, turns)
         elif other.depth > result.depth:
-            result = BodyShift(result.shift, other.depth, other.out)
+            result = BodyShift(result.shift, other.depth, other.outward_direction)
     return result
 
 
@@ -322,7 +323,7 @@ def shift_bodies(
     ground: ContactFaces,
     things: ContactFaces,
     rows: Array1[I64],
-    stands: BodyStances,
+    stances: BodyStances,
     limits: BodyLimits,
     lift: VectorColumns,
     old: VectorColumns,
@@ -339,7 +340,7 @@ def shift_bodies(
     `old`: the shift of each of `rows` before the step. A body that would have to shift too far from it counts as deep inside.
     `turns`: as in `shift_outside`. `depths`, `outs` (3, k): receive the remaining depth of each of `rows` (body lengths), and the
     direction out."""
-    place, normals, pose = stands
+    place, normals, pose = stances
     for j in range(begin, end):
         i = rows[j]
         size = np.float64(limits.size[i])
@@ -349,8 +350,8 @@ def shift_bodies(
         result = _shift_outside_all(ground, things, begin, shape, stance, read_vector(lift, i), most, turns)
         change = minus(result.shift, read_vector(old, j))
         depths[j] = _F(result.depth / size) if size > 0 else _F(0)
-        if dot(change, change) > limits.jump * limits.jump * size * size:
+        if dot(change, change) > limits.max_shift * limits.max_shift * size * size:
             depths[j] = _F(1)
         for k in range(3):
-            outs[k, j] = _F(result.out[k])
+            outs[k, j] = _F(result.outward_direction[k])
             lift[k][i] = _F(result.shift[k])

@@ -186,8 +186,8 @@ def write_walls(
     wall: Array2[F64],
     ahead: Array2[F64],
     angle: Array1[F64],
-    far: Array1[F64],
-    over: Array1[F64],
+    distances: Array1[F64],
+    lengths: Array1[F64],
     half: Array1[F64],
     state: Array1[I32],
 ) -> I64:
@@ -232,7 +232,7 @@ def write_walls(
                 tilt = (1.0 - away / long) * turned
                 if cosine < _WALL_TURN_COSINE and away < long + 2 * sizes[h] and (not has_wall or tilt > best):
                     best, has_wall = tilt, True
-                    angle[count], far[count], over[count], half[count] = turned, away, long, halves[h]
+                    angle[count], distances[count], lengths[count], half[count] = turned, away, long, halves[h]
                     for axis in range(3):
                         wall[axis, count], ahead[axis, count] = normal[axis], direction[axis]
         if has_wall:

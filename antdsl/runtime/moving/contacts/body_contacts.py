@@ -34,7 +34,7 @@ class BodyShift(NamedTuple):
 
     shift: Vec3
     depth: F64
-    out: Vec3
+    outward_direction: Vec3
 
 
 @inlined
@@ -88,13 +88,13 @@ def shift_outside(
     shape: BodyShape,
     stance: BodyStance,
     shift: Vec3,
-    most: F64,
+    max_shift: F64,
     turns: I64,
 ) -> BodyShift:
     """Return the shift that brings a capsule outside all faces around it, starting from `shift`, and its remaining depth.
 
     Each of `turns` first moves the body off the faces that its axis crosses, then off the faces nearer than its radius. With 0
-    turns, only the depth is measured. The shift is at most `most` mm."""
+    turns, only the depth is measured. The shift is at most `max_shift` mm."""
     place, normal, up, heading, size = stance
     rest = plus(place, plus(times(up, shape.height), times(heading, shape.ahead)))
     tip = times(heading, shape.half + shape.radius)
@@ -150,6 +150,6 @@ def shift_outside(
         if depth <= _SLACK_PER_BODY * size:
             break
         long = np.sqrt(dot(shift, shift))
-        if long > most:
-            shift = times(shift, most / long)
+        if long > max_shift:
+            shift = times(shift, max_shift / long)
     return BodyShift(shift, depth, out)

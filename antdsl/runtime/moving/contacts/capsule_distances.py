@@ -75,8 +75,8 @@ class TrunkCapsules(NamedTuple):
 class CrowdBounds(NamedTuple):
     """The least and greatest x, y and z of the middles, and the least and greatest reach (mm). NaN if a value is not finite."""
 
-    least: tuple[F64, F64, F64, F64]
-    greatest: tuple[F64, F64, F64, F64]
+    lower_bounds: tuple[F64, F64, F64, F64]
+    upper_bounds: tuple[F64, F64, F64, F64]
 
 
 class TouchingPairCounts(NamedTuple):
@@ -111,7 +111,7 @@ def place_trunks(
     size: Array1[F32],
     shape: CapsuleShape,
     first: I64,
-    to: TrunkCapsules,
+    trunks: TrunkCapsules,
     extremes: Array2[F64],
 ) -> CrowdBounds:
     """Compute the capsules of a species at positions (3, n) mm, and store them from index `first` on.
@@ -119,7 +119,7 @@ def place_trunks(
     Returns the bounds of this species and all earlier ones.
     `extremes` (9, 64): partial bounds, one column for every 64th agent; initially from `empty_extremes`."""
     length, width, height, ahead = shape
-    half, radius, shift, reach, middle = to
+    half, radius, shift, reach, middle = trunks
     for begin in range(0, size.size, _AGENTS_PER_BATCH):
         for i in simd_range(begin, min(begin + _AGENTS_PER_BATCH, size.size)):
             row, column = first + i, i - begin
@@ -146,22 +146,22 @@ def place_trunks(
 
 
 @inlined
-def mean_up(one: Vec3, other: Vec3) -> Vec3:
+def mean_up(first: Vec3, second: Vec3) -> Vec3:
     """Return the unit vector between two up directions; zero if the agents are on opposite sides of something."""
-    between = plus(one, other)
-    factor = 0.0 if dot(one, other) < _OPPOSITE_SIDES_COSINE else 1 / np.sqrt(max(dot(between, between), 1e-12))
+    between = plus(first, second)
+    factor = 0.0 if dot(first, second) < _OPPOSITE_SIDES_COSINE else 1 / np.sqrt(max(dot(between, between), 1e-12))
     return times(between, factor)
 
 
 @inlined
-def find_separation(away: Vec3, a: Vec3, b: Vec3, between: Vec3, reach: F64, length: F64) -> tuple[Vec3, F64, Vec3]:
-    """Return the vector between the nearest points of two axes, measured across `between`.
+def find_separation(offset: Vec3, a: Vec3, b: Vec3, normal: Vec3, reach: F64, length: F64) -> tuple[Vec3, F64, Vec3]:
+    """Return the vector between the nearest points of two axes, measured across `normal`.
 
-    Also returns its height along `between`, and the vector between the middles across `between`. The nearest points of two
-    segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9.
-    `away`: from the second middle to the first. `a`, `b`: unit vectors along the axes. `reach`, `length`: their half lengths."""
-    flat = minus(away, times(between, dot(away, between)))
-    one, other = minus(a, times(between, dot(a, between))), minus(b, times(between, dot(b, between)))
+    Also returns its height along `normal`, and the vector between the middles across `normal`. The nearest points of two
+    segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. `offset`: from the second
+    middle to the first. `a`, `b`: unit vectors along the axes. `reach`, `length`: their half lengths."""
+    flat = minus(offset, times(normal, dot(offset, normal)))
+    one, other = minus(a, times(normal, dot(a, normal))), minus(b, times(normal, dot(b, normal)))
     aa, bb, ab = max(dot(one, one), 1e-9), max(dot(other, other), 1e-9), dot(one, other)
     c, f = dot(one, flat), dot(other, flat)
     skew = aa * bb - ab * ab
@@ -169,19 +169,19 @@ def find_separation(away: Vec3, a: Vec3, b: Vec3, between: Vec3, reach: F64, len
     s = min(max(s, -reach), reach)
     t = min(max((ab * s + f) / bb, -length), length)
     s = min(max((ab * t - c) / aa, -reach), reach)
-    separation = minus(plus(away, times(a, s)), times(b, t))
-    over = dot(separation, between)
-    return minus(separation, times(between, over)), over, flat
+    separation = minus(plus(offset, times(a, s)), times(b, t))
+    over = dot(separation, normal)
+    return minus(separation, times(normal, over)), over, flat
 
 
 @kernel_helper
 def _measure_gap(
-    away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, radius_sum: F64
+    offset: Vec3, a: Vec3, b: Vec3, first_up: Vec3, second_up: Vec3, reach: F64, length: F64, radius_sum: F64
 ) -> tuple[F64, Vec3, BOOL]:
     """Return the gap (mm) and separation axis of a pair, and whether the pair has no axis because both positions are equal.
 
     If the capsule axes cross, the separation axis is the direction between the middles."""
-    separation, over, flat = find_separation(away, a, b, mean_up(one, other), reach, length)
+    separation, over, flat = find_separation(offset, a, b, mean_up(first_up, second_up), reach, length)
     distance = np.sqrt(dot(separation, separation))
     margin = radius_sum * radius_sum - over * over
     gap = distance - np.sqrt(margin) if margin > 0 else np.inf
@@ -203,7 +203,7 @@ def measure_listed(
     direction: Array2[F64],
     pair_numbers: Array1[I64],
     count: I64,
-    lost: Array1[I64],
+    lost_pairs: Array1[I64],
 ) -> I64:
     """Measure the first `count` pairs in `pair_numbers`, as `measure_changed` does."""
     middle, ahead, up, half, radius = bodies
@@ -223,10 +223,10 @@ def measure_listed(
             half[q],
             radius[p] + radius[q],
         )
-        lost[n] = 1 if nowhere else 0
-    without = compact_indices(lost, count)
+        lost_pairs[n] = 1 if nowhere else 0
+    without = compact_indices(lost_pairs, count)
     for n in range(without):
-        lost[n] = pair_numbers[lost[n]]
+        lost_pairs[n] = pair_numbers[lost_pairs[n]]
     return without
 
 
@@ -240,44 +240,46 @@ def measure_changed(
     gap: Array1[F64],
     direction: Array2[F64],
     pair_numbers: Array1[I64],
-    lost: Array1[I64],
+    lost_pairs: Array1[I64],
 ) -> I64:
     """Write `gap` and `direction` of the pairs with a `changed` row, as described for `capsules.NearbyPairs.measure`.
 
-    Returns the number of pairs without a separation axis; these are listed at the start of `lost`. `pair_numbers`: a work
+    Returns the number of pairs without a separation axis; these are listed at the start of `lost_pairs`. `pair_numbers`: a work
     buffer."""
     for pair in simd_range(0, i.size):
         pair_numbers[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
-    return measure_listed(bodies, displacement, i, j, gap, direction, pair_numbers, compact_indices(pair_numbers, i.size), lost)
+    return measure_listed(
+        bodies, displacement, i, j, gap, direction, pair_numbers, compact_indices(pair_numbers, i.size), lost_pairs
+    )
 
 
 @kernel
 def measure_before_step(
     bodies: CapsuleArrays,
-    walked: Strided2[F64],
+    travel: Strided2[F64],
     i: Array1[I64],
     j: Array1[I64],
     gap: Array1[F64],
     direction: Array2[F64],
     depth: Array1[F64],
-    lost: Array1[I64],
+    lost_pairs: Array1[I64],
 ) -> I64:
     """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyPairs.measure_before_step`.
 
-    Returns the number of pairs without a separation axis; these are listed at the start of `lost`."""
+    Returns the number of pairs without a separation axis; these are listed at the start of `lost_pairs`."""
     middle, ahead, up, half, radius = bodies
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
             for side in range(2):
                 row = j[pair] if side else i[pair]
                 for axis in range(3):
-                    for vectors in (middle, walked, ahead, up):
+                    for vectors in (middle, travel, ahead, up):
                         prefetch(vectors, axis * depth.size + row)
                 prefetch(half, row)
                 prefetch(radius, row)
         for pair in simd_range(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
             p, q = i[pair], j[pair]
-            away = minus(minus(get_column(middle, p), get_column(walked, p)), minus(get_column(middle, q), get_column(walked, q)))
+            away = minus(minus(get_column(middle, p), get_column(travel, p)), minus(get_column(middle, q), get_column(travel, q)))
             gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_gap(
                 away,
                 get_column(ahead, p),
@@ -288,13 +290,13 @@ def measure_before_step(
                 half[q],
                 radius[p] + radius[q],
             )
-            lost[pair] = 1 if nowhere else 0
+            lost_pairs[pair] = 1 if nowhere else 0
     depth[:] = 0.0
     for pair in range(i.size):
         if gap[pair] < 0:
             p, q = i[pair], j[pair]
             depth[p], depth[q] = max(depth[p], -gap[pair]), max(depth[q], -gap[pair])
-    return compact_indices(lost, i.size)
+    return compact_indices(lost_pairs, i.size)
 
 
 @kernel
@@ -305,7 +307,7 @@ def select_touching_pairs(
     j: Array1[I64],
     gap: Array1[F64],
     direction: Array2[F64],
-    known: Array1[I64],
+    flags: Array1[I64],
     rows: Array1[I64],
     number: Array1[I64],
     all_pairs: BOOL,
@@ -313,7 +315,7 @@ def select_touching_pairs(
 ) -> TouchingPairCounts:
     """Select the pairs (`i`, `j`) that may touch, for `capsules.find_near_pairs`. Move them to the front of all pair arrays.
 
-    `known`: receives the indices of pairs without a separation axis. `number`: a work buffer.
+    `flags`: receives the indices of pairs without a separation axis. `number`: a work buffer.
     `all_pairs`: if False, select only pairs with a row that overlaps another row. The overlap must exceed `dead_zone_share` times
     the sum of both radii."""
     middle, ahead, up, half, radius = crowd
@@ -344,13 +346,13 @@ def select_touching_pairs(
                 wide,
             )
             i[pair], j[pair], gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]) = p, q, far, v
-            known[pair] = (_NO_AXIS_FLAG if nowhere else _MAY_TOUCH_FLAG) if far < wide * _CANDIDATE_DISTANCE_WIDTHS else 0
+            flags[pair] = (_NO_AXIS_FLAG if nowhere else _MAY_TOUCH_FLAG) if far < wide * _CANDIDATE_DISTANCE_WIDTHS else 0
     number[:] = 0
     pairs, lost, widest = 0, 0, 0.0
     for pair in range(i.size):  # stored unconditionally: the branch would be hard to predict
-        p, q, state = i[pair], j[pair], known[pair]
+        p, q, state = i[pair], j[pair], flags[pair]
         v = get_column(direction, pair)
-        i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
+        i[pairs], j[pairs], gap[pairs], flags[pairs] = p, q, gap[pair], state
         direction[0, pairs], direction[1, pairs], direction[2, pairs] = v
         pairs += 1 if state != 0 else 0
     for pair in range(pairs):
@@ -362,9 +364,9 @@ def select_touching_pairs(
         near = pairs
         pairs = 0
         for pair in range(near):
-            p, q, state = i[pair], j[pair], known[pair]
+            p, q, state = i[pair], j[pair], flags[pair]
             v = get_column(direction, pair)
-            i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
+            i[pairs], j[pairs], gap[pairs], flags[pairs] = p, q, gap[pair], state
             direction[0, pairs], direction[1, pairs], direction[2, pairs] = v
             one, other = number[p], number[q]
             if one == _OVERLAPPING_FLAG or other == _OVERLAPPING_FLAG:
@@ -377,18 +379,18 @@ def select_touching_pairs(
         count += 1 if mark != 0 else 0
     for pair in range(pairs):
         i[pair], j[pair] = number[i[pair]], number[j[pair]]
-        nowhere = known[pair] == _NO_AXIS_FLAG
-        known[lost] = pair
+        nowhere = flags[pair] == _NO_AXIS_FLAG
+        flags[lost] = pair
         lost += 1 if nowhere else 0
     return TouchingPairCounts(pairs, count, lost, widest)
 
 
 @kernel
-def gather_capsules(rows: Array1[I64], crowd: CrowdCapsules, to: CapsuleArrays) -> None:
-    """Write the capsules of the given rows to `to`."""
+def gather_capsules(rows: Array1[I64], crowd: CrowdCapsules, target: CapsuleArrays) -> None:
+    """Write the capsules of the given rows to `target`."""
     middle, ahead, up, half, radius = crowd
     for k in simd_range(0, rows.size):
         row = rows[k]
-        to.half[k], to.radius[k] = half[row], radius[row]
+        target.half[k], target.radius[k] = half[row], radius[row]
         for axis in range(3):
-            to.middle[axis, k], to.ahead[axis, k], to.up[axis, k] = middle[axis, row], ahead[axis][row], up[axis][row]
+            target.middle[axis, k], target.ahead[axis, k], target.up[axis, k] = middle[axis, row], ahead[axis][row], up[axis][row]

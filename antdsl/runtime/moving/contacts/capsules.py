@@ -119,9 +119,9 @@ class CapsuleCrowd:
     def __len__(self) -> int:
         return int(self.first[-1])
 
-    def concatenate_species(self, read: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
-        """Apply `read` to each species, and return the results concatenated along an axis."""
-        arrays = [read(population) for population in self.species]
+    def concatenate_species(self, read_column: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
+        """Apply `read_column` to each species, and return the results concatenated along an axis."""
+        arrays = [read_column(population) for population in self.species]
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
 
     def split_rows(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
@@ -144,7 +144,7 @@ class CapsuleCrowd:
 
 
 def _place_some_trunks(
-    stands: tuple[Floats, vec.VectorArrays, vec.VectorArrays, NDArray[np.float32]],
+    stances: tuple[Floats, vec.VectorArrays, vec.VectorArrays, NDArray[np.float32]],
     rows: Rows,
     shape: CapsuleShape,
     first: int,
@@ -154,7 +154,7 @@ def _place_some_trunks(
     """Compute the capsules of some rows of a species, as `place_trunks` does for all, and store them from index `first` on.
 
     Returns the bounds, as `place_trunks` does."""
-    place, heading, up, size = stands
+    place, heading, up, size = stances
     half, radius, ahead, reach = np.empty((4, len(rows)))
     subset = TrunkCapsules(half, radius, ahead, reach, np.empty((3, len(rows))))
     own = np.ascontiguousarray(place.take(rows, axis=1)), vec.take_rows(heading, rows), vec.take_rows(up, rows), size.take(rows)
@@ -193,13 +193,13 @@ class NearbyPairs:
         """Return the capsules of the rows as kernels read them."""
         return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius)
 
-    def measure_before_step(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return gaps and separation axes of all pairs before the rows `walked` (3, k) mm, with current headings.
+    def measure_before_step(self, travel: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return gaps and separation axes of all pairs before the rows `travel` (3, k) mm, with current headings.
 
         Also returns the greatest overlap (k) mm of each row."""
         pairs, rows = len(self.i), len(self.rows)
         gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
-        count = measure_before_step(self.bodies, walked, self.i, self.j, gap, direction, depth, lost)
+        count = measure_before_step(self.bodies, travel, self.i, self.j, gap, direction, depth, lost)
         self.draw_directions(direction, lost[:count])
         return gap, direction, depth
 

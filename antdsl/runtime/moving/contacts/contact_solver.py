@@ -174,12 +174,14 @@ class _PairAgents:
     is_frozen: Flags
 
     @staticmethod
-    def build(crowd: CapsuleCrowd, near: NearbyPairs, began: StartStances, dt: float) -> tuple[_PairAgents, Floats]:
+    def build(
+        crowd: CapsuleCrowd, nearby_pairs: NearbyPairs, start_stances: StartStances, dt: float
+    ) -> tuple[_PairAgents, Floats]:
         """Return these values, and the displacement (3, k) mm of each row from its start."""
-        rows = near.rows
+        rows = nearby_pairs.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.split_rows(rows):
-            feet = FootPositions(began.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
+            feet = FootPositions(start_stances.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
             write_stances(own, first, feet, dt, *vectors, reach, mass)
             first += len(own)
         start, walked, normal = vectors
@@ -188,7 +190,7 @@ class _PairAgents:
             len(rows) and mass.min() < mass.max()
         ):  # otherwise the sweeps would push a heavy agent as often as a light one cannot move away
             yields[:] = 0.0
-            for k, other in ((near.i, near.j), (near.j, near.i)):
+            for k, other in ((nearby_pairs.i, nearby_pairs.j), (nearby_pairs.j, nearby_pairs.i)):
                 one, two = mass.take(k), mass.take(other)
                 np.maximum.at(yields, k, np.minimum(2 * two / (one + two), 1.0))
         return _PairAgents(
@@ -197,11 +199,11 @@ class _PairAgents:
 
 
 def _solve_separation(
-    near: NearbyPairs,
+    nearby_pairs: NearbyPairs,
     agents: _PairAgents,
     is_selected: Flags,
     is_held: Flags,
-    walked: Floats,
+    travel: Floats,
     depth: Floats,
     effort: SolverEffort,
     share: float,
@@ -211,26 +213,30 @@ def _solve_separation(
     """Return the displacements (3, k) mm of rows that separate the pairs flagged in `is_selected` (m).
 
     Pairs are measured after steps were changed by `cut` (3, k) mm. `is_held`: rows that must not move farther.
-    `walked` (3, k) mm: the displacement of each row. `depth` (k) mm: the overlap of each row before the step. `work`: buffers for
-    kernels."""
-    magic = np.ldexp(1.5, int(np.frexp(near.max_radius)[1]) + 1 - SUM_BITS + 52)
+    `travel` (3, k) mm: the displacement of each row. `depth` (k) mm: the overlap of each row before the step.
+    `work`: buffers for kernels."""
+    magic = np.ldexp(1.5, int(np.frexp(nearby_pairs.max_radius)[1]) + 1 - SUM_BITS + 52)
     is_selected, displacement = is_selected.copy(), cut.copy()
-    looks, lost = effort.outer_iterations, np.empty(len(near.i), np.intp)
-    bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
-    pairs = (near.i, near.j, near.gap, near.direction, is_selected)
-    stand = (agents.mass, agents.push_share, agents.reach, depth, is_held, agents.normal, walked, cut)
+    looks, lost = effort.outer_iterations, np.empty(len(nearby_pairs.i), np.intp)
+    bodies = (nearby_pairs.middle, nearby_pairs.ahead, nearby_pairs.up, nearby_pairs.half, nearby_pairs.radius)
+    pairs = (nearby_pairs.i, nearby_pairs.j, nearby_pairs.gap, nearby_pairs.direction, is_selected)
+    stand = (agents.mass, agents.push_share, agents.reach, depth, is_held, agents.normal, travel, cut)
     while looks:
         looks, count = separate_pairs(bodies, pairs, stand, displacement, magic, looks, effort.sweeps, share, lost, work)
-        near.draw_directions(near.direction, lost[:count])
+        nearby_pairs.draw_directions(nearby_pairs.direction, lost[:count])
     return displacement
 
 
-def _restore_headings(crowd: CapsuleCrowd, near: NearbyPairs, stopped: Rows, facing: Mapping[str, VectorArrays]) -> None:
-    """Reset the headings of the `stopped` rows of `near` to those before the substep.
+def _restore_headings(
+    crowd: CapsuleCrowd, nearby_pairs: NearbyPairs, stopped_rows: Rows, facing: Mapping[str, VectorArrays]
+) -> None:
+    """Reset the headings of the `stopped_rows` rows of `nearby_pairs` to those before the substep.
 
     An agent that cannot walk because others surround it cannot turn either."""
-    rows, last = near.rows.take(stopped), 0
+    rows, last = nearby_pairs.rows.take(stopped_rows), 0
     for population, own in crowd.split_rows(rows):
         first, last = last, last + len(own)
         vectors = (facing[population.name], *(vec.get_vector_registers(population.now, name) for name in ("up", "heading")))
-        restore_headings(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)
+        restore_headings(
+            own, stopped_rows[first:last], rows[first:last], *vectors, crowd.ahead, nearby_pairs.ahead, nearby_pairs.middle
+        )

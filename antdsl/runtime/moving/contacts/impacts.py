@@ -47,12 +47,12 @@ class PathArrays(NamedTuple):
 class PathSearch(NamedTuple):
     """A search for pairs as `touching.PairSearch`: arguments of a kernel that visits pairs."""
 
-    asking: Agents
+    requester: Agents
     agents: Agents
     starts: Array1[I32]
     cells: I64
     shifts: Array1[I64]
-    own: BOOL
+    is_own: BOOL
 
 
 class PathPairs(NamedTuple):
@@ -66,15 +66,15 @@ class PathPairs(NamedTuple):
 
 @kernel
 def flag_long_steps(
-    place: Strided2[F64], began: Strided2[F64], half: Array1[F64], radius: Array1[F64], first: I64, flags: Array1[I64]
+    place: Strided2[F64], start_positions: Strided2[F64], half: Array1[F64], radius: Array1[F64], first: I64, flags: Array1[I64]
 ) -> I64:
     """Flag the agents of a species with steps so long that a contact along the path may be missed. Return their number.
 
-    `place`, `began` (n, 3) mm: end and start. `half`, `radius`, `flags`: arrays of the crowd, in which the species starts at
-    index `first`."""
+    `place`, `start_positions` (n, 3) mm: end and start. `half`, `radius`, `flags`: arrays of the crowd, in which the species
+    starts at index `first`."""
     total = 0
     for k in simd_range(0, place.shape[0]):
-        x, y, z = place[k, 0] - began[k, 0], place[k, 1] - began[k, 1], place[k, 2] - began[k, 2]
+        x, y, z = place[k, 0] - start_positions[k, 0], place[k, 1] - start_positions[k, 1], place[k, 2] - start_positions[k, 2]
         wide, squared = radius[first + k], (x * x + y * y) + z * z
         far = wide * _LONG_STEP_RADII + min(half[first + k], wide * _LONG_STEP_HALVES_RADII)
         flags[first + k] = 1 if (squared > far * far) & (wide > 0) & np.isfinite(squared) else 0
@@ -86,48 +86,48 @@ def flag_long_steps(
 @kernel
 def fill_paths(
     place: Strided2[F64],
-    began: Strided2[F64],
+    start_positions: Strided2[F64],
     normal: Strided2[F32],
     ahead: VectorColumns,
     up: VectorColumns,
     mass: Array1[F32],
     first: I64,
-    to: PathArrays,
+    paths: PathArrays,
 ) -> None:
-    """Write the paths of the agents of a species, from index `first` on. On entry, `to.middle` has the middles at the end.
+    """Write the paths of the agents of a species, from index `first` on. On entry, `paths.middle` has the middles at the end.
 
-    `place`, `began` (n, 3) mm: end and start. `normal` (n, 3): normals of the ground at the start."""
+    `place`, `start_positions` (n, 3) mm: end and start. `normal` (n, 3): normals of the ground at the start."""
     for k in simd_range(0, place.shape[0]):
         row = first + k
-        x, y, z = place[k, 0] - began[k, 0], place[k, 1] - began[k, 1], place[k, 2] - began[k, 2]
+        x, y, z = place[k, 0] - start_positions[k, 0], place[k, 1] - start_positions[k, 1], place[k, 2] - start_positions[k, 2]
         path = (x, y, z)
         one = (np.float64(normal[k, 0]), np.float64(normal[k, 1]), np.float64(normal[k, 2]))
         other = (np.float64(up[0][k]), np.float64(up[1][k]), np.float64(up[2][k]))
         bend = minus(other, one)
-        middle = minus(get_column(to.middle, row), path)
-        store_column(to.middle, row, middle)
-        store_column(to.displacement, row, path)
-        store_column(to.ahead, row, (np.float64(ahead[0][k]), np.float64(ahead[1][k]), np.float64(ahead[2][k])))
+        middle = minus(get_column(paths.middle, row), path)
+        store_column(paths.middle, row, middle)
+        store_column(paths.displacement, row, path)
+        store_column(paths.ahead, row, (np.float64(ahead[0][k]), np.float64(ahead[1][k]), np.float64(ahead[2][k])))
         between = mean_up(one, other)
         for axis in range(3):
-            to.up[axis, row] = between[axis] if dot(between, between) > 0 else other[axis]
-        to.sag[row] = np.sqrt(dot(path, path)) * np.sqrt(dot(bend, bend)) * 0.25  # the distance of an arc from its chord
-        to.mass[row] = max(np.float64(mass[k]), 1e-30)
+            paths.up[axis, row] = between[axis] if dot(between, between) > 0 else other[axis]
+        paths.sag[row] = np.sqrt(dot(path, path)) * np.sqrt(dot(bend, bend)) * 0.25  # the distance of an arc from its chord
+        paths.mass[row] = max(np.float64(mass[k]), 1e-30)
 
 
 @inlined
-def _squash(v: Vec3, between: Vec3, part: F64) -> Vec3:
-    """Return a vector with its component along `between` reduced by the share `part`."""
-    return minus(v, times(between, dot(v, between) * part))
+def _squash(v: Vec3, normal: Vec3, part: F64) -> Vec3:
+    """Return a vector with its component along `normal` reduced by the share `part`."""
+    return minus(v, times(normal, dot(v, normal) * part))
 
 
 @kernel_helper
-def find_impact(paths: PathArrays, p: I64, q: I64, moves: Vec3, share: F64) -> tuple[F64, Vec3]:
+def find_impact(paths: PathArrays, p: I64, q: I64, relative_displacement: Vec3, share: F64) -> tuple[F64, Vec3]:
     """Return when two bodies meet, and the direction along the ground from the second to the first. The time is `NEVER` if they
     do not meet.
 
-    `moves` (mm): the relative displacement. `share`: the share of both radii that counts as contact. On curved ground, heights
-    count less. So two arcs over one hill meet although their chords do not."""
+    `relative_displacement` (mm): the relative displacement. `share`: the share of both radii that counts as contact. On curved
+    ground, heights count less. So two arcs over one hill meet although their chords do not."""
     wide, sag = (paths.radius[p] + paths.radius[q]) * share, paths.sag[p] + paths.sag[q]
     between, part = mean_up(get_column(paths.up, p), get_column(paths.up, q)), 1 - wide / max(wide + sag * 2, 1e-300)
     away, a, b = (
@@ -135,18 +135,23 @@ def find_impact(paths: PathArrays, p: I64, q: I64, moves: Vec3, share: F64) -> t
         get_column(paths.ahead, p),
         get_column(paths.ahead, q),
     )
-    away, moves = _squash(away, between, part), _squash(moves, between, part)
-    a, b, far, time = _squash(a, between, part), _squash(b, between, part), np.sqrt(dot(moves, moves)), 0.0
+    away, relative_displacement = _squash(away, between, part), _squash(relative_displacement, between, part)
+    a, b, far, time = (
+        _squash(a, between, part),
+        _squash(b, between, part),
+        np.sqrt(dot(relative_displacement, relative_displacement)),
+        0.0,
+    )
     across = (0.0, 0.0, 0.0)
     for _ in range(_ITERATIONS):
-        middle = plus(away, times(moves, time))
+        middle = plus(away, times(relative_displacement, time))
         separation, _, _ = find_separation(middle, a, b, (0.0, 0.0, 0.0), paths.half[p], paths.half[q])
         size = max(np.sqrt(dot(separation, separation)), 1e-300)
         direction = times(separation, 1 / size)
         flat = minus(separation, times(between, dot(separation, between)))
         long = np.sqrt(dot(flat, flat))
         across = times(flat, 1 / long) if long > wide * _MIN_FLAT_SHARE else direction
-        rate, gap = dot(direction, moves), size - wide
+        rate, gap = dot(direction, relative_displacement), size - wide
         if not rate < -far * _APPROACH_TOLERANCE:
             return NEVER, across
         if gap <= wide * _TOUCH_TOLERANCE:
@@ -171,19 +176,25 @@ def _are_paths_near(paths: PathArrays, p: I64, q: I64) -> BOOL:
 
 @kernel
 def list_path_pairs(
-    search: PathSearch, paths: PathArrays, rank: Array1[I64], active: Array1[I64], only_impacts: BOOL, used: I64, to: PathPairs
+    search: PathSearch,
+    paths: PathArrays,
+    rank: Array1[I64],
+    active: Array1[I64],
+    only_impacts: BOOL,
+    used_count: I64,
+    pairs: PathPairs,
 ) -> I64:
-    """Append the pairs with an `active` row and near paths to the first `used` pairs of `to`. Return the new number of pairs, or
-    -1 if the arrays are too short.
+    """Append the pairs with an `active` row and near paths to the first `used_count` pairs of `pairs`. Return the new number of
+    pairs, or -1 if the arrays are too short.
 
     `rank` (n): defines which row of a pair is the first. `only_impacts`: append only pairs that pass through each other. Bodies
     that touch at the start count only if they can pass to the other side."""
-    (asks, asking_rows, asking_keys), (ordered, rows, _) = search.asking, search.agents
+    (asks, asking_rows, asking_keys), (ordered, rows, _) = search.requester, search.agents
     for at in range(asking_rows.size):
         (x, y, z, extent), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]
         for span in range(search.shifts.size):
             key = asking_keys[at] + search.shifts[span]
-            first = find_span_start(search.agents, search.starts, search.cells, search.own, at, span, key)
+            first = find_span_start(search.agents, search.starts, search.cells, search.is_own, at, span, key)
             last = find_span_end(search.agents, search.starts, search.cells, key)
             for n in range(first, last):
                 b = rows[n]
@@ -210,9 +221,9 @@ def list_path_pairs(
                     time, direction = find_impact(paths, p, q, moves, 1.0)
                     if time > 1.0 or (time <= 0.0 and far < wide * _GRAZE_RADII):
                         continue
-                if used >= to.i.size:
+                if used_count >= pairs.i.size:
                     return -1
-                to.i[used], to.j[used], to.time[used] = p, q, time
-                store_column(to.direction, used, direction)
-                used += 1
-    return used
+                pairs.i[used_count], pairs.j[used_count], pairs.time[used_count] = p, q, time
+                store_column(pairs.direction, used_count, direction)
+                used_count += 1
+    return used_count

@@ -14,12 +14,12 @@ LOAD_REGISTER = "wear#load"  # whether the body of an agent shows its load
 
 @kernel
 def extend_trunks(
-    carries: Array1[BOOL], heading: VectorColumns, size: Array1[F32], front: F64, first: I64, to: TrunkCapsules
+    carries: Array1[BOOL], heading: VectorColumns, size: Array1[F32], front: F64, first: I64, trunks: TrunkCapsules
 ) -> BOOL:
     """Extend the capsules of the agents of a species that carry a load, to `front` body lengths ahead of the feet.
 
     Return whether any agent carries a load. The capsules are those from index `first` on, as `place_trunks` stored them."""
-    half, radius, shift, reach, middle = to
+    half, radius, shift, reach, middle = trunks
     has_loads = False
     for i in simd_range(0, size.size):
         row = first + i

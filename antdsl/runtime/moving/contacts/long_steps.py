@@ -40,52 +40,59 @@ class StartPositions:
     normals: Mapping[str, NDArray[np.float32]]
 
 
-def find_long_steps(crowd: CapsuleCrowd, began: StartPositions) -> NDArray[np.int64] | None:
+def find_long_steps(crowd: CapsuleCrowd, start_positions: StartPositions) -> NDArray[np.int64] | None:
     """Return flags (n) of the agents of a crowd with long steps; None if no agent has one."""
     flags, total = np.empty(len(crowd), np.int64), 0
     for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
-        start = began.positions[population.name]
+        start = start_positions.positions[population.name]
         total += flag_long_steps(population.position, start, crowd.half, crowd.radius, first, flags)
     return flags if total else None
 
 
 def stop_long_steps(
-    world: World, began: StartPositions, long: NDArray[np.int64], near: NearbyPairs, cut: Floats, dt: float
+    world: World,
+    start_positions: StartPositions,
+    long_flags: NDArray[np.int64],
+    nearby_pairs: NearbyPairs,
+    cut: Floats,
+    dt: float,
 ) -> bool:
     """Stop agents that would pass through others in a substep of `dt` s. Return whether there was such an agent.
 
-    `long` (n): flags of long steps. `near`: pairs that are near each other at the end. `cut` (3, k) mm: the corrections of their
-    steps by contacts. If any agent is stopped, this function also applies these corrections."""
+    `long_flags` (n): flags of long steps. `nearby_pairs`: pairs that are near each other at the end. `cut` (3, k) mm: the
+    corrections of their steps by contacts. If any agent is stopped, this function also applies these corrections."""
     crowd = CapsuleCrowd(world)
-    paths, rank = _fill_paths(crowd, began), invert_order(sort_stably(crowd.agent_keys)).astype(np.int64)
+    paths, rank = _fill_paths(crowd, start_positions), invert_order(sort_stably(crowd.agent_keys)).astype(np.int64)
     walked = paths.displacement.copy()
-    paths.displacement[:, near.rows] += cut
-    hits = _without_near(_list_pairs(paths, rank, long, True), near, rank)
+    paths.displacement[:, nearby_pairs.rows] += cut
+    hits = _without_near(_list_pairs(paths, rank, long_flags, True), nearby_pairs, rank)
     if not len(hits.i):
         return False
     touched = _bend_paths(crowd, paths, hits, dt)
-    _shorten_paths(paths, _list_pairs(paths, rank, long | touched, False), touched)
+    _shorten_paths(paths, _list_pairs(paths, rank, long_flags | touched, False), touched)
     moved, corrections = np.empty(len(crowd), np.int64), np.empty_like(walked)
     size = list_corrections(paths.displacement, walked, moved, corrections)
-    CorrectionWalker(crowd, began.positions, dt).walk(moved[:size], corrections[:, :size])
+    CorrectionWalker(crowd, start_positions.positions, dt).walk(moved[:size], corrections[:, :size])
     return True
 
 
-def _without_near(hits: PathPairs, near: NearbyPairs, rank: NDArray[np.int64]) -> PathPairs:
+def _without_near(hits: PathPairs, nearby_pairs: NearbyPairs, rank: NDArray[np.int64]) -> PathPairs:
     """Return the pairs that collide on their paths but are not near each other at the end."""
-    known = rank[near.rows.take(near.i)] * len(rank) + rank[near.rows.take(near.j)]
+    known = rank[nearby_pairs.rows.take(nearby_pairs.i)] * len(rank) + rank[nearby_pairs.rows.take(nearby_pairs.j)]
     others = np.flatnonzero(~np.isin(rank[hits.i] * len(rank) + rank[hits.j], known))
     return PathPairs(hits.i.take(others), hits.j.take(others), hits.time.take(others), hits.direction.take(others, axis=1))
 
 
-def _fill_paths(crowd: CapsuleCrowd, began: StartPositions) -> PathArrays:
+def _fill_paths(crowd: CapsuleCrowd, start_positions: StartPositions) -> PathArrays:
     """Return the capsules and straight paths of all agents in this substep."""
     (displacement, ahead, up), (sag, mass) = np.empty((3, 3, len(crowd))), np.empty((2, len(crowd)))
     paths = PathArrays(crowd.middle.copy(), displacement, ahead, up, crowd.half, crowd.radius, sag, mass)
     for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
         now, name = population.now, population.name
         axes = (vec.get_vector_registers(now, "heading"), vec.get_vector_registers(now, "up"))
-        fill_paths(population.position, began.positions[name], began.normals[name], *axes, now["mass"], first, paths)
+        fill_paths(
+            population.position, start_positions.positions[name], start_positions.normals[name], *axes, now["mass"], first, paths
+        )
     return paths
 
 
@@ -122,10 +129,10 @@ def _bend_paths(crowd: CapsuleCrowd, paths: PathArrays, hits: PathPairs, dt: flo
     return changed
 
 
-def _shorten_paths(paths: PathArrays, pairs: PathPairs, touched: Flags) -> None:
-    """Shorten paths until no pair with a `touched` row (n) meets. Each shortened row becomes touched, too."""
-    latest, first, factor = touched.copy(), *np.empty((2, len(touched)))
+def _shorten_paths(paths: PathArrays, pairs: PathPairs, touched_flags: Flags) -> None:
+    """Shorten paths until no pair with a `touched_flags` row (n) meets. Each shortened row becomes touched, too."""
+    latest, first, factor = touched_flags.copy(), *np.empty((2, len(touched_flags)))
     for turn in count():
-        if not find_next_impacts(pairs, paths, touched, latest, first):
+        if not find_next_impacts(pairs, paths, touched_flags, latest, first):
             return
-        shorten_paths(pairs, paths, first, turn < _EXACT_PASSES, turn >= _MAX_PASSES, factor, touched, latest)
+        shorten_paths(pairs, paths, first, turn < _EXACT_PASSES, turn >= _MAX_PASSES, factor, touched_flags, latest)

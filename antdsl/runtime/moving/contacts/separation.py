@@ -81,14 +81,14 @@ def _round_term(term: F64) -> F64:
 
 @kernel
 def restore_headings(
-    rows: Array1[I64], stopped: Array1[I64], crowd_rows: Array1[I64], previous_heading: VectorColumns, up: VectorColumns,
+    rows: Array1[I64], stopped_rows: Array1[I64], crowd_rows: Array1[I64], previous_heading: VectorColumns, up: VectorColumns,
     heading: VectorColumns, shift: Array1[F64], ahead: Array2[F64], middle: Array2[F64],
 ) -> None:  # fmt: skip
     """Reset headings and trunks of the given rows of a species to those before the substep.
 
-    `stopped`: indices of the rows among all rows in pairs. `crowd_rows`: their indices in the crowd."""
+    `stopped_rows`: indices of the rows among all rows in pairs. `crowd_rows`: their indices in the crowd."""
     for n in simd_range(0, rows.size):
-        row, k = rows[n], stopped[n]
+        row, k = rows[n], stopped_rows[n]
         above = (up[0][row], up[1][row], up[2][row])
         direction = (previous_heading[0][row], previous_heading[1][row], previous_heading[2][row])
         direction = minus(direction, times(above, dot(direction, above)))
@@ -168,12 +168,12 @@ def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
 @kernel
 def separate_pairs(
     bodies: CapsuleArrays, pairs: PairArrays, agents: AgentArrays, displacement: Array2[F64], magic: F64,
-    outer_iterations: I64, sweeps: I64, relaxation: F64, lost: Array1[I64], buffers: SolverBuffers,
+    outer_iterations: I64, sweeps: I64, relaxation: F64, lost_pairs: Array1[I64], buffers: SolverBuffers,
 ) -> tuple[I64, I64]:  # fmt: skip
     """Separate pairs in `outer_iterations` measurements with `sweeps` sweeps each, by a share `relaxation` of their overlap.
 
     Changes `gap`, `direction` and `which` of the pairs, and `displacement` (mm). Stops if pairs without a separation axis occur.
-    Then returns the number of remaining outer iterations and of these pairs, which are listed at the start of `lost`."""
+    Then returns the number of remaining outer iterations and of these pairs, which are listed at the start of `lost_pairs`."""
     radius = bodies.radius
     i, j, gap, direction, which = pairs
     number, row_list, changed = buffers[3][_NUMBER_ROW], buffers[3][_ROW_LIST_ROW], buffers[4]
@@ -199,7 +199,7 @@ def separate_pairs(
                     if i[pair] == row or not changed[i[pair]]:
                         chosen[count] = pair
                         count += 1
-        without = measure_listed(bodies, displacement, i, j, gap, direction, chosen, count, lost)
+        without = measure_listed(bodies, displacement, i, j, gap, direction, chosen, count, lost_pairs)
         for n in range(touch):
             pair = touching[n]
             touching[kept_count] = pair

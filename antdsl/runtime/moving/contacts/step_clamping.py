@@ -22,9 +22,9 @@ _MAX_DEFLECTIONS = 3  # deflections of a step along agents ahead, before it is s
 
 
 def clamp_steps(
-    near: NearbyPairs, approach: Floats, mass: Floats, walked: Floats, gap: Floats, direction: Floats
+    nearby_pairs: NearbyPairs, approach: Floats, mass: Floats, travel: Floats, gap: Floats, direction: Floats
 ) -> tuple[Floats, Rows, Flags]:
-    """Cut and deflect the steps of rows that `walked` (3, k) mm, so that no agent enters another.
+    """Cut and deflect the steps of rows that `travel` (3, k) mm, so that no agent enters another.
 
     Returns the corrections (3, k) mm, the stopped rows, and flags (k) of rows that are cut or stopped. An agent is stopped if
     less than half of its step remains.
@@ -35,18 +35,20 @@ def clamp_steps(
     Towards a neighbour it walks at most half of the gap, plus the neighbour's withdrawal if that continues its previous
     displacement. Since limits are shared in this way, agents need no iteration, and a pressing crowd comes to rest. Of two
     masses, the heavier is cut less."""
-    magic = sum_magic(walked)
-    rows, pairs = len(near.rows), len(gap)
+    magic = sum_magic(travel)
+    rows, pairs = len(nearby_pairs.rows), len(gap)
     (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
     meeting_counts, bent_rows, stopped = np.empty((3, rows), np.intp)
     buffers = ClampBuffers(np.empty((2, pairs)), sums, part, meeting_counts, bent_rows, np.empty(pairs, np.intp))
-    count = _deflect_steps(near.i, near.j, gap, direction, approach, mass, walked, magic, buffers, short, stopped, changed)
+    count = _deflect_steps(
+        nearby_pairs.i, nearby_pairs.j, gap, direction, approach, mass, travel, magic, buffers, short, stopped, changed
+    )
     return short, stopped[:count], changed
 
 
-def sum_magic(walked: Floats) -> float:
+def sum_magic(travel: Floats) -> float:
     """Return the number that defines the rounding quantum of sums of steps of the given lengths, for `add_rounded`."""
-    most = max(walked.max(), -walked.min(), 1e-30)
+    most = max(travel.max(), -travel.min(), 1e-30)
     return float(np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52))
 
 
@@ -63,10 +65,10 @@ def negate(v: Vec3) -> Vec3:
 
 
 @inlined
-def compute_heavier_share(mass: Array1[F64], own: I64, other: I64) -> F64:
+def compute_heavier_share(mass: Array1[F64], first: I64, second: I64) -> F64:
     """Return by how much the first of two rows is heavier: 0 for equal masses or a lighter row, almost 1 for a much heavier
     row."""
-    return 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
+    return 1 - min(2 * mass[second] / (mass[first] + mass[second]), 1.0)
 
 
 class ClampBuffers(NamedTuple):
@@ -86,25 +88,25 @@ def bend_along(
     i: Array1[I64],
     j: Array1[I64],
     direction: Array2[F64],
-    walked: Array2[F64],
+    travel: Array2[F64],
     magic: F64,
     buffers: ClampBuffers,
     cut: Array2[F64],
-    stopped: Array1[I64],
+    stopped_rows: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
     """Deflect and cut steps along the limits in `buffers.free_gaps`. Return the number of stopped rows.
 
     `buffers.pairs` flags the pairs with a step beyond a limit.
     `cut` (3, k): receives the corrections (mm). `changed`: receives flags of changed rows.
-    `stopped`: receives the stopped rows at its start.
+    `stopped_rows`: receives the stopped rows at its start.
     After a pass over all pairs, only pairs with a deflected row are visited again, because no other step has changed."""
     free, sums, part, meeting_counts, bent_rows, pairs = buffers
     count, rows = compact_indices(pairs, i.size), 0
     meeting_counts[:] = 0
     part[:] = 1.0
     for k in simd_range(0, part.size):
-        store_column(cut, k, get_column(walked, k))
+        store_column(cut, k, get_column(travel, k))
     for bend in range(_MAX_DEFLECTIONS):
         has_overlap = False
         for n in range(count):
@@ -146,14 +148,14 @@ def bend_along(
                 part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
             pair_direction = negate(pair_direction)
     for k in simd_range(0, part.size):
-        way_on = get_column(walked, k)
+        way_on = get_column(travel, k)
         step = times(get_column(cut, k), part[k])
         short = minus(step, way_on)
         store_column(cut, k, short)
         held = dot(step, step) < _STOPPED_DISTANCE_SHARE * _STOPPED_DISTANCE_SHARE * dot(way_on, way_on)
-        stopped[k] = 1 if held else 0
+        stopped_rows[k] = 1 if held else 0
         changed[k] = held | (short[0] != 0) | (short[1] != 0) | (short[2] != 0)
-    return compact_indices(stopped, part.size)
+    return compact_indices(stopped_rows, part.size)
 
 
 @kernel
@@ -164,11 +166,11 @@ def _deflect_steps(
     direction: Array2[F64],
     approach: Array2[F64],
     mass: Array1[F64],
-    walked: Array2[F64],
+    travel: Array2[F64],
     magic: F64,
     buffers: ClampBuffers,
     cut: Array2[F64],
-    stopped: Array1[I64],
+    stopped_rows: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
     """Deflect and cut steps as `clamp_steps` describes. Return the number of stopped rows. The results are as in `bend_along`."""
@@ -177,11 +179,11 @@ def _deflect_steps(
         pair_direction, over = get_column(direction, pair), 0
         for side in range(2):
             own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
-            towards = -dot(pair_direction, get_column(walked, own))
+            towards = -dot(pair_direction, get_column(travel, own))
             far = max(gap[pair], 0.0) * 0.5 + max(-dot(pair_direction, get_column(approach, other)), 0.0)
             far += compute_heavier_share(mass, own, other) * max(towards - far, 0.0)
             free[side, pair] = far
             over = 1 if towards - far > 0 else over
             pair_direction = negate(pair_direction)
         pairs[pair] = over
-    return bend_along(i, j, direction, walked, magic, buffers, cut, stopped, changed)
+    return bend_along(i, j, direction, travel, magic, buffers, cut, stopped_rows, changed)
