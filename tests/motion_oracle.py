@@ -274,6 +274,6 @@ def substep(ground, crowd, total: float, dt: float, first: bool) -> list[Agent]:
     step, looking = (np.array([getattr(agent, name) for agent in agents]) for name in ("step", "looking"))
     moved = ground.move(crowd.footing, step, looking, crowd.normal.astype(float), crowd.now["size"].astype(float))
     for i, agent in enumerate(agents):
-        agent.arrive(moved.position[i], moved.up[i], moved.heading[i], moved.direction[i], bool(moved.blocked[i]), dt)
+        agent.arrive(moved.position[i], moved.up[i], moved.heading[i], moved.direction[i], bool(moved.is_blocked[i]), dt)
         agent.follow(dt)
     return agents

@@ -34,7 +34,7 @@ def place_scripted_agents(
     free_ids: Mapping[str, Ids],
     next_ids: Mapping[str, int],
 ) -> None:
-    """Copy all agents of a frame into a world, except the free ones (`free_ids`, by species), whose state does not change. Their
+    """Copy all agents of a frame into a world, except the free ones (`free_ids`, by species), which keep their state. Their
     velocities lead to their positions in the next frame (`next_arrays`), where free agents meet them. Agents that the frame
     lacks are removed. Agents that the world lacks are added: copies made by an edit like their original (`next_ids`: the first
     id of a copy), others like the agent with the nearest lower id."""
