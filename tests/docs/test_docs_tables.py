@@ -100,6 +100,7 @@ PARITY_IDS = [
     *(f"P{n:02}" for n in range(1, 19)),
     *(f"H{n:02}" for n in range(1, 16)),
     *(f"R{n:02}" for n in range(1, 17)),
+    *(f"D{n:02}" for n in range(1, 11)),
     *(f"X{n}" for n in range(1, 20)),
 ]
 

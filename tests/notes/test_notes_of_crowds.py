@@ -256,6 +256,32 @@ def test_no_agent_comes_near_an_agent_with_a_forbidden_ball_around_it(tmp_path: 
     assert np.linalg.norm((hero[-1] - (40, 0, 0))[[0, 2]]) < 4  # its own region does not stop it
 
 
+def test_the_crowd_parts_for_an_agent_that_walks_through_it(tmp_path: Path) -> None:
+    path = "{path: guards.0, along: [[-40, 0, 0], [40, 0, 0]], frames: 30..150}"
+
+    def measure(*notes: str) -> tuple[np.ndarray, Track]:
+        track = follow(open_directed(tmp_path / str(len(notes)), path, *notes, count=80, last=150), 150)
+        place = track.values["position"][track.frames.index(60) :]
+        return np.linalg.norm(place[:, 1:] - place[:, :1], axis=2).min(axis=1), track
+
+    nearest, track = measure("{part: ant, for: guards.0, distance: 40 mm, frames: 24..150}")
+    usual, _ = measure()
+    assert nearest.min() > 9 > usual.min() + 2 and nearest.mean() > usual.mean() + 5, (nearest.min(), usual.min())
+    assert np.linalg.norm((track.of("position", 0)[-1] - (40, 0, 0))[[0, 2]]) < 4  # it does not make way for itself
+
+
+def test_the_three_nearest_to_a_camera_look_at_it(tmp_path: Path) -> None:
+    shot = open_directed(tmp_path, "{look: {of: ant, near: front, most: 3}, at: {head: front}, frames: 5..80}")
+    world = start(shot)
+    for _ in range(3):
+        step(world)
+    assert world.notes is not None
+    (active,) = world.notes.active
+    ants = world.populations["ant"]
+    distance = np.linalg.norm(ants.position - (20, 90, -150), axis=1)  # they walk less than 4 mm since the note began
+    assert len(active.rows["ant"]) == 3 and distance[active.rows["ant"]].max() < np.sort(distance)[2] + 8
+
+
 def test_a_ball_follows_several_agents_and_ends_with_them(tmp_path: Path) -> None:
     note = "{slow: guards, in: {around: [guards.1, guards.2], radius: 40 mm}, speed: 10 %}"
     track = follow(open_directed(tmp_path, note, count=60), 30)

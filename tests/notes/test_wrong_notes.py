@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import cProfile
+import pstats
 from pathlib import Path
 
 import pytest
-from directed import PROGRAM, open_directed
+from directed import PROGRAM, open_directed, start
 
 from antdsl.pipeline import RunChoices, check_path, open_scene
+from antdsl.runtime import step
 
 WRONG = [
     ("{hald: ant}", "wrong-value", "`hald` is not a verb of notes", "did you mean `hold`?", "{hald: ant}"),
@@ -33,7 +36,7 @@ WRONG = [
     ("{hold: guards, near: frint, within: 3 mm}",
      "unknown-thing", "no crowd line, species, item or camera is named `frint`", "did you mean `front`?", "frint"),
     ("{part: ant, for: food, distance: 4 mm}",
-     "unknown-thing", "no mesh or item is named `food`", "did you mean `foot`?", "food"),
+     "unknown-thing", "no mesh, item, crowd line or species is named `food`", "did you mean `foot`?", "food"),
     ("{slow: ant, in: {around: stome, radius: 4 mm}}",
      "unknown-thing", "no item, crowd line or species is named `stome`", "did you mean `stone`?", "stome"),
     ("{forbid: ant, in: {around: {of: gards}, radius: 4 mm}}",
@@ -42,6 +45,9 @@ WRONG = [
      "unknown-thing", "no crowd line, species, item, camera or mesh is named `frint`", "did you mean `front`?", "frint"),
     ("{reach: guards.1, target: foot, frame: 9}",
      "unknown-thing", "no crowd line, species, item or camera is named `foot`", None, "foot"),
+    ("{kill: ant, frame: 60}", "wrong-value", "`kill` is not a verb of notes", "are those of `antdsl edit`", None),
+    ("{hold: ant, near: leaf}", "wrong-value", "`near` has no effect without `within` or `most`", "or `most: 3`", None),
+    ("{hold: ant, most: 3}", "wrong-value", "`most` has no effect without `near`", "add `near:", None),
     ("{slow: ant, painted: mad}", "unknown-thing", "no program has a map `mad`", "did you mean `mud`?", "mad"),
     ("{slow: ant, falloff: 4 mm}", "wrong-value", "`falloff` has no effect without `in`", "add `in:", None),
     ("{forbid: ant}", "missing-key", "has no `in`", "add `in: …`", None),
@@ -84,6 +90,12 @@ def test_check_warns_of_targets_that_are_too_far(tmp_path: Path) -> None:
 def test_a_scene_without_notes_pays_nothing(tmp_path: Path) -> None:
     shot = open_directed(tmp_path)
     assert shot.setting.notes == () and shot.program.species["ant"].machines[0].states[0].transitions[0].key.endswith("rest#1")
-    from directed import start
-
-    assert start(shot).notes is None
+    world = start(shot)
+    assert world.notes is None
+    profile = cProfile.Profile()
+    profile.enable()
+    for _ in range(5):
+        step(world)
+    profile.disable()
+    files = [file for file, _, _ in pstats.Stats(profile).stats]  # type: ignore[attr-defined]
+    assert len(files) > 200 and not [file for file in files if "notes" in Path(file).parts]

@@ -114,7 +114,7 @@ def test_a_value_that_is_wrong_is_reported_at_its_key_and_changes_nothing(page: 
         ("hold", "guards", {"look_at": "{head: leef}"}, "look_at", "`leef`"),
         ("hold", "guards", {"frames": "1..3, off: yes"}, "frames", "another key, `off`"),
         ("hold", "guards", {"frames": "1..3}, {a: b"}, "frames", ""),
-        ("hold", "guards", {"near": "leaf"}, "", "no effect without `within`"),
+        ("hold", "guards", {"near": "leaf"}, "", "no effect without `within` or `most`"),
         ("reach", "guards.1", {"target": "leaf"}, "frame", "missing"),
         ("reach", "guards.1", {}, "target", "missing"),
         ("set", "guards", {"to": "{max_speed: 3 kg}"}, "to", "is a speed, not a mass"),

@@ -69,7 +69,7 @@ _TEXT = KeyKind("text")  # of keys without a kind: pages show a plain field
 _CLIP = KeyKind("clip", "", "walk", "a clip of the body")
 _STATE = KeyKind("state", "", "rest", "a state of the program")
 _MAP = KeyKind("map", "", "damp", "a painted map of the world")
-_THING = KeyKind("thing", "", "foot", "a mesh, an item or items")
+_THING = KeyKind("thing", "", "foot", "a mesh, an item, items or agents")
 _CAMERA = KeyKind("camera", "", "shot", "a camera of the scene")
 _LOOKS = KeyKind(
     "looks", "", "{head: leaf}", "a part of the body, and a point, item, agent, camera, mesh or `{direction: [0, 1, 0]}`"
@@ -113,7 +113,7 @@ _KIND_BY_KEY: Mapping[str, KeyKind] = {
     "play": _CLIP, "clip": _CLIP, "painted": _MAP, "for": _THING, "in_view": _CAMERA,
     "to": KeyKind("values", "", "{size: 6 mm}", "attributes with their values"), "at": _LOOKS,
     "share": KeyKind("share", "", "30 %"), "seed": KeyKind("count", "", "4", "the number from which `share` draws"),
-    "without": KeyKind("agents", "", "guards.17"),
+    "without": KeyKind("agents", "", "guards.17"), "most": KeyKind("count", "", "3"),
 }  # fmt: skip
 _FIRST_KEYS, _LAST_KEYS = ("frames",), ("ease",)  # of the keys that are not required
 _UNFILLED_KEYS = frozenset(("agents", "off"))  # the page has a place for these

@@ -93,7 +93,7 @@ def _list_names(session: Session) -> Names:
         "agents": agents, "target": [*items, *agents, *sorted(selectors.cameras), *meshes],
         "state": sorted(each for each in selectors.states if "." not in each),
         "camera": sorted(selectors.cameras), "map": sorted(setting.maps), "path": sorted(setting.curves),
-        "thing": [*meshes, *items],
+        "thing": [*meshes, *items, *agents],
         "clip": sorted({clip for body in bodies for clip in body.clips}),
         "part": sorted({group for body in bodies for group in body.groups}, key=lambda name: (name != _USUAL_PART, name)),
         "values": [f"{{{name}: }}" for name in attributes],

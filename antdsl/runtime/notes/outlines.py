@@ -1,7 +1,8 @@
-"""Outlines of things, seen from above: convex polygons of meshes, and circles of items, now and in coming frames."""
+"""Outlines of things, seen from above: convex polygons of meshes, circles of items and agents, now and in coming frames."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,10 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vector_rows import find_rows_in_box
 from antdsl.runtime.moving.moving_geometry import compute_vertices
+from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World
+from antdsl.scene.notes.selection import select_rows
+from antdsl.scene.notes.selectors import AgentName, AnySelector
 
 Floats = NDArray[np.float64]
 _PAIRS_PER_BLOCK = 1 << 18  # pairs of a point and an edge that are measured at once
@@ -24,15 +28,40 @@ class Outline(NamedTuple):
     margin: float
 
 
-def find_outlines(world: World, name: str, frame: int) -> list[Outline]:
-    """Return the outlines of a mesh, an item or items at a frame. They are cached: the frames ahead come later."""
+def find_outlines(world: World, thing: AnySelector, frame: int) -> list[Outline]:
+    """Return the outlines of a mesh, an item, items or agents at a frame. Those of agents are where their velocity leads them;
+    all others are cached: the frames ahead come later."""
     assert world.notes is not None
+    if find_own_agents(world, thing):
+        return _predict_agents(world, thing, frame)
+    assert isinstance(thing, AgentName)
+    name = thing.name
     cache, key = world.notes.outlines, (name, frame if world.setting.motion else 0)
     if key not in cache:
         for old in [each for each in cache if each[1] < world.frame]:
             del cache[old]
         cache[key] = _compute_outlines(world, name, frame)
     return cache[key]
+
+
+def find_own_agents(world: World, thing: AnySelector) -> Mapping[str, NDArray[np.bool_]]:
+    """Return by species which agents a thing is; nothing for meshes and items."""
+    setting, name = world.setting, thing.name if isinstance(thing, AgentName) and thing.first is None else ""
+    items = (each for group, members in setting.items.items() for each in (group, *(item.name for item in members)))
+    if name and (name in setting.obstacles or name in setting.surfaces or name in items):
+        return {}
+    return select_rows(thing, collect_selectable_frame(world))
+
+
+def _predict_agents(world: World, thing: AnySelector, frame: int) -> list[Outline]:
+    axes, seconds = find_level_axes(world), max(frame - world.frame, 0) * world.dt
+    outlines = []
+    for name, mask in find_own_agents(world, thing).items():
+        population, rows = world.populations[name], np.flatnonzero(mask)
+        places = population.position[rows] + population.read_vector("velocity")[rows].astype(np.float64) * seconds
+        radii = population.now["radius"][rows].tolist()
+        outlines += [Outline(place[None, axes], radius) for place, radius in zip(places, radii, strict=True)]
+    return outlines
 
 
 def _compute_outlines(world: World, name: str, frame: int) -> list[Outline]:

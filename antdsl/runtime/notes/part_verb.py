@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.runtime.notes.outlines import find_centre, find_outlines, measure_outlines
+from antdsl.runtime.notes.outlines import find_centre, find_outlines, find_own_agents, measure_outlines
 from antdsl.runtime.notes.regions import RegionDistances, cut_inward_steps
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
 from antdsl.runtime.world import World
@@ -35,6 +36,7 @@ def stop_at_outline(agents: NoteAgents, step: Floats) -> Floats:
     outlines = find_outlines(world, note.thing, world.display_frame)
     reach = float(p.now["radius"][rows].max(initial=0.0) + read_max_speeds(p, rows).max(initial=0.0) * world.dt)
     outside, outward = measure_outlines(world, outlines, p.position[rows], reach)
+    outside = np.where(_find_excluded(agents), np.inf, outside)
     distances = RegionDistances(outside - p.now["radius"][rows], outward)
     return cut_inward_steps(distances, step, p.normal[rows].astype(np.float64)) if agents.weight == 1.0 else step
 
@@ -49,7 +51,7 @@ def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
     need, direction = np.zeros(len(rows)), np.zeros((len(rows), 3))
     reach = max(distance, float(clear.max(initial=0.0)))
     centre = find_centre(world, find_outlines(world, note.thing, world.display_frame))
-    for seconds in _AHEAD_SECONDS if moves else _AHEAD_SECONDS[:1]:
+    for seconds in _AHEAD_SECONDS if moves or find_own_agents(world, note.thing) else _AHEAD_SECONDS[:1]:
         outlines = find_outlines(world, note.thing, world.display_frame + round(seconds / world.dt))
         outside, outward = measure_outlines(world, outlines, p.position[rows], reach)
         outward = _turn_aside(world, outward, find_centre(world, outlines) - centre)
@@ -60,7 +62,15 @@ def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
             own = smooth_share(1.0 - outside / distance)
         direction += own[:, None] * outward
         need = np.maximum(need, own)
-    return need, direction
+    return np.where(_find_excluded(agents), 0.0, need), direction
+
+
+def _find_excluded(agents: NoteAgents) -> NDArray[np.bool_]:
+    """Return which agents (k,) are among those that the others make way for."""
+    note, p = agents.active.note, agents.population
+    assert isinstance(note, PartNote)
+    own = find_own_agents(agents.world, note.thing).get(p.name, np.zeros(len(p), np.bool_))
+    return own[agents.rows]
 
 
 def _turn_aside(world: World, outward_directions: Floats, travel: Floats) -> Floats:

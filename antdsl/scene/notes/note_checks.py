@@ -79,6 +79,9 @@ class _NoteCheck:
             if isinstance(target, AgentName):
                 problems += self._find_target_problems(target, (*self.path, *path))
         problems += self._find_region_problems()
+        if isinstance(note, PartNote):
+            things, words = self._list_things(*MESH_GROUPS) | self.names.items, "no mesh, item, crowd line or species is named"
+            problems += find_problems(note.thing, self.names, *self.path, "for", others=things, what=words)
         for problem in problems:
             self.report.error("unknown-thing", problem.message, self.scene.span(*problem.path), problem.help)
         self._check_things()
@@ -98,11 +101,9 @@ class _NoteCheck:
         region = self.note.region if isinstance(self.note, RegionNote) else None
         around = region.around if isinstance(region, NoteBall) else None
         path = (*self.path, "in", "around")
-        if isinstance(around, AgentName):
+        if around is not None and not (isinstance(around, tuple) and isinstance(around[0], Quantity)):
             words = "no item, crowd line or species is named"
-            yield from find_name_problems(around, self.names, path, self.names.items, words)
-        elif isinstance(around, AgentConditions) or (isinstance(around, tuple) and not isinstance(around[0], Quantity)):
-            yield from find_problems(around, self.names, *path)
+            yield from find_problems(around, self.names, *path, others=self.names.items, what=words)
 
     def _iterate_targets(self) -> Iterator[tuple[tuple[PathKey, ...], Target]]:
         note = self.note
@@ -123,10 +124,6 @@ class _NoteCheck:
         maps = self._list_things("maps")
         if isinstance(note, RegionNote) and note.painted is not None and note.painted not in maps:
             self._report_unknown("no program has a map", maps, "painted")
-        if isinstance(note, PartNote):
-            things = self._list_things(*MESH_GROUPS) | self.names.items
-            if note.thing not in things:
-                self._report_unknown("no mesh or item is named", things, "for")
 
     def _check_frames(self) -> None:
         """Warn if the note has no effect, because it is outside of the frames of the scene."""

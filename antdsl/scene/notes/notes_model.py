@@ -33,6 +33,7 @@ from antdsl.scene.values import (
     parse_one_of,
 )
 
+_EDITS_HELP = "verbs that change a finished cache, such as `kill` and `move`, are those of `antdsl edit`"
 NOTE_TAG_SUFFIX = "-note"  # of the tag of a verb's model
 
 
@@ -299,11 +300,12 @@ class LaneNote(RegionNote):
 
 
 class PartNote(TimedNote, SelectorKeys):
-    """Agents make way for a mesh or an item: from `distance` around its outline seen from above, and where it is going."""
+    """Agents make way for a mesh, an item or other agents: from `distance` around their outline seen from above, and where they
+    are going."""
 
     verb = "part"
     agents: Selector = Field(alias="part")
-    thing: SceneName = Field(alias="for")
+    thing: Selector = Field(alias="for")
     distance: PositiveLength
 
 
@@ -350,7 +352,8 @@ def _check_verb(value: Any) -> Any:
     if known is not None:
         raise make_error(f"`{verb}` comes before the verb of this note", f"write `{{{known}: {value[known]}, {verb}: …}}`")
     near, listed = find_nearest_name(str(verb), NOTE_MODELS), ", ".join(f"`{each}`" for each in NOTE_MODELS)
-    raise make_error(f"`{verb}` is not a verb of notes", f"did you mean `{near}`?" if near else f"write one of {listed}")
+    help = f"did you mean `{near}`?" if near else f"write one of {listed}; {_EDITS_HELP}"
+    raise make_error(f"`{verb}` is not a verb of notes", help)
 
 
 if TYPE_CHECKING:

@@ -105,7 +105,6 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
             mask &= _find_in_state(conditions.state, agents)
         if targets is not None and conditions.within is not None:
             mask &= _measure_nearest(agents.position, targets) <= conditions.within.to_millimetres(frame.unit_mm)
-            mask &= ~is_target[name] if is_target else True
         if conditions.region is not None:
             mask &= _find_in_region(conditions.region, agents.position, frame)
         if conditions.share is not None:
@@ -115,7 +114,24 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
             mask &= frame.cameras[conditions.in_view].find_visible(agents.position)
         if without is not None:
             mask &= ~without[name]
-    return masks
+        if targets is not None and is_target:
+            mask &= ~is_target[name]
+    return masks if targets is None or conditions.most is None else _keep_nearest(masks, frame, targets, conditions.most)
+
+
+def _keep_nearest(masks: Mask, frame: SelectableFrame, targets: Floats, most: int) -> Mask:
+    """Return the `most` selected agents that are nearest to targets; of equally near ones, the first by species and id."""
+    names = sorted(masks)
+    rows = {name: np.flatnonzero(masks[name]) for name in names}
+    distance = np.concatenate([_measure_nearest(frame.agents[name].position[rows[name]], targets) for name in names])
+    ids = np.concatenate([frame.agents[name].ids[rows[name]] for name in names])
+    species = np.repeat(np.arange(len(names)), [len(rows[name]) for name in names])
+    number = np.concatenate([rows[name] for name in names])
+    chosen = np.lexsort((ids, species, distance))[:most]
+    selected = {name: np.zeros_like(masks[name]) for name in names}
+    for k in chosen.tolist():
+        selected[names[species[k]]][number[k]] = True
+    return {name: selected[name] for name in masks}
 
 
 def _find_in_state(state: str, agents: SelectableAgents) -> NDArray[np.bool_]:

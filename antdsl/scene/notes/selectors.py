@@ -14,6 +14,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey
 from antdsl.scene.values import (
@@ -116,6 +117,7 @@ class SelectorKeys(ScenePart):
 
     `state`: agents in this state now, `rest` or `MACHINE.rest`.
     `near`, `within`: agents within this distance of a point, an item, the nearest of some items, a camera, or of other agents.
+    `most`: of the agents that meet all other conditions, so many that are nearest to `near`.
     `in`: agents in a box or a ball.
     `share`: each agent with this probability, drawn from `seed` (default: the scene's seed), its species and its id.
     `in_view`: agents in view of this camera.
@@ -124,6 +126,7 @@ class SelectorKeys(ScenePart):
     state: SceneWord | None = None
     near: NearTarget | None = None
     within: PositiveLength | None = None
+    most: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))] | None = None
     region: Region | None = Field(None, alias="in")
     share: Annotated[float, BeforeValidator(parse_share)] | None = None
     seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
@@ -132,9 +135,11 @@ class SelectorKeys(ScenePart):
 
     @model_validator(mode="after")
     def _check_pairs(self) -> SelectorKeys:
-        if (self.near is None) != (self.within is None):
-            has, lacks, value = ("near", "within", "50 mm") if self.within is None else ("within", "near", "[0, 0, 0]")
-            raise make_error(f"`{has}` has no effect without `{lacks}`", f"add `{lacks}: {value}`")
+        if self.near is None and (self.within is not None or self.most is not None):
+            has = "most" if self.within is None else "within"
+            raise make_error(f"`{has}` has no effect without `near`", "add `near: [0, 0, 0]`")
+        if self.near is not None and self.within is None and self.most is None:
+            raise make_error("`near` has no effect without `within` or `most`", "add `within: 50 mm`, or `most: 3`")
         if self.seed is not None and self.share is None:
             raise make_error("`seed` has no effect without `share`", "add `share: 30 %`")
         return self
@@ -142,7 +147,7 @@ class SelectorKeys(ScenePart):
     @property
     def is_narrow(self) -> bool:
         """Return whether the keys exclude any agents."""
-        return any(getattr(self, name) is not None for name in SelectorKeys.model_fields if name not in ("within", "seed"))
+        return any(getattr(self, name) is not None for name in SelectorKeys.model_fields)
 
 
 class AgentConditions(SelectorKeys):
@@ -196,10 +201,20 @@ class SelectorProblem(NamedTuple):
     help: str
 
 
-def find_problems(selector: AnySelector | SelectorKeys, names: SelectorNames, *path: PathKey) -> Iterator[SelectorProblem]:
-    """Yield the names of a selector, or of the selector keys of a line, that do not exist."""
+_NO_AGENTS = "no crowd line or species is named"
+
+
+def find_problems(
+    selector: AnySelector | SelectorKeys,
+    names: SelectorNames,
+    *path: PathKey,
+    others: frozenset[str] = frozenset(),
+    what: str = _NO_AGENTS,
+) -> Iterator[SelectorProblem]:
+    """Yield the names of a selector, or of the selector keys of a line, that do not exist. `others` and `what`: as for
+    `find_name_problems`, of a selector that is only a name."""
     if isinstance(selector, AgentName):
-        yield from find_name_problems(selector, names, path)
+        yield from find_name_problems(selector, names, path, others, what)
     elif isinstance(selector, tuple):
         for number, each in enumerate(selector):
             yield from find_problems(each, names, *path, number)
@@ -222,11 +237,7 @@ def find_problems(selector: AnySelector | SelectorKeys, names: SelectorNames, *p
 
 
 def find_name_problems(
-    name: AgentName,
-    names: SelectorNames,
-    path: tuple[PathKey, ...],
-    others: frozenset[str] = frozenset(),
-    what: str = "no crowd line or species is named",
+    name: AgentName, names: SelectorNames, path: tuple[PathKey, ...], others: frozenset[str] = frozenset(), what: str = _NO_AGENTS
 ) -> Iterator[SelectorProblem]:
     """Yield the problem of a name that is neither of agents nor one of the `others`. `what`: the message before the name."""
     if name.first is None and name.name in others:
