@@ -282,6 +282,16 @@ def test_the_three_nearest_to_a_camera_look_at_it(tmp_path: Path) -> None:
     assert len(active.rows["ant"]) == 3 and distance[active.rows["ant"]].max() < np.sort(distance)[2] + 8
 
 
+def test_agents_keep_a_distance_from_a_mesh_that_moves(tmp_path: Path) -> None:
+    """Those within 60 mm of the ball are slow. It moves 200 mm in 60 frames."""
+    track = follow(open_directed(tmp_path, "{slow: ant, in: {around: foot, radius: 60 mm}, speed: 20 %}"), 50)
+    frames = np.array(track.frames[5:-1])
+    ball = np.stack([np.interp(frames, [20, 80], [-150, 50]), np.full(len(frames), 5.0), np.full(len(frames), 40.0)], axis=1)
+    gap = np.linalg.norm(track.values["position"][5:-1] - ball[:, None], axis=2) - 25
+    speed = track.speeds()[5:]
+    assert speed[gap < 54].mean() < 10 < 18 < speed[gap > 66].mean()
+
+
 def test_a_ball_follows_several_agents_and_ends_with_them(tmp_path: Path) -> None:
     note = "{slow: guards, in: {around: [guards.1, guards.2], radius: 40 mm}, speed: 10 %}"
     track = follow(open_directed(tmp_path, note, count=60), 30)

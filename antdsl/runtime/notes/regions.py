@@ -9,13 +9,13 @@ import numpy as np
 from antdsl.numerics.easing import smooth_share
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.runtime.notes.targets import TargetPoints, find_centres, find_curve
+from antdsl.runtime.notes.targets import NearestOnMesh, TargetPoints, find_centres, find_curve, find_mesh
 from antdsl.runtime.notes.wishes import Floats
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
 from antdsl.scene.notes.note_regions import Band, NoteRegion, View
 from antdsl.scene.notes.notes_model import RegionNote
-from antdsl.scene.notes.selectors import Box
+from antdsl.scene.notes.selectors import AgentName, Box
 from antdsl.scene.thing_models import convert_point
 
 
@@ -39,6 +39,11 @@ def measure_region(world: World, region: NoteRegion, agents: NoteAgents) -> Regi
         closest = find_curve(world, region.along).find_closest(*position.T)
         nearest = np.stack([closest.px, closest.py, closest.pz], axis=1).astype(np.float64)
         return _measure_tube(position - nearest, region.width.to_millimetres(unit_mm) / 2)
+    mesh = find_mesh(world, region.around) if isinstance(region.around, AgentName) else None
+    if mesh is not None:
+        return _measure_tube(
+            -NearestOnMesh(world.obstacles[mesh]).find_nearest(position)[0], region.radius.to_millimetres(unit_mm)
+        )
     centres = find_centres(world, region.around)
     offset, distance = TargetPoints(centres.points, np.zeros(len(centres.points))).find_nearest(position)
     distances = _measure_tube(-offset, region.radius.to_millimetres(unit_mm))

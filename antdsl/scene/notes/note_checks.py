@@ -102,8 +102,8 @@ class _NoteCheck:
         around = region.around if isinstance(region, NoteBall) else None
         path = (*self.path, "in", "around")
         if around is not None and not (isinstance(around, tuple) and isinstance(around[0], Quantity)):
-            words = "no item, crowd line or species is named"
-            yield from find_problems(around, self.names, *path, others=self.names.items, what=words)
+            things, words = self._list_things(*MESH_GROUPS) | self.names.items, "no mesh, item, crowd line or species is named"
+            yield from find_problems(around, self.names, *path, others=things, what=words)
 
     def _iterate_targets(self) -> Iterator[tuple[tuple[PathKey, ...], Target]]:
         note = self.note

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from antdsl import limits
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
-from antdsl.scene.notes.selectors import Box, Selector
+from antdsl.scene.notes.selectors import Box, Selector, require_region
 from antdsl.scene.values import PointValue, PositiveLength, SceneName, ScenePart
 
 
@@ -35,7 +35,7 @@ _Centre = Annotated[
 
 
 class NoteBall(ScenePart):
-    """All points within `radius` of a point, an item, the nearest of some items, or of agents, which it follows."""
+    """All points within `radius` of a point, an item, the nearest of some items, a mesh, or of agents, which it follows."""
 
     around: _Centre
     radius: PositiveLength
@@ -66,4 +66,5 @@ NoteRegion = Annotated[
     | Annotated[Band, Tag("band-region")]
     | Annotated[View, Tag("view-region")],
     Discriminator(_find_region_tag),
+    BeforeValidator(require_region),
 ]

@@ -84,7 +84,18 @@ def _find_region_tag(value: Any) -> str:
     return "ball-region" if isinstance(value, dict) and "around" in value else "box-region"
 
 
-Region = Annotated[Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")], Discriminator(_find_region_tag)]
+def require_region(value: Any) -> Any:
+    """Return a value unchanged. Raises an error that pydantic reports for a text, such as the name of an item."""
+    if isinstance(value, str):
+        raise make_error(f"{describe_value(value)} is not a region", f"write `{{around: {value[:40]}, radius: 50 mm}}`")
+    return value
+
+
+Region = Annotated[
+    Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")],
+    Discriminator(_find_region_tag),
+    BeforeValidator(require_region),
+]
 
 
 def _find_near_tag(value: Any) -> str:
