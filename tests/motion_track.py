@@ -275,11 +275,29 @@ class MotionTrack:
         size, orient = np.asarray(arrays["pscale"], np.float64), np.asarray(arrays["orient"], np.float64)
         length, width, height, ahead = (self._capsule[self._species(arrays)] * size[:, None]).T
         heading, up = rotate(orient, (1.0, 0.0, 0.0)), rotate(orient, (0.0, 1.0, 0.0))
-        foot = np.asarray(arrays["P"], np.float64)
-        middle = foot + up * height[:, None] + heading * ahead[:, None]
-        return foot + up * (MAX_DEPTH * size)[:, None], Trunks(
+        place = np.asarray(arrays["P"], np.float64)
+        middle = place + up * height[:, None] + heading * ahead[:, None]
+        return place - self._shifts(frame) + up * (MAX_DEPTH * size)[:, None], Trunks(
             middle, heading, np.maximum(length - width, 0) / 2, width / 2, size
         )
+
+    def _shifts(self, frame: int) -> Floats:
+        """Return the shifts of all bodies from their feet in the frame with an index; 0 without a checkpoint."""
+        arrays, number = self._frames[frame], self.numbers[frame]
+        result = np.zeros((len(arrays["id"]), 3))
+        if number in self.cache.checkpoints():
+            stored = self.cache.read_checkpoint(number)
+            for species, name in enumerate(self.names):
+                prefix = f"world.species.{name}."
+                own = np.flatnonzero(self._species(arrays) == species)
+                if f"{prefix}register.~lift.x" in stored and len(own):
+                    ids = np.asarray(stored[f"{prefix}ids"])
+                    order = np.argsort(ids)
+                    at = order[np.searchsorted(ids[order], np.asarray(arrays["id"])[own])]
+                    for axis in range(3):
+                        lift = np.asarray(stored[f"{prefix}register.~lift.{'xyz'[axis]}"], np.float64)
+                        result[own, axis] = lift[at] / MILLIMETRES[self.cache.manifest.units]
+        return result
 
     def _measure_bodies(self) -> tuple[float, float, float]:
         """Return the share of overlapping trunks in the worst frame, the share inside, and the longest time inside (frames)."""

@@ -32,6 +32,7 @@ from antdsl.runtime.moving.clearance import clearance_kernels as clearance
 from antdsl.runtime.moving.clearance.bodies_inside import find_bodies_inside
 from antdsl.runtime.moving.clearance.body_paths import PATH_FLOATS, BodyShape, FacesNearby, profile_lift, trace_bends
 from antdsl.runtime.moving.clearance.body_tables import body_shapes, contact_faces
+from antdsl.runtime.moving.contacts.capsules import measure_overlap_depths
 from antdsl.scene.setting import BodyCapsuleData
 
 Floats = NDArray[np.float64]
@@ -204,9 +205,13 @@ def test_bodies_stay_outside_stairs_near_their_ground_and_as_fast() -> None:
     assert speeds[1] > 0.95 * speeds[0]
 
 
+def folds() -> MeshData:
+    """A sheet of wide faces with folds of 20 degrees, upward and downward."""
+    return extruded([(-30.0, 0.0), (-15.0, 0.0), (0.0, 5.5), (15.0, 5.5), (30.0, 0.0)])
+
+
 def test_bodies_on_wide_faces_rise_and_sink_steadily() -> None:
-    mesh = extruded([(-30.0, 0.0), (-15.0, 0.0), (0.0, 5.5), (15.0, 5.5), (30.0, 0.0)])  # folds of 20 degrees
-    world, inside, lifts, frames = walking(mesh, 60), 0, [], 60
+    world, inside, lifts, frames = walking(folds(), 60), 0, [], 60
     population = world.populations["a"]
     for _ in range(frames):
         step(world)
@@ -288,6 +293,15 @@ def test_results_do_not_depend_on_threads_rows_or_backends() -> None:
             step(world)
         hashes.add(state_hash(world))
     assert len(hashes) == 1
+
+
+def test_bodies_that_contacts_move_do_not_turn_into_their_neighbours() -> None:
+    rough = extruded([(float(x), 1.2 * float(np.sin(x / 2.5))) for x in np.arange(-30.0, 30.5, 1.5)])
+    world, shares = walking(rough, 160, contacts="hard"), []
+    for _ in range(40):
+        step(world)
+        shares.append(float((measure_overlap_depths(world) > 0.05).mean()))
+    assert np.mean(shares[16:]) < 0.03, "a tenth if bodies turn towards their feet again"
 
 
 def test_frames_have_the_shifted_positions() -> None:

@@ -264,6 +264,8 @@ class ClearStep:
         if not at.size:
             return
         moved, levels = rows[at], self.levels[at]
+        for values, axis in zip(self.headings, AXES, strict=True):
+            values[at] = now[f"heading.{axis}"][moved]  # contacts may have turned bodies back
         self._stand_up(at)
         self._aim(moved, levels, self.previous)
         sharp, depth = np.flatnonzero(levels == SHARP), np.zeros(len(at), np.float32)
