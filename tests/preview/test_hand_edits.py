@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run
-from directed import open_directed
+from directed import PROGRAM, open_directed
 from empty_scenes import CASES
 from empty_scenes import scene as empty_scene
 from live_client import Message, Page
@@ -84,6 +84,23 @@ def test_frames_of_a_session_are_those_of_a_cache(page: Page, scene: Path) -> No
         own, theirs = recorded.frame(frame), cache.frame(frame)
         for name in theirs:
             assert np.array_equal(own[name], theirs[name], equal_nan=theirs[name].dtype.kind == "f"), (frame, name)
+
+
+def test_pages_get_how_much_agents_lean_and_feet_after_going_back(tmp_path: Path) -> None:
+    program = PROGRAM.replace("play walk; when mood", "play walk(left: run, right: run); when mood")
+    open_directed(tmp_path, count=8, last=20, program=program)
+    live = Live.open(tmp_path / "scene.yaml", None, Options(feet=True), checkpoint_interval=10)
+    live.start()
+    try:
+        page = Page(live)
+        page.ask("step", count=16)
+        page.hash_at(17)
+        first = {name: array.copy() for name, array in page.frame_arrays(17).items()}
+        assert np.abs(first["ant/lean"]).max() > 10 and len(first["ant/feet"])
+        again = read_frame(page, 17)
+        assert np.array_equal(again["ant/feet"], first["ant/feet"]) and np.array_equal(again["ant/lean"], first["ant/lean"])
+    finally:
+        live.stop()
 
 
 EDITS = [
