@@ -8,15 +8,19 @@ TYPE_CHECKING = False  # a name that type checkers know; `typing` would be searc
 if TYPE_CHECKING:
     from typing import Any
 
-    from antdsl.pipeline import Shot, compile_files, open_scene, simulate
+    from antdsl.api import AntdslError, Simulation, SweepResult, open_scene, sweep
 
 __version__ = "0.1.0"
-__all__ = ["Shot", "__version__", "compile_files", "open_scene", "simulate"]
+__all__ = ["AntdslError", "Simulation", "SweepResult", "__version__", "open_scene", "sweep"]
 
 
 def __getattr__(name: str) -> "Any":
-    if name in ("Shot", "compile_files", "open_scene", "simulate"):
+    if name in __all__:
         from importlib import import_module
 
-        return getattr(import_module("antdsl.pipeline"), name)
+        return getattr(import_module("antdsl.api"), name)
     raise AttributeError(f"module `antdsl` has no `{name}`")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -11,6 +11,9 @@ and would let an opened project run its own code. Absolute entries are the user'
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
 
 # Lists of folders in the environment, from which Python, the system's loader and `exec` take code.
 SEARCH_PATH_VARIABLES = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "DYLD_FALLBACK_LIBRARY_PATH")
@@ -57,3 +60,15 @@ def build_module_environment() -> dict[str, str]:
 def _find_relative_entries(value: str) -> list[str]:
     """Return the empty and relative entries of a list of folders, such as that of `PATH`."""
     return [entry for entry in value.split(os.pathsep) if not os.path.isabs(entry)] if value else []
+
+
+@contextmanager
+def hide_main_module() -> Iterator[None]:
+    """Let children that start meanwhile not run the user's own script again. Our tasks need nothing of it, and a script without a
+    guard by its `__name__` would start its children in turn."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main

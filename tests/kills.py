@@ -30,7 +30,7 @@ from antdsl.outputs.cache.manifest import ManifestError
 
 IMPORTED = (
     "antdsl.outputs.recording", "antdsl.outputs.exports", "antdsl.outputs.drawing", "antdsl.outputs.pictures", "antdsl.sweep",
-    "antdsl.outputs.orientation_smoothing", "antdsl.runtime", "antdsl.sweep.measuring", "antdsl.cli.printing.progress",
+    "antdsl.outputs.orientation_smoothing", "antdsl.runtime", "antdsl.sweeps.measuring", "antdsl.cli.printing.progress",
     "open3d", "PIL.Image",
 )  # fmt: skip
 RUN = ("run", "scene.yaml", "--threads", "1", "--backend", "numpy", "--resume")

@@ -50,7 +50,7 @@ def run_shots(
     from antdsl.scene.paths import record_requested_paths
     from antdsl.shots.caches import make_cache_task, remove_other_frames
     from antdsl.shots.task_destination import mark_folder
-    from antdsl.sweep.jobs import find_start_hashes
+    from antdsl.sweeps.jobs import find_start_hashes
 
     folders = _choose_cache_folders(scenes, out)
     for folder in folders:

@@ -13,9 +13,9 @@ from antdsl.cli.exits import CommandError, ExitCode
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
     from antdsl.pipeline import Shot
-    from antdsl.sweep import SweepJob
-    from antdsl.sweep.stopping import WidthGoal
-    from antdsl.sweep.study import Study, SweepRequest
+    from antdsl.sweeps import SweepJob
+    from antdsl.sweeps.stopping import WidthGoal
+    from antdsl.sweeps.study import Study, SweepRequest
 
 
 def reject_missing_scene() -> list[str]:
@@ -42,7 +42,7 @@ _STUDY_OPTIONS = {
 def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
     """Return the request of the earlier sweep in a folder. Raises BadParameter if other options that define the runs are given,
     CommandError if the folder has no sweep."""
-    from antdsl.sweep.study import NoStoredSweep, read_request
+    from antdsl.sweeps.study import NoStoredSweep, read_request
 
     for name, words in _STUDY_OPTIONS.items():
         source = context.get_parameter_source(name)
@@ -59,10 +59,10 @@ def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
 def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
     """Return the points of the design, all their runs, and a report. Wrong arguments end the command with a usage error."""
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs
-    from antdsl.sweep import build_jobs, make_variations
-    from antdsl.sweep.designs import choose_design
-    from antdsl.sweep.factors import build_end_points, parse_factors
-    from antdsl.sweep.study import Study
+    from antdsl.sweeps import build_jobs, make_variations
+    from antdsl.sweeps.designs import choose_design
+    from antdsl.sweeps.factors import build_end_points, parse_factors
+    from antdsl.sweeps.study import Study
 
     scenes = [Path(scene) for scene in dict.fromkeys(request.scenes)]
     for scene in scenes:
@@ -113,7 +113,7 @@ def parse_widths(request: SweepRequest) -> list[WidthGoal]:
     for any goal."""
     from antdsl.cli.arguments import parse_pairs
     from antdsl.scene.quantities import QuantityError, parse_number, split_quantity
-    from antdsl.sweep.stopping import WidthGoal, find_min_runs
+    from antdsl.sweeps.stopping import WidthGoal, find_min_runs
 
     widths = []
     for name, text in parse_pairs(request.until_known, "--until-known").items():

@@ -15,7 +15,7 @@ from collections.abc import MutableSequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 
-from antdsl.child_processes import isolate_search_paths
+from antdsl.child_processes import hide_main_module, isolate_search_paths
 from antdsl.executors.tasks import Engine, Task, TaskFunction, WorkerContext, run_task
 
 _EXIT_WAIT_SECONDS = 5.0  # limit for the end of a process
@@ -46,9 +46,9 @@ class ProcessEngine(Engine):
         assert self._pool is not None
         slot = next(number for number, future in enumerate(self._future_by_slot) if future is None or future.done())
         self._frame_by_slot[slot] = _NO_FRAME
-        future = self._future_by_slot[slot] = self._pool.submit(
-            _run_task_in_process, task.function, json.dumps(task.document), slot
-        )
+        with hide_main_module():
+            future = self._pool.submit(_run_task_in_process, task.function, json.dumps(task.document), slot)
+        self._future_by_slot[slot] = future
         self._own_processes.update(set(multiprocessing.active_children()) - self._other_children)
         return future
 

@@ -72,6 +72,6 @@ def test_processes_run_tasks_without_a_scheduler(monkeypatch: pytest.MonkeyPatch
         executor_calls.append(executors)
         return []
 
-    monkeypatch.setattr("antdsl.sweep.run_jobs", run_all)
+    monkeypatch.setattr("antdsl.sweeps.run_jobs", run_all)
     assert CliRunner().invoke(app, ["sweep", "walkers/scene.yaml", "--seeds", "2", "--no-plots"]).exit_code == 0
     assert isinstance(executor_calls[0], ProcessEngine)

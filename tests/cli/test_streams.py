@@ -52,6 +52,7 @@ class Use:
 
 USES = {
     "new": Use("new fresh", "fresh/README.md"),
+    "examples": Use("examples minimal fresh", "fresh/walker.ant"),
     "check": Use("check scene.yaml --format json", is_result=True),
     "fmt": Use("fmt -", is_result=True, stdin=b"ant 1\nspecies  moth { state rest { } }\n"),
     "run": Use("run scene.yaml --frames 1..3 --out ran --profile", "ran/frames/frame.0003.npz"),

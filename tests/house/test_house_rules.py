@@ -26,7 +26,7 @@ ROOMS = (
     "cpu_budget", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
-    "specs", "explain", "settling", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
+    "specs", "explain", "settling", "executors", "sweeps", "api", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
 GROUND = frozenset(["source", "diagnostics", "limits", "resources", "safe_read", "source_hash", "atomic_write", "child_processes",
@@ -178,7 +178,7 @@ OWN_WRITING = {
     "reader/child.py": "its answers",
     "reader/private_folder.py": "the lock of its folder",
     "scene/geometry/usd/closure.py": "its own copies, to write them",
-    "sweep/figures.py": "a file that antdsl/atomic_write.py has opened",
+    "sweeps/figures.py": "a file that antdsl/atomic_write.py has opened",
     "syntax/grammar.py": "the grammar that ships",
 }
 WRITING_MODES = frozenset(["a", "ab", "w", "wb", "x", "xb", "r+b", "r+"])

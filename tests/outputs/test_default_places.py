@@ -11,7 +11,7 @@ import pytest
 from commands import run
 
 from antdsl.atomic_write import find_first_link
-from antdsl.sweep.finished_runs import NotASweepFolder, RunStore
+from antdsl.sweeps.finished_runs import NotASweepFolder, RunStore
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need a right there")
@@ -30,7 +30,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def begin(*_: object, **__: object) -> None:
         raise AssertionError("a run began")
 
-    for place in ("antdsl.outputs.recording.bind", "antdsl.sweep.run_jobs"):
+    for place in ("antdsl.outputs.recording.bind", "antdsl.sweeps.run_jobs"):
         monkeypatch.setattr(place, begin)
     return folder
 

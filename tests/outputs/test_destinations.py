@@ -35,7 +35,7 @@ def shot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def fail(*_: object) -> None:
         raise AssertionError("a run began")
 
-    for place in ("antdsl.outputs.recording.bind", "antdsl.specs.running.bind", "antdsl.sweep.run_jobs"):
+    for place in ("antdsl.outputs.recording.bind", "antdsl.specs.running.bind", "antdsl.sweeps.run_jobs"):
         monkeypatch.setattr(place, fail)
     return tmp_path
 

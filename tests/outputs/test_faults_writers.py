@@ -21,7 +21,7 @@ from sampling import sampled
 
 from antdsl.cli import _run_without_warnings
 from antdsl.outputs.pictures import write_film
-from antdsl.sweep.finished_runs import RunStore
+from antdsl.sweeps.finished_runs import RunStore
 
 SAMPLE = ("csv", "geo", "edit", "golden", "fmt")
 

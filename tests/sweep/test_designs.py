@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from antdsl import limits
-from antdsl.sweep.designs import DESIGNS, ChosenPoints, choose_design
-from antdsl.sweep.factors import Factor, build_end_points, parse_factors
-from antdsl.sweep.jobs import SweepJob
-from antdsl.sweep.sensitivity import find_effects, is_available
-from antdsl.sweep.stopping import (
+from antdsl.sweeps.designs import DESIGNS, ChosenPoints, choose_design
+from antdsl.sweeps.factors import Factor, build_end_points, parse_factors
+from antdsl.sweeps.jobs import SweepJob
+from antdsl.sweeps.sensitivity import find_effects, is_available
+from antdsl.sweeps.stopping import (
     CONFIDENCE_LEVEL,
     JobChooser,
     WidthGoal,
@@ -133,7 +133,7 @@ def test_options_that_do_not_fit_together_are_reported_with_a_correction() -> No
 
 
 def test_without_salib_its_designs_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("antdsl.sweep.sensitivity.find_spec", lambda name: None)
+    monkeypatch.setattr("antdsl.sweeps.sensitivity.find_spec", lambda name: None)
     assert not is_available()
     for word in ("saltelli", "morris"):
         assert "pip install 'antdsl[sensitivity]'" in refused(word, SMELL, points=8)

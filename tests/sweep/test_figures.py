@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 _DRAW = """
 import json, os, sys
 from pathlib import Path
-from antdsl.sweep.figures import open_figure
+from antdsl.sweeps.figures import open_figure
 
 opened, started = [], []
 
@@ -69,7 +69,7 @@ def test_no_settings_of_a_project_are_read_and_no_program_is_started(tmp_path: P
 
 
 def test_settings_of_a_host_change_nothing_and_stay(tmp_path: Path) -> None:
-    from antdsl.sweep.figures import open_figure
+    from antdsl.sweeps.figures import open_figure
 
     def draw(name: str) -> bytes:
         with open_figure(2.0, 1.0, tmp_path / name) as drawn:
@@ -85,7 +85,7 @@ def test_settings_of_a_host_change_nothing_and_stay(tmp_path: Path) -> None:
 
 
 def test_where_nothing_can_be_written_is_an_error_and_draws_nothing(tmp_path: Path) -> None:
-    from antdsl.sweep.figures import open_figure
+    from antdsl.sweeps.figures import open_figure
 
     with pytest.raises(OSError), open_figure(2.0, 1.0, tmp_path / "missing" / "plot.png"):
         pass

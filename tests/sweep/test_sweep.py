@@ -18,13 +18,13 @@ import pytest
 from antdsl.cli import _run_without_warnings as run_in_process
 from antdsl.executors import ProcessEngine, WorkerContext
 from antdsl.pipeline import open_scene
-from antdsl.sweep import RunStore, SweepJob, Variation, build_jobs, build_rows, make_variations, run_jobs
-from antdsl.sweep.designs import choose_design
-from antdsl.sweep.factors import Factor
-from antdsl.sweep.finished_runs import NotASweepFolder
-from antdsl.sweep.jobs import compute_job_key, find_start_hashes
-from antdsl.sweep.measuring import measure_job
-from antdsl.sweep.table import MACHINE_DEPENDENT_MEASURES, as_csv, choose_measures, compute_quantile, format_table
+from antdsl.sweeps import RunStore, SweepJob, Variation, build_jobs, build_rows, make_variations, run_jobs
+from antdsl.sweeps.designs import choose_design
+from antdsl.sweeps.factors import Factor
+from antdsl.sweeps.finished_runs import NotASweepFolder
+from antdsl.sweeps.jobs import compute_job_key, find_start_hashes
+from antdsl.sweeps.measuring import measure_job
+from antdsl.sweeps.table import MACHINE_DEPENDENT_MEASURES, as_csv, choose_measures, compute_quantile, format_table
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """ant 1
@@ -179,7 +179,7 @@ def test_the_command_continues_a_stopped_sweep(
         output = capsys.readouterr()
         return code, output.out, output.err
 
-    monkeypatch.setattr("antdsl.sweep.run_jobs", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr("antdsl.sweeps.run_jobs", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     code, _, err = sweep("--seeds", "2")
     assert code == 130 and "0 of 2 runs are finished" in err and "run the same command again" in err
     monkeypatch.undo()
@@ -200,7 +200,7 @@ def test_a_table_is_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     from PIL import Image
 
-    from antdsl.sweep.plots import draw_measures
+    from antdsl.sweeps.plots import draw_measures
 
     job = SweepJob("s.yaml", "a", (), 1, (1, 9), (), (), "k")
     draw_measures(

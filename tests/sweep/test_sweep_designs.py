@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.cli import _run_without_warnings as run_in_process
-from antdsl.sweep import JobOutcome, SweepJob
+from antdsl.sweeps import JobOutcome, SweepJob
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """ant 1
@@ -63,7 +63,7 @@ def sweep(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
                     signal.raise_signal(by)
                 yield JobOutcome(job, formula(job))
 
-        monkeypatch.setattr("antdsl.sweep.run_jobs", run_all)
+        monkeypatch.setattr("antdsl.sweeps.run_jobs", run_all)
         monkeypatch.chdir(folder)
         monkeypatch.setattr("sys.argv", ["antdsl", "sweep", *words, "--no-plots"])
         code = run_in_process()
@@ -198,7 +198,7 @@ def test_the_table_is_parquet_too_with_numbers_as_numbers(sweep: Sweep, folder: 
 
 def test_runs_of_other_sources_do_not_count(sweep: Sweep, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert sweep("scene.yaml", "--seeds", "3", "--out", "swept")[0] == 0
-    monkeypatch.setattr(importlib.import_module("antdsl.sweep.jobs"), "hash_sources", lambda: "0" * 24)
+    monkeypatch.setattr(importlib.import_module("antdsl.sweeps.jobs"), "hash_sources", lambda: "0" * 24)
     code, output, err = sweep("--resume", "--out", "swept")
     assert code == 0 and "finished before" not in output and "3 of 3" in output
     assert "3 runs in swept used different files, values or versions of antdsl" in err

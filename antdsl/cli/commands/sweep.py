@@ -26,9 +26,9 @@ from antdsl.cli.scheduler import (
 )
 
 if TYPE_CHECKING:
-    from antdsl.sweep import JobChooser, JobOutcome, RunStore, SweepJob
-    from antdsl.sweep.study import Study
-    from antdsl.sweep.table import RunResult
+    from antdsl.sweeps import JobChooser, JobOutcome, RunStore, SweepJob
+    from antdsl.sweeps.study import Study
+    from antdsl.sweeps.table import RunResult
 
 RESULT_FILE_NAMES = (
     "table.txt",
@@ -114,9 +114,9 @@ def sweep(
     from antdsl.executors import WorkersLost
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.scene.paths import record_requested_paths
-    from antdsl.sweep import JobChooser, RunStore, run_jobs
-    from antdsl.sweep.finished_runs import NotASweepFolder
-    from antdsl.sweep.study import SweepRequest
+    from antdsl.sweeps import JobChooser, RunStore, run_jobs
+    from antdsl.sweeps.finished_runs import NotASweepFolder
+    from antdsl.sweeps.study import SweepRequest
 
     require_scheduler(scheduler, tls, no_tls)
     for scene in scenes or ():
@@ -220,12 +220,12 @@ def _write_tables(
     run_store: RunStore, study: Study, chooser: JobChooser, finished_measures: Mapping[str, Any], show: Sequence[str], plots: bool
 ) -> None:
     """Write the table in all formats, and print it."""
-    from antdsl.sweep import build_rows
-    from antdsl.sweep.figures import is_available
-    from antdsl.sweep.plots import INSTALL_HINT, draw_factors, draw_measures
-    from antdsl.sweep.sensitivity import as_csv as effects_csv
-    from antdsl.sweep.sensitivity import format_effects as effects_text
-    from antdsl.sweep.table import (
+    from antdsl.sweeps import build_rows
+    from antdsl.sweeps.figures import is_available
+    from antdsl.sweeps.plots import INSTALL_HINT, draw_factors, draw_measures
+    from antdsl.sweeps.sensitivity import as_csv as effects_csv
+    from antdsl.sweeps.sensitivity import format_effects as effects_text
+    from antdsl.sweeps.table import (
         as_csv,
         as_json,
         choose_measures,

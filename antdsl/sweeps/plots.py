@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from antdsl.sweep.factors import Factor
-from antdsl.sweep.figures import open_figure
-from antdsl.sweep.sensitivity import Analysis, Effect
-from antdsl.sweep.study import Study
-from antdsl.sweep.table import RunResult, compute_quantile
+from antdsl.sweeps.factors import Factor
+from antdsl.sweeps.figures import open_figure
+from antdsl.sweeps.sensitivity import Analysis, Effect
+from antdsl.sweeps.study import Study
+from antdsl.sweeps.table import RunResult, compute_quantile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,11 +1,11 @@
 """Many runs of scenes with varied values and seeds, and one resulting table. Runs are executed by other processes (`executors`).
 Finished runs are stored."""
 
-from antdsl.sweep.finished_runs import RunStore
-from antdsl.sweep.jobs import SweepJob, Variation, build_jobs, make_variations
-from antdsl.sweep.measuring import JobOutcome, run_jobs
-from antdsl.sweep.stopping import JobChooser
-from antdsl.sweep.table import Row, build_rows
+from antdsl.sweeps.finished_runs import RunStore
+from antdsl.sweeps.jobs import SweepJob, Variation, build_jobs, make_variations
+from antdsl.sweeps.measuring import JobOutcome, run_jobs
+from antdsl.sweeps.stopping import JobChooser
+from antdsl.sweeps.table import Row, build_rows
 
 __all__ = [
     "JobChooser",

@@ -14,11 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from antdsl import limits
 from antdsl.atomic_write import write_atomically
 from antdsl.safe_read import read_size_limited
-from antdsl.sweep.designs import DESIGNS, ChosenPoints
-from antdsl.sweep.factors import Factor
-from antdsl.sweep.jobs import Variation
-from antdsl.sweep.sensitivity import Effect, find_effects
-from antdsl.sweep.table import Row
+from antdsl.sweeps.designs import DESIGNS, ChosenPoints
+from antdsl.sweeps.factors import Factor
+from antdsl.sweeps.jobs import Variation
+from antdsl.sweeps.sensitivity import Effect, find_effects
+from antdsl.sweeps.table import Row
 
 REQUEST_FILE_NAME = "asked.json"
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.sweep import sensitivity
-from antdsl.sweep.factors import Factor
+from antdsl.sweeps import sensitivity
+from antdsl.sweeps.factors import Factor
 
 Shares = NDArray[np.float64]
 Point = Mapping[str, str]

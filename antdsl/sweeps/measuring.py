@@ -20,7 +20,7 @@ from antdsl.outputs.surface_error import measure_surface_error
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, state_hash, step
 from antdsl.source_hash import hash_sources
-from antdsl.sweep.jobs import SweepJob, compute_job_key, find_start_hashes, is_amount_match
+from antdsl.sweeps.jobs import SweepJob, compute_job_key, find_start_hashes, is_amount_match
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from typing import Any
 from antdsl import __version__, limits
 from antdsl.atomic_write import create_folder_durably, is_link, write_atomically
 from antdsl.safe_read import read_size_limited
-from antdsl.sweep.jobs import SweepJob
+from antdsl.sweeps.jobs import SweepJob
 
 _MAX_RUN_FILE_BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # maximum size of the stored data of one run
 

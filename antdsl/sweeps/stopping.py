@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
-from antdsl.sweep.jobs import SweepJob
-from antdsl.sweep.table import compute_quantile
+from antdsl.sweeps.jobs import SweepJob
+from antdsl.sweeps.table import compute_quantile
 
 CONFIDENCE_LEVEL = Fraction(95, 100)
 _CHECK_GROWTH = Fraction(3, 2)  # growth of the number of runs from one check to the next

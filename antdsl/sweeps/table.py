@@ -10,12 +10,12 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from antdsl.outputs.csv_text import format_csv
-from antdsl.sweep.finished_runs import describe_job
-from antdsl.sweep.jobs import SweepJob
+from antdsl.sweeps.finished_runs import describe_job
+from antdsl.sweeps.jobs import SweepJob
 
 if TYPE_CHECKING:
-    from antdsl.sweep.sensitivity import Effect
-    from antdsl.sweep.stopping import KnownMedian
+    from antdsl.sweeps.sensitivity import Effect
+    from antdsl.sweeps.stopping import KnownMedian
 
 RunResult = tuple[SweepJob, Mapping[str, Any]]
 MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # they depend on the machine

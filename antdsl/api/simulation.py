@@ -1,0 +1,223 @@
+"""A scene that Python steps: what it holds at the current frame, its params, and functions that observe each step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeVar
+
+from antdsl.api.crowds import Crowd, Field, ItemGroup, make_unknown_name_error
+from antdsl.api.errors import AntdslError
+from antdsl.diagnostics import Report
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from antdsl.pipeline import Shot
+    from antdsl.runtime.world import World
+
+Observer = TypeVar("Observer", bound="Callable[[Simulation], object]")
+
+
+def open_scene(
+    path: str | PathLike[str],
+    *,
+    seed: int | None = None,
+    set: Mapping[str, str | float] | None = None,
+    frames: tuple[int, int] | None = None,
+    roots: Mapping[str, str | PathLike[str]] | None = None,
+    threads: int = 1,
+) -> Simulation:
+    """Open a scene and return its simulation at the first frame.
+
+    `seed`, `frames` (first, last): replace those of the scene.
+    `set`: values of params and of fields' settings, such as `{"forager.smell": "20 mm"}`. A number is in base units.
+    `roots`: folders outside the scene's own that it may read, by name.
+    `threads`: of a step; results do not depend on it.
+
+    Raises AntdslError with the report if the scene or a program has errors. Warnings are in `Simulation.report`."""
+    from antdsl.pipeline import RunChoices
+    from antdsl.pipeline import open_scene as open_shot
+    from antdsl.scene.values import FrameRange
+
+    if seed is not None and not (isinstance(seed, int) and 0 <= seed < 2**63):
+        raise AntdslError(f"`{seed}` is not a seed", "write a whole number from 0")
+    if frames is not None and not (len(frames) == 2 and all(isinstance(each, int) for each in frames) and frames[0] <= frames[1]):
+        raise AntdslError(f"`{frames}` is not a range of frames", "write (1, 240)")
+    grants = {name: Path(folder) for name, folder in (roots or {}).items()}
+    params = {name: str(value) for name, value in (set or {}).items() if isinstance(value, str)}
+    choices = RunChoices(grants, None if frames is None else FrameRange(*frames), seed, params)
+    shot, report = open_shot(Path(path), choices)
+    if shot is None or not report.ok:
+        raise AntdslError.from_report(report)
+    simulation = Simulation(shot, report, threads)
+    for name, value in (set or {}).items():
+        if not isinstance(value, str):
+            simulation.set_param(name, value)
+    return simulation
+
+
+class Simulation:
+    """A scene during its run. `simulation["ant"]` are the agents of a species; `items` and `fields` are mappings by name.
+
+    `report`: the warnings about the scene. `world`: the run time's own world, without any guarantee."""
+
+    def __init__(self, shot: Shot, report: Report, threads: int = 1) -> None:
+        from antdsl.runtime import BindError, Options, bind, step
+
+        self._shot, self.report = shot, report
+        self._observers: list[Callable[[Simulation], object]] = []
+        self._has_failed = False
+        try:
+            self.world: World = bind(shot.plan, shot.setting, Options(threads=threads))
+        except BindError as error:
+            raise AntdslError.from_report(error.report) from None
+        for _ in range(shot.scene.model.preroll):
+            self._advance(partial(step, self.world))
+
+    @property
+    def frame(self) -> int:
+        """The current frame of the scene."""
+        return self.world.frame
+
+    @property
+    def first_frame(self) -> int:
+        """The first frame of the scene."""
+        return self._shot.frames.first
+
+    @property
+    def last_frame(self) -> int:
+        """The last frame of the scene."""
+        return self._shot.frames.last
+
+    @property
+    def time(self) -> float:
+        """The seconds since the first frame."""
+        return (self.frame - self.first_frame) * self.world.dt
+
+    @property
+    def species(self) -> tuple[str, ...]:
+        """The names of the species."""
+        return tuple(self.world.populations)
+
+    @property
+    def items(self) -> Mapping[str, ItemGroup]:
+        """The items, by name."""
+        return MappingProxyType({name: ItemGroup(self, name) for name in self.world.items})
+
+    @property
+    def fields(self) -> Mapping[str, Field]:
+        """The pheromone fields, by name."""
+        return MappingProxyType({name: Field(self, name) for name in self.world.fields})
+
+    @property
+    def params(self) -> Mapping[str, float]:
+        """The values of all params in base units, by name. `set_param` changes one."""
+        return MappingProxyType({name: float(value) for name, value in self.world.params.items()})
+
+    def set_param(self, name: str, value: str | float) -> None:
+        """Set a param from the next step on. `value`: text with a unit, such as `20 mm/s`, or a number in base units.
+
+        Raises AntdslError for an unknown param, a wrong unit, and a value outside the declared range."""
+        from antdsl.runtime import set_param
+        from antdsl.scene.overrides import read_overrides
+
+        shot = self._shot
+        param = shot.program.params.get(name)
+        if param is None:
+            raise make_unknown_name_error("param", name, tuple(shot.program.params))
+        report = Report()
+        unit = f" {param.unit}" if param.unit else ""
+        text = value if isinstance(value, str) else f"{self._to_shown_unit(name, float(value))!r}{unit}"
+        quantities = read_overrides(shot.scene, shot.program, {name: text}, report)
+        if not report.ok:
+            raise AntdslError.from_report(report)
+        number = quantities[name].to_base_units(shot.scene.model.unit_mm, self.world.dt)
+        set_param(self.world, name, number if isinstance(value, str) else float(value))
+
+    def _to_shown_unit(self, name: str, value: float) -> float:
+        """Return a number in base units as a number of the unit in which the program declares the param."""
+        from antdsl.scene.quantities import parse_quantity
+
+        unit = self._shot.program.params[name].unit
+        one = parse_quantity(f"1 {unit}").to_base_units(self._shot.scene.model.unit_mm, self.world.dt) if unit else 1.0
+        return value / one
+
+    def step(self, count: int = 1) -> Simulation:
+        """Simulate `count` frames, also beyond the last frame of the scene. Return the simulation.
+
+        Raises AntdslError if a value of an agent stops being a number, or a limit is exceeded."""
+        from antdsl.runtime import step
+
+        for _ in range(count):
+            self._advance(partial(step, self.world))
+            for observer in tuple(self._observers):
+                observer(self)
+        return self
+
+    def _advance(self, run: Callable[[], object]) -> None:
+        from antdsl.runtime import FaultStop
+
+        if self._has_failed:
+            raise AntdslError("a step failed before", "open the scene again")
+        try:
+            run()
+        except FaultStop as error:
+            self._has_failed = True
+            raise AntdslError(str(error)) from None
+        except BaseException:
+            self._has_failed = True
+            raise
+
+    def run(self, until: Callable[[Simulation], bool] | None = None) -> Simulation:
+        """Simulate to the last frame of the scene, or until `until` returns True after a step. Return the simulation."""
+        while self.frame < self.last_frame:
+            self.step()
+            if until is not None and until(self):
+                break
+        return self
+
+    def observe(self, observer: Observer) -> Observer:
+        """Call a function with the simulation after each step, and return it. Use it as a decorator."""
+        self._observers.append(observer)
+        return observer
+
+    def stop_observing(self, observer: Callable[[Simulation], object]) -> None:
+        """Do not call an observer any more. Raises AntdslError if it is none."""
+        if observer not in self._observers:
+            raise AntdslError("this function observes nothing here")
+        self._observers.remove(observer)
+
+    @property
+    def state_hash(self) -> str:
+        """The hash of the state, which `antdsl run` writes for each frame. Equal hashes are equal simulations."""
+        from antdsl.runtime import state_hash
+
+        return state_hash(self.world)
+
+    def __getitem__(self, species: str) -> Crowd:
+        """Return the agents of a species. Raises AntdslError for another name."""
+        if species not in self.world.populations:
+            raise make_unknown_name_error("species", species, self.species)
+        return Crowd(self, species)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.species)
+
+    def __contains__(self, species: object) -> bool:
+        return species in self.world.populations
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.species)
+
+    def __repr__(self) -> str:
+        crowds = ", ".join(f"{len(population):,} {name}" for name, population in self.world.populations.items())
+        return f"<simulation of {Path(self._shot.scene.source.path).name!r}, frame {self.frame} of {self.last_frame}: {crowds}>"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{len(p):,}</td></tr>" for name, p in self.world.populations.items())
+        return f"<p><b>{escape(repr(self)[1:-1].partition(':')[0])}</b></p><table>{rows}</table>"

@@ -1,0 +1,97 @@
+"""Sweeps from Python: scenes × values × seeds, simulated by several processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from antdsl.api.errors import AntdslError
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from antdsl.diagnostics import Report
+
+
+@dataclass(frozen=True, slots=True)
+class SweepResult:
+    """The runs of a sweep. `runs`: one dictionary for each: scene, varied values, seed and all measures.
+
+    `failures`: a message for each run that failed; these are not in `runs`."""
+
+    runs: tuple[Mapping[str, Any], ...]
+    failures: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame with one row per run. Raises AntdslError without pandas."""
+        try:
+            import pandas
+        except ImportError:
+            raise AntdslError("pandas is not installed", "install it: `pip install pandas`") from None
+        return pandas.DataFrame(list(self.runs))
+
+    def __repr__(self) -> str:
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return f"<sweep of {len(self.runs)} runs{failed}>"
+
+
+def sweep(
+    scenes: str | PathLike[str] | Sequence[str | PathLike[str]],
+    *,
+    seeds: int | Iterable[int] = 5,
+    vary: Mapping[str, Sequence[str | float]] | None = None,
+    frames: tuple[int, int] | None = None,
+    until_empty: Sequence[str] = (),
+    processes: int | None = None,
+    on_result: Callable[[Mapping[str, Any]], object] | None = None,
+) -> SweepResult:
+    """Run scenes over values and seeds, with all combinations of `vary`, and return the measures of each run.
+
+    `scenes`: one path or several. `seeds`: a number (1 to N), or the seeds themselves.
+    `vary`: the values of params and of fields' settings, such as `{"walker.pace": ["20 mm/s", "40 mm/s"]}`.
+    `frames` (first, last): replace those of the scene. `until_empty`: a run ends when these amounts are 0, such as `food.load`.
+    `processes`: by default, one for each core. `on_result`: a function that is called with each run as it ends.
+
+    Raises AntdslError with the report if a scene, a name or a value is wrong. Nothing has run then."""
+    from itertools import product
+
+    from antdsl.executors import ProcessEngine
+    from antdsl.numerics.processor.host import count_available_cores
+    from antdsl.scene.values import FrameRange
+    from antdsl.sweeps import build_jobs, make_variations, run_jobs
+
+    paths = [scenes] if isinstance(scenes, str) or not isinstance(scenes, Sequence) else list(scenes)
+    names = list(vary or {})
+    points = [dict(zip(names, map(str, values), strict=True)) for values in product(*(vary or {}).values())]
+    numbers = range(1, seeds + 1) if isinstance(seeds, int) else list(seeds)
+    if not paths or not numbers or not points:
+        raise AntdslError("there is nothing to run", "name a scene, a seed and a value for each param")
+    jobs, report = build_jobs(
+        make_variations([Path(path) for path in paths], points),
+        numbers,
+        frames=None if frames is None else FrameRange(*frames),
+        stop_amounts=tuple(until_empty),
+        grants={},
+    )
+    _require_no_errors(report)
+    workers = min(processes or count_available_cores(), len(jobs))
+    runs, failures = dict[str, Mapping[str, Any]](), []
+    for outcome in run_jobs(jobs, ProcessEngine(workers, max(1, count_available_cores() // workers))):
+        if outcome.measures is None:
+            failures.append(f"{outcome.job.name}: {outcome.problem}")
+            continue
+        job = outcome.job
+        runs[job.key] = {"scene": Path(job.scene).stem, **dict(job.params), "seed": job.seed, **outcome.measures}
+        if on_result is not None:
+            on_result(runs[job.key])
+    return SweepResult(tuple(runs[job.key] for job in jobs if job.key in runs), tuple(failures))
+
+
+def _require_no_errors(report: Report) -> None:
+    if not report.ok:
+        raise AntdslError.from_report(report)
