@@ -25,7 +25,6 @@ from antdsl.cli.commands import (  # noqa: E402
     check,
     doctor,
     edit,
-    examples,
     explain,
     export,
     fmt,
@@ -78,7 +77,7 @@ WRITE_HEADING, SIMULATE_HEADING, RESULTS_HEADING, INSIDE_HEADING = "Write progra
 # In the order of a first project: from a new folder to results.
 COMMANDS = (
     CommandEntry("new", new.new, WRITE_HEADING, "antdsl new colony --template foraging"),
-    CommandEntry("examples", examples.examples, WRITE_HEADING, "antdsl examples arena"),
+    CommandEntry("examples", new.examples, WRITE_HEADING, "antdsl examples arena"),
     CommandEntry("check", check.check, WRITE_HEADING, "antdsl check --strict"),
     CommandEntry("fmt", fmt.fmt, WRITE_HEADING, "antdsl fmt ."),
     CommandEntry("run", run.run, SIMULATE_HEADING, "antdsl run scene.yaml --frames 1..48 --out walk"),

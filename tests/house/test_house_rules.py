@@ -141,7 +141,6 @@ OWN_FILES = {
     "reader/sandbox.py": "folders that are granted to Landlock",
     "reader/private_folder.py": "its own locks",
     "scene/geometry/usd/closure.py": "its own copies, to write them",
-    "cli/new_folders.py": "examples that come with antdsl",
     "syntax/grammar.py": "the grammar",
     "syntax/parse_tables.py": "the grammar and its tables",
     "atomic_write.py": "its own files, to write them",

@@ -1,20 +1,21 @@
-"""`antdsl new DIR`: writes a project to start from: a program, a scene and a ground, ready to run and ready for CI. `docs/ci.md`
-lists the files."""
+"""`antdsl new DIR` writes a project to start from, and `antdsl examples` copies an example. `docs/ci.md` lists the files of a
+project."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import typer
 
 from antdsl import __version__
+from antdsl.atomic_write import create_folder_durably, write_atomically
 from antdsl.cli.exits import CommandError, ExitCode
-from antdsl.cli.new_folders import check_new_folder, read_example_files, write_files
-from antdsl.cli.printing.messages import print_note
+from antdsl.cli.printing.messages import print_note, print_result
 from antdsl.diagnostics.suggestion import find_nearest_name
-from antdsl.resources import project_template_file
+from antdsl.resources import example_file, list_example_names, project_template_file
 
 # The path of each file, and its name among the package's templates.
 TEMPLATE_FILES = {
@@ -30,6 +31,7 @@ EXAMPLE_BY_TEMPLATE = {
     "foraging": "foraging", "arena": "arena", "roaches": "roaches", "evacuation": "evacuation",
     "digging": "tunnel", "war": "battle",
 }  # fmt: skip
+_EXAMPLE_SUFFIXES = (".ant", ".yaml", ".json", ".ply", ".png", ".glb", ".py", ".md")  # of the files of examples
 _PROGRAM_AND_SCENE = ("walker.ant", "scene.yaml")  # an example has its own
 
 
@@ -70,6 +72,59 @@ def new(
     for words in (("run", folder / "scene.yaml"), ("test", folder), ("render", folder / "out" / "scene", "--sheet")):
         print_note(f"  {shlex.join(['antdsl', *map(str, words)])}")
     print_note(f"{folder / 'README.md'} explains more; a GitHub workflow and pre-commit hooks are included")
+
+
+def examples(
+    name: str | None = typer.Argument(None, metavar="NAME", help="An example to copy; without it, all are listed."),
+    folder: Path | None = typer.Argument(None, metavar="DIR", help="A new or empty folder. [default: NAME]"),
+) -> None:
+    """List the examples that come with antdsl, or copy one into a folder."""
+    names = list_example_names()
+    if name is None:
+        width = max(map(len, names), default=0)
+        for each in names:
+            print_result(f"{each:<{width}}  {describe_example(each)}")
+        print_note("`antdsl examples NAME` copies one into a folder of its name")
+        return
+    if name not in names:
+        near = find_nearest_name(name, names)
+        advice = f"did you mean `{near}`?" if near else "`antdsl examples` lists all"
+        raise CommandError(ExitCode.USAGE, f"error: there is no example `{name}`", advice)
+    folder = folder or Path(name)
+    check_new_folder(folder)
+    files = read_example_files(name)
+    write_files(folder, files)
+    scene = next(file for file in sorted(files, key=lambda file: (file != "scene.yaml", file)) if file.endswith(".yaml"))
+    print_note(f"{len(files)} files are in {folder}; now:")
+    print_note(f"  antdsl run {folder / scene}")
+
+
+def check_new_folder(folder: Path) -> None:
+    """Raise CommandError if a folder exists and is not empty."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` already exists and is not empty", "name another folder")
+
+
+def describe_example(name: str) -> str:
+    """Return the description of an example: the text at the top of its first program, else the first comment of its scene."""
+    for path in (*sorted(example_file(name).glob("*.ant")), example_file(name) / "scene.yaml"):
+        for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
+            if line.startswith(('"', "# ")):
+                return line.strip('"# ')
+    return ""
+
+
+def read_example_files(name: str) -> dict[str, bytes]:
+    """Return the content of each file of an example, by its name. Results of runs in its folder are left out."""
+    files = sorted(path for path in example_file(name).iterdir() if path.suffix in _EXAMPLE_SUFFIXES and path.is_file())
+    return {path.name: path.read_bytes() for path in files}
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, by their paths relative to it. Missing folders are created."""
+    for name, content in files.items():
+        create_folder_durably((folder / name).parent)
+        write_atomically(folder / name, content)
 
 
 def build_ground_ply(side: int = 49, width: float = 200.0) -> bytes:
