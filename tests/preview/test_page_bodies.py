@@ -17,6 +17,7 @@ from PIL import Image
 
 from antdsl.bodies.agents.blending import ClipPlayback, blend_poses
 from antdsl.bodies.agents.definition import (
+    STATE_MATERIAL,
     Binding,
     BlendTargets,
     Capture,
@@ -40,6 +41,7 @@ from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_
 from antdsl.bodies.body import build_orientations
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.skinned_mesh import compute_blend_targets
+from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.action_arrays import compute_blend_weights, make_stance_arrays, pack_clips
 from antdsl.preview.viewing.body_packets import BodyOutfit, find_traits, make_rig_packet
@@ -272,6 +274,7 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     assert [int((masks == mask).sum()) for mask in (0, 1, 2)] == [64, 8, 8]
     message = make_rig_packet("ant", BodyOutfit(body, PLAYS, ("hat", "cap"), blends_lean=True), ("main", "arms"))
     page.tell(scene(camera=CAMERA), texts(), status(), message)
+    show_states(page)
 
     def coloured(wears: int) -> int:
         page.tell(frame(plays, extra_arrays={"wears": np.full(12, wears, np.uint32)}))
@@ -442,6 +445,48 @@ def test_between_two_frames_clips_go_on_and_blend(page: Stage) -> None:
     assert np.abs(bones(page, 10) - expected_bones(body, at(2, 0, 0.05, 0.5), level)[0]).max() < 1e-3
 
 
+def show_states(page: Stage) -> None:
+    page.find("side-tab-view").click()
+    page.find("colour").select_option("state")
+
+
+def test_bodies_have_their_natural_colours_as_in_pictures_until_states_are_chosen(page: Stage) -> None:
+    """Agents that vary between a dark red and a dark blue look like bodies with a material of each agent's natural colour."""
+    box = replace(crane().shapes["box"], materials=(STATE_MATERIAL,), material=np.zeros(12, np.int32))
+    ends = ((0.3, 0.0, 0.0), (0.0, 0.0, 0.3))
+    natural = replace(crane(), materials={STATE_MATERIAL: ends[0]}, shapes={"box": box})
+    natural = replace(natural, variation=Variation({}, {STATE_MATERIAL: ends}))
+    plays, driven = machines(12), DrivenPose(variation_draws=VariationDraws(np.arange(10, 22), 4, "ant"))
+    expected = encode_srgb_values(PosedBody(natural, PLAYS).compute_natural_colours(driven, 12))
+    worn = BodyOutfit(natural, PLAYS, blends_lean=True)
+
+    def tell(*extra_messages: bytes) -> NDArray[np.int64]:
+        page.tell(*extra_messages, frame(plays, extra_arrays=trait_arrays(worn, plays, driven) | tint))
+        return bodies_only()
+
+    def bodies_only() -> NDArray[np.int64]:
+        return take_screenshot(page)[120:-8, 8:-8]  # without the legend and the mark of focus
+
+    tint: dict[str, NDArray[Any]] = {}
+    page.tell(scene(camera=CAMERA), texts(), status())
+    natural_picture = tell(make_rig_packet("ant", worn, ("main", "arms")))
+    row = page.find("legend-ant-main-walk")
+    assert row.inner_text().split() == ["walk", "12"] and row.locator("i").count() == 0, "no colour that is not there"
+    tint = {"tint": np.column_stack([np.rint(expected * 255), np.ones(12)]).astype(np.uint8)}
+    assert np.abs(tell() - natural_picture).max() <= 3, "as if an edit had set the colours of pictures"
+    tint = {}
+    tell()
+    page.page.locator("#view > canvas").press("s")
+    page.find("side-tab-view").click()
+    assert page.find("colour").input_value() == "state"
+    assert row.locator("i").evaluate("each => getComputedStyle(each).backgroundColor") == "rgb(230, 179, 26)"
+    assert (np.abs(bodies_only() - natural_picture).max(axis=2) > 60).sum() > 100
+    page.tell(scene(camera=CAMERA))
+    assert page.find("colour").input_value() == "state", "a changed program leaves the choice"
+    page.page.locator("#view > canvas").press("s")
+    assert np.abs(bodies_only() - natural_picture).max() <= 3
+
+
 def take_screenshot(page: Stage) -> NDArray[np.int64]:
     page.page.wait_for_timeout(400)
     picture = page.page.locator("#view > canvas").screenshot()
@@ -451,6 +496,7 @@ def take_screenshot(page: Stage) -> NDArray[np.int64]:
 def test_a_body_that_is_another_one_is_drawn_at_once_and_takes_the_colours_of_states_and_materials(page: Stage) -> None:
     body, plays = crane(), machines(30)
     page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays))
+    show_states(page)
     amber = np.array([255 * part for part in WALK])
 
     def coloured() -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,16 @@ import pytest
 from live_client import Page
 from preview_page import copied
 
+from antdsl.bodies.agents.definition import STATE_MATERIAL, Variation
+from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_positions
 from antdsl.bodies.library import load_library_body
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.viewing.action_arrays import NO_CLIP_CODE
+from antdsl.preview.viewing.body_packets import BodyOutfit, find_traits, make_rig_packet
 
 
 @pytest.fixture
@@ -85,6 +92,24 @@ def test_a_body_is_sent_once_and_again_when_it_is_another_one(live: Live, scene:
     assert np.array_equal(arrays["fine/position"], other["fine/position"])
     page.ask("step", count=1)
     page.status(frame=5, hash=page.hash_at(5))
+
+
+def test_the_packet_of_a_body_has_the_natural_colours_of_pictures() -> None:
+    """If the material of states varies, they are those along its path: a trait selects the one that pictures draw."""
+    ends = ((0.4, 0.1, 0.0), (0.0, 0.2, 0.6), (0.9, 0.9, 0.9))
+    ant = load_library_body("ant")
+    varied = replace(ant, variation=Variation({}, {"shell": ends[:2], STATE_MATERIAL: ends}))
+    for body in (ant, varied):
+        driven = DrivenPose(variation_draws=VariationDraws(np.arange(50), 3, "ant"))
+        expected = encode_srgb_values(PosedBody(body, ()).compute_natural_colours(driven, 50))
+        header, arrays = unpack_arrays(make_rig_packet("ant", BodyOutfit(body)))
+        table, steps = arrays["natural"].reshape(-1, 3), np.zeros(50)
+        if body is varied:
+            trait, per_unit = header["natural"]
+            assert trait == len(find_traits(BodyOutfit(body)).targets) + 1, "after that of the shell"
+            steps = draw_colour_path_positions(body.variation, STATE_MATERIAL, driven.variation_draws) * per_unit
+        assert np.abs(table[np.rint(steps).astype(int)] / 255 - expected).max() < 0.012
+        assert (len(table), header["natural"] == []) == ((256, False) if body is varied else (1, True))
 
 
 def test_errors_in_a_body_are_located_and_the_old_body_stays(live: Live, scene: Path) -> None:

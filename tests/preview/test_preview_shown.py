@@ -15,6 +15,7 @@ from preview_page import few
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.viewing.agent_packets import make_feeler_arrays
+from antdsl.scene.looks import SURFACE_KINDS
 
 
 @pytest.fixture
@@ -50,6 +51,27 @@ def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
     assert np.array_equal(arrays["forager/column/max_speed"], ants.now["max_speed"][rows])
     assert np.allclose(arrays["item/food/amount/load"], session.world.items["food"].amounts["load"])
     assert {"fieldmesh:trail", "field:trail"} <= page.make_packets.keys()
+
+
+def test_items_have_the_shape_and_colour_of_their_look_also_after_a_change(live: Live, scene: Path) -> None:
+    def read_body(name: str) -> tuple[str, object, list[float]]:
+        header, arrays = unpack_arrays(page.make_packets[f"item:food:{name}"])
+        return header["shape"], header.get("look"), [round(float(x), 3) for x in arrays.get("colour", np.zeros(0))[:3]]
+
+    page = Page(live)
+    page.until(lambda: "item:food:donut" in page.make_packets)
+    apple, donut = read_body("apple"), read_body("donut")
+    assert apple[:2] == ("apple", None) and donut[:2] == ("ring", None)
+    text = scene.read_text()
+    assert "apple: {" in text
+    for look, expected in (
+        ("leaf", ("apple", "leaf", list(SURFACE_KINDS["leaf"].colour))),
+        ("none", ("none", None, [])),
+        ("", apple),
+    ):
+        scene.write_text(text.replace("apple: {", f"apple: {{look: {look}, ") if look else text)
+        page.until(lambda expected=expected: read_body("apple") == expected)
+        assert read_body("donut") == donut
 
 
 def test_a_light_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> None:

@@ -64,7 +64,7 @@ def seen_at(preview: PreviewPage, place: list[float], reach: int = 12) -> Any:
 
 def test_an_ant_is_where_it_is_said_to_be_in_the_colour_of_its_state(browser: Browser, foraging: str) -> None:
     with opened(browser, foraging, color_scheme="dark") as preview:
-        keys(preview, "n", "g")
+        keys(preview, "n", "g", "s")  # `s`: the colours of states
         settled(preview)
         where = preview.now("screen", "forager", preview.now("ids", "forager")[0])
         around = seen_at(preview, where, 20)

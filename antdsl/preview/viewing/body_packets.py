@@ -12,17 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import STATE_MATERIAL, Definition
 from antdsl.bodies.agents.driving import iterate_look_shares
 from antdsl.bodies.agents.leg_ik import LEG_BENDING_LIMITS, LegSolver
 from antdsl.bodies.agents.machine_clips import PlayedClip
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 from antdsl.bodies.agents.varied_bodies import iterate_scale_pivots
 from antdsl.bodies.library import load_library_body
-from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.bodies.shapes import build_item_mesh
 from antdsl.bodies.skinned_mesh import BlendTarget, compute_blend_targets
 from antdsl.outputs.cache.pose_arrays import list_wearable_layers
+from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
@@ -30,12 +31,13 @@ from antdsl.runtime import Population, World
 from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
 from antdsl.scene.crowds.crowd_model import named_weights
 from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
-from antdsl.scene.looks import choose_item_shape
+from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS, choose_drawn_shape
 
 Arrays = dict[str, NDArray[Any]]
 MAX_PAGE_LAYERS = 24  # maximum number of layers on pages; integers of this number of bits are exact in float32
 _CACHED_BODIES = 16  # number of outfits with cached bodies
 MAX_BLEND_TARGETS = 48  # maximum number of blend-shape targets on pages
+_NATURAL_STEPS = 255  # steps along the path of natural colours
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +80,9 @@ def _outfit(world: World, population: Population, definition: Definition) -> Bod
 def make_rig_packet(key: str, body_outfit: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:
     """Return the packet of a body: its clips, and its meshes for crowds and for near agents.
 
-    `idle` in its header: the number and duration (s) of the base clip below all others; absent without such a clip."""
+    `idle` in its header: the number and duration (s) of the base clip below all others; absent without such a clip.
+    `natural` in its header: the trait that selects the natural colour, and its number of steps per unit; empty if all agents
+    have the same."""
     arrays, header = _make_rig(body_outfit)
     return pack_arrays(f"rig:{key}", arrays, machines=list(machines), **header)
 
@@ -137,6 +141,7 @@ def _make_rig(body_outfit: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
     )
     differ = find_traits(body_outfit)
     arrays |= _make_variation_arrays(definition, differ, table)
+    arrays["natural"] = _make_natural_colours(body)
     for level, each in _make_detail_levels(body_outfit).items():
         mesh_arrays = _make_mesh_arrays(each, table) | _make_trait_vertex_arrays(each, differ)
         arrays |= {f"{level}/{name}": array for name, array in mesh_arrays.items()}
@@ -145,7 +150,7 @@ def _make_rig(body_outfit: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
         "base": [round(float(x), 9) for x in definition.compute_base_matrix()[:3].reshape(-1)], "bending": LEG_BENDING_LIMITS,
         "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
         "looks": list(body_outfit.look_groups), "leans": body_outfit.blends_lean, "traits": differ.count,
-        "targets": len(differ.targets),
+        "targets": len(differ.targets), "natural": _find_natural_trait(definition, differ),
     }  # fmt: skip
 
 
@@ -221,6 +226,25 @@ def _make_variation_arrays(definition: Definition, body_traits: BodyTraits, tabl
     palette = np.zeros((len(colours), 4), np.float32)
     palette[:, :3] = np.array(colours, np.float32).reshape(-1, 3)
     return {"scale": scale, "palette": palette}
+
+
+def _make_natural_colours(body: PosedBody) -> NDArray[np.uint8]:
+    """Return the natural colours of agents as display bytes, uint8[c, 3]: one colour, or those in even steps along the path of
+    their variation."""
+    path = body.definition.variation.materials.get(STATE_MATERIAL)
+    linear = body.compute_natural_colours(NO_DRIVEN_POSE, 1)
+    if path is not None:
+        at = np.linspace(0, len(path) - 1, _NATURAL_STEPS + 1)
+        linear = np.column_stack([np.interp(at, np.arange(len(path)), channel) for channel in np.array(path).T])
+    return np.round(np.clip(encode_srgb_values(linear), 0, 1) * 255).astype(np.uint8)
+
+
+def _find_natural_trait(definition: Definition, body_traits: BodyTraits) -> list[float]:
+    path = definition.variation.materials.get(STATE_MATERIAL)
+    if path is None:
+        return []
+    first = len(body_traits.targets) + len(body_traits.scales)
+    return [first + body_traits.materials.index(STATE_MATERIAL), _NATURAL_STEPS / (len(path) - 1)]
 
 
 def _make_trait_vertex_arrays(level: PosedBody, body_traits: BodyTraits) -> Arrays:
@@ -303,26 +327,31 @@ def body_of_key(shot: Shot, key: str) -> Definition:
 
 
 class ItemBodyPackets:
-    """The slots `item:ITEMS:NAME`. Items that only mark positions have no body."""
+    """The slots `item:ITEMS:NAME`. Items that are not drawn have none."""
 
     def __init__(self) -> None:
-        self._sent_items: set[tuple[str, str, int]] = set()
+        self._sent_bodies: dict[str, tuple[int, str, str | None]] = {}
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
         """Yield the packets of items with a new body."""
-        for kind, items in view_state.world.items.items():
-            for index, name in enumerate(items.names):
-                if (kind, name, index) in self._sent_items:
+        for kind in view_state.world.items:
+            for index, item in enumerate(view_state.world.setting.items.get(kind, ())):
+                shape, slot = choose_drawn_shape(kind, item.name, item.look), f"item:{kind}:{item.name}"
+                body = index, shape, item.look
+                if body == self._sent_bodies.get(slot) or (shape == "none" and slot not in self._sent_bodies):
                     continue
-                self._sent_items.add((kind, name, index))
-                shape = choose_item_shape(kind, name)
-                if shape == "none":
-                    continue
-                vertices, faces, colour = build_item_mesh(shape)
-                slot = f"item:{kind}:{name}"
-                arrays = {
-                    "position": vertices.astype(np.float32),
-                    "face": faces.astype(np.uint32),
-                    "colour": colour.astype(np.float32),
-                }
-                yield slot, pack_arrays(slot, arrays, items=kind, index=index, shape=shape)
+                self._sent_bodies[slot] = body
+                yield slot, _make_item_packet(slot, kind, *body)
+
+
+def _make_item_packet(slot: str, kind: str, index: int, shape: str, look: str | None) -> bytes:
+    """Return the packet of an item's body in the colours of its look. Its mesh is empty if it is not drawn."""
+    if shape == "none":
+        return pack_arrays(slot, {"face": np.zeros((0, 3), np.uint32)}, items=kind, index=index, shape=shape)
+    vertices, faces, colour = build_item_mesh(shape)
+    header: dict[str, Any] = {"items": kind, "index": index, "shape": shape}
+    if look is not None:
+        surface = SURFACE_KINDS[KIND_BY_LOOK[look]]
+        colour, header = np.broadcast_to(surface.colour, colour.shape), header | {"look": look, "roughness": surface.roughness}
+    arrays = {"position": vertices.astype(np.float32), "face": faces.astype(np.uint32), "colour": colour.astype(np.float32)}
+    return pack_arrays(slot, arrays, **header)

@@ -315,8 +315,11 @@ export type ServerMessage =
 // rig:KEY         sample f32[r,j,texels,4] parent i32[j] clip i32[p,3,4] group f32[g,j] leg f32[l,2,4] look f32[k,j]: what is played, see rig.ts;
 //                 LEVEL/position f32[n,3] LEVEL/normal i8[n,3] LEVEL/face u32[m,3] LEVEL/colour u8[n,4] (linear, as roots; how
 //                 much of the agent's own) LEVEL/bone u16[n,4] LEVEL/weight f32[n,4] LEVEL/joint i32[b] LEVEL/part i32[b]
-//                 LEVEL/inverse f32[b,3,4], LEVEL `low` and `fine`; header: machines, joints, texels, base, length, idle, looks, leans, bending
-// item:KIND:NAME  position f32[n,3] face u32[m,3] colour f32[n,3]: an item's mesh, radius 1, up +y; header: items (name), index, shape
+//                 LEVEL/inverse f32[b,3,4], LEVEL `low` and `fine`; header: machines, joints, texels, base, length, idle, looks, leans, bending;
+//                 natural u8[c,3]: the natural colour, or those along the path of its variation; header natural: [trait, steps per
+//                 unit of it], empty without variation
+// item:KIND:NAME  position f32[n,3] face u32[m,3] colour f32[n,3]: an item's mesh, radius 1, up +y; header: items (name), index, shape,
+//                 look and roughness if the scene gives a look
 // fieldmesh:NAME  position f32[n,3] face u32[m,3]: before the first `field`, and where ground was dug or has moved
 // field:NAME      value u8[n]: 0 nothing, 1 is 1e-8 and 255 is 1e8, in even steps of their powers of ten
 // flow:NAME       from f32[n,3] way f32[n,3]

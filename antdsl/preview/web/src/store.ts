@@ -9,6 +9,8 @@ export interface Agent {
   id: number;
 }
 
+export const NATURAL = "natural colours"; // no attribute can have this name
+
 export interface Shared {
   scene: Scene | null;
   status: Status | null;
@@ -19,7 +21,7 @@ export interface Shared {
   explained: Explained | null;
   profile: Profile | null; // null while nothing is measured
   camera: "orbit" | "follow" | "ride";
-  colour: string; // `state`, `state/MACHINE`, `speed`, or the name of an attribute
+  colour: string; // NATURAL, `state`, `state/MACHINE`, `speed`, or the name of an attribute
   fields: string[]; // fields displayed on the ground
   full: Record<string, number>; // by field: the value of full colour, where the user chose one
   flows: string[];
@@ -47,7 +49,7 @@ export class Store {
     explained: null,
     profile: null,
     camera: "orbit",
-    colour: "state",
+    colour: NATURAL,
     fields: [],
     full: {},
     flows: [],

@@ -3,7 +3,7 @@ import { creased } from "../src/view/creases";
 import { Herd, Rows } from "../src/view/herds/herd";
 import { partOf } from "../src/view/herds/herds";
 import { speck } from "../src/view/bodies/speck";
-import { frame, herd, species } from "./made";
+import { acts, frame, herd, species } from "./made";
 
 function placed(of: Herd, row: number, t: number): number[] {
   const at = { x: 0, y: 0, z: 0 };
@@ -60,7 +60,7 @@ describe("a herd between two frames", () => {
 
   test("idles by the clock of the frame, each from a start of its own", () => {
     const ants = herd(frame([1, 2], [0, 0, 0, 0, 0, 0]));
-    ants.acting({ machines: [], loops: [true], legs: 0, looks: [], leans: false, traits: 0, idle: [0, 2] });
+    ants.acting(acts({ loops: [true], idle: [0, 2] }));
     const turn = (row: number) => ants.plays.data[16 * row + 5] as number;
     expect(turn(0)).toBeCloseTo(0.618, 3);
     expect(turn(1)).toBeCloseTo(0.236, 3);

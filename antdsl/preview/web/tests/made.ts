@@ -3,7 +3,7 @@
 import { Connection } from "../src/connection";
 import type { Ask, Machine, Packet, Param, Scene, Species, Status } from "../src/protocol";
 import { Store } from "../src/store";
-import { Herd } from "../src/view/herds/herd";
+import { type Acts, Herd } from "../src/view/herds/herd";
 
 export const MACHINE: Machine = {
   name: "main",
@@ -121,6 +121,12 @@ export function frame(
   arrays.set("ant/size", new Float32Array(ids.length).fill(1));
   for (const [name, array] of Object.entries(more)) arrays.set(`ant/${name}`, array);
   return { slot: "frame", header: { slot: "frame" }, arrays };
+}
+
+/** What a body without clips can do; all have the natural colour (90, 60, 30). */
+export function acts(more: Partial<Acts> = {}): Acts {
+  const natural = { table: Uint8Array.of(90, 60, 30), trait: -1, steps: 0 };
+  return { machines: [], loops: [], legs: 0, looks: [], leans: false, traits: 0, idle: null, natural, ...more };
 }
 
 export function herd(packet: Packet, of: Species = species()): Herd {

@@ -5,12 +5,15 @@ import { keyRows } from "../src/view/acts/forces";
 import { tally } from "../src/view/acts/legend";
 import { planned, unseen } from "../src/view/acts/paths";
 import { missing } from "../src/view/acts/trails";
-import { machineOf, numbersOf, paint, ranged } from "../src/view/herds/colours";
+import { NATURAL } from "../src/store";
+import { machineOf, numbersOf, paint, paintFromBodies, ranged } from "../src/view/herds/colours";
+import { Herd } from "../src/view/herds/herd";
+import { partOf } from "../src/view/herds/herds";
 import { arranged } from "../src/view/labels";
 import { RAMP } from "../src/view/palette";
 import { fullOf, level, SHOWN } from "../src/view/scales";
 import { left } from "../src/view/scenery/items";
-import { frame, herd, MACHINE, scene, species, wired } from "./made";
+import { acts, frame, herd, MACHINE, scene, species, wired } from "./made";
 
 describe("the scale of a field", () => {
   test("is by powers of ten, full at its end and empty SHOWN powers below", () => {
@@ -86,6 +89,48 @@ describe("the colour of agents", () => {
       [0, 128, 255, 255],
       [255, 0, 0, 255],
       [158, 153, 145, 255],
+    ]);
+  });
+
+  test("is at first the natural one of the body; an edit overrides it", () => {
+    expect(wired().store.now.colour).toBe(NATURAL);
+    const made = herd(frame([1, 2], new Array<number>(6).fill(0), { tint: Uint8Array.of(0, 0, 0, 0, 1, 2, 3, 1) }), ants);
+    paint(made, NATURAL, null);
+    expect([...made.rows.tone.subarray(0, 4)]).toEqual([158, 153, 145, 255]); // before the body is known
+    made.acting(acts());
+    paint(made, NATURAL, null);
+    expect([...made.rows.tone.subarray(0, 8)]).toEqual([90, 60, 30, 255, 1, 2, 3, 255]);
+  });
+
+  test("varies by the trait that selects the natural colour", () => {
+    const traits = { "trait/0": new Float32Array(9), "trait/1": Float32Array.of(0, 0, 9, 0.5, 9, 9, 2, 9, 9) };
+    const made = herd(frame([1, 2, 3], new Array<number>(9).fill(0), traits), ants);
+    const table = Uint8Array.from({ length: 15 }, (_, k) => 10 * k);
+    made.acting(acts({ traits: 4, natural: { table, trait: 3, steps: 2 } }));
+    paint(made, NATURAL, null);
+    expect(tones(made)).toEqual([
+      [0, 10, 20, 255],
+      [30, 40, 50, 255],
+      [120, 130, 140, 255],
+    ]);
+  });
+
+  test("of a species with several bodies is that of each agent's body", () => {
+    const all = frame([1, 2, 5], new Array<number>(9).fill(0), { body: Uint8Array.of(1, 0, 1) });
+    const two = species({ bodies: ["ant#0", "ant#1"] });
+    const parts = two.bodies.map((key, body) => {
+      const part = new Herd(two, key);
+      part.take(partOf(all, "ant", body), 1, true);
+      part.acting(acts(body ? {} : { natural: { table: Uint8Array.of(1, 2, 3), trait: -1, steps: 0 } }));
+      paint(part, NATURAL, null);
+      return part;
+    });
+    const made = herd(all, two);
+    paintFromBodies(made, parts);
+    expect(tones(made)).toEqual([
+      [90, 60, 30, 255],
+      [1, 2, 3, 255],
+      [90, 60, 30, 255],
     ]);
   });
 

@@ -1,7 +1,7 @@
 // What the view displays: colours, fields, flows, marks of the selected agent, camera. Requests the data for it from the server.
 
 import { type Ask, MOST_PLANNED } from "../../protocol";
-import type { Shared, Store } from "../../store";
+import { NATURAL, type Shared, type Store } from "../../store";
 import { button, el, keyed, type Row, setText } from "../dom";
 import { fullOf } from "../../view/scales";
 import type { Panel } from "../side";
@@ -25,6 +25,7 @@ const KEYS: [string, string][] = [
   ["g f c", "near the selected ant, the whole ground, the scene's camera"],
   ["h v", "all ants; all ants from above"],
   ["1 2 3", "free, follow, ride"],
+  ["s", "colours of states, natural colours"],
   ["t a x", "trails; planned paths; see through solids and stones"],
   ["arrows + −", "turn, come closer"],
   ["Esc", "clear the selection"],
@@ -55,10 +56,10 @@ function colouring(store: Store): HTMLElement {
     options = now;
     select.value = store.now.colour;
   });
-  return el("section", { class: "row" }, el("label", { for: "colour", text: "Colour by" }), select);
+  return el("section", { class: "row" }, el("label", { for: "colour", text: "Colours" }), select);
 }
 
-/** Return the options: state, state of each machine (if several), speed, all attributes of all species without repeats. */
+/** Return the options: natural colours, state, state of each machine (if several), speed, all attributes of all species without repeats. */
 function colours(store: Store): [string, string][] {
   const species = store.now.scene?.species ?? [];
   const machines = new Set(
@@ -69,10 +70,11 @@ function colours(store: Store): [string, string][] {
   );
   attributes.delete("speed");
   return [
-    ["state", "state"],
-    ...[...machines].map((name): [string, string] => [`state/${name}`, `state of ${name}`]),
-    ["speed", "speed (mm/s)"],
-    ...[...attributes].map(([name, unit]): [string, string] => [name, unit ? `${name} (${unit})` : name]),
+    [NATURAL, "natural"],
+    ["state", "by state"],
+    ...[...machines].map((name): [string, string] => [`state/${name}`, `by state of ${name}`]),
+    ["speed", "by speed (mm/s)"],
+    ...[...attributes].map(([name, unit]): [string, string] => [name, unit ? `by ${name} (${unit})` : `by ${name}`]),
   ];
 }
 
@@ -174,7 +176,7 @@ function askOnChange(store: Store): void {
     const message: Extract<Ask, { op: "look" }> = {
       op: "look",
       columns:
-        colour === "state" || colour === "speed" || colour.startsWith("state/")
+        colour === NATURAL || colour === "state" || colour === "speed" || colour.startsWith("state/")
           ? []
           : holders.map((each) => ({ species: each.name, name: colour })),
       fields: fields.filter((name) => scene?.fields.some((field) => field.name === name)),

@@ -1,12 +1,12 @@
 // Keyboard control of the view, and the selection as text for screen readers. One entry for each key.
 
-import type { Agent } from "../../store";
+import { type Agent, NATURAL } from "../../store";
 import { machineOf } from "../herds/colours";
 import type { Sight } from "../sight";
 
 const TURN = Math.PI / 24;
 const HELP =
-  "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, h all ants, v all ants from above, g goes near the selected ant, c looks as the scene's camera does, 1, 2 and 3 choose the camera: free, follow, ride, t shows trails, a planned paths, x sees through stones.";
+  "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, h all ants, v all ants from above, g goes near the selected ant, c looks as the scene's camera does, 1, 2 and 3 choose the camera: free, follow, ride, s shows the colours of states, t shows trails, a planned paths, x sees through stones.";
 
 type Act = (sight: Sight) => void;
 
@@ -27,6 +27,7 @@ const KEYS = new Map<string, Act>([
   ["2", (sight) => keep(sight, "follow")],
   ["3", (sight) => keep(sight, "ride")],
   ["x", ({ store }) => store.set("glass", !store.now.glass)],
+  ["s", ({ store }) => store.set("colour", store.now.colour === NATURAL ? "state" : NATURAL)],
   ["t", ({ store }) => store.set("trails", !store.now.trails)],
   ["a", ({ store }) => store.set("paths", !store.now.paths)],
   ["n", (sight) => next(sight, 1)],

@@ -1,7 +1,8 @@
-// The meaning of the colours, with current counts. A click on the row of a state selects its agents.
+// The meaning of the colours, with current counts. A click on the row of a state selects its agents. With natural colours, states
+// have no colour here.
 
 import type { Machine, Species } from "../../protocol";
-import type { Agent } from "../../store";
+import { type Agent, NATURAL } from "../../store";
 import { Colouring } from "../herds/colouring";
 import { machineOf, numbersOf } from "../herds/colours";
 import type { Herd } from "../herds/herd";
@@ -47,8 +48,8 @@ export function legend(sight: Sight): void {
     box.replaceChildren();
     let ramp = false;
     for (const herd of herds.byName.values()) {
-      const machine = machineOf(herd.species, colour);
-      if (machine) states(herd, machine);
+      const machine = machineOf(herd.species, colour === NATURAL ? "state" : colour);
+      if (machine) states(herd, machine, colour !== NATURAL);
       else if (numbersOf(herd, colour)) ramp = true;
     }
     if (ramp && colouring.range) box.append(bar(colour, colouring.range.low, colouring.range.high, colouring.range.unit));
@@ -56,7 +57,7 @@ export function legend(sight: Sight): void {
     next = 0;
   }
 
-  function states(herd: Herd, machine: Machine): void {
+  function states(herd: Herd, machine: Machine, coloured: boolean): void {
     const part = document.createElement("details");
     const title = document.createElement("summary");
     const id = `${herd.species.name} ${machine.name}`;
@@ -65,7 +66,7 @@ export function legend(sight: Sight): void {
     part.append(title);
     box.append(part);
     const several = herd.species.machines.length > 1 ? ` · ${machine.name}` : "";
-    const rows = machine.states.map((_, number) => row(sight, herd.species, machine, number));
+    const rows = machine.states.map((_, number) => row(sight, herd.species, machine, number, coloured));
     for (const each of rows) part.append(each.button);
     counts.push(() => {
       const now = herds.byName.get(herd.species.name) ?? herd; // an edit replaces the herds; their states stay the same
@@ -80,8 +81,8 @@ export function legend(sight: Sight): void {
   colouring.onChange(refresh);
 }
 
-/** Return the row of a state with colour and count. A click selects the agents in this state. */
-function row({ herds, store }: Sight, species: Species, machine: Machine, number: number) {
+/** Return the row of a state with its count, and with its colour if agents have it. A click selects the agents in this state. */
+function row({ herds, store }: Sight, species: Species, machine: Machine, number: number, coloured: boolean) {
   const state = machine.states[number] as string;
   const button = document.createElement("button");
   button.type = "button";
@@ -92,7 +93,7 @@ function row({ herds, store }: Sight, species: Species, machine: Machine, number
   const name = document.createElement("span");
   name.textContent = state;
   const count = document.createElement("b");
-  button.append(swatch, name, count);
+  button.append(...(coloured ? [swatch] : []), name, count);
   button.addEventListener("click", () => {
     const herd = herds.byName.get(species.name);
     const states = herd?.column(`state/${machine.name}`);

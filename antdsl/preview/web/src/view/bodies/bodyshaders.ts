@@ -117,7 +117,14 @@ void main() {
   gl_Position = projectionMatrix * modelViewMatrix * vec4(world, 1.0);
 }`;
 
+/** The linear colour of a display colour. */
+const DECODED = /* glsl */ `
+vec3 decoded(vec3 shown) {
+  return mix(pow((shown + 0.055) / 1.055, vec3(2.4)), shown / 12.92, vec3(lessThan(shown, vec3(0.04045))));
+}`;
+
 const BODY_FRAGMENT = /* glsl */ `
+${DECODED}
 uniform vec3 sun;
 uniform vec3 worldUp;
 varying vec3 vNormal;
@@ -128,7 +135,7 @@ void main() {
   vec3 n = normalize(vNormal);
   vec3 toward = normalize(vToward);
   if (dot(n, toward) < 0.0) n = -n;
-  vec3 colour = mix(vPaint.rgb, pow(vTone, vec3(2.2)), vPaint.a);
+  vec3 colour = mix(vPaint.rgb, decoded(vTone), vPaint.a);
   float above = 0.5 + 0.5 * dot(n, worldUp);
   float lit = max(dot(n, sun), 0.0);
   vec3 shade = colour * (0.34 + 0.38 * above + 0.52 * lit);
@@ -177,6 +184,7 @@ void main() {
 }`;
 
 const RING_FRAGMENT = /* glsl */ `
+${DECODED}
 uniform float fade;
 varying vec2 vAt;
 varying float vWide;
@@ -185,7 +193,7 @@ void main() {
   float off = abs(length(vAt) - 1.0 + 0.5 * vWide);
   float part = 1.0 - smoothstep(0.35 * vWide, 0.75 * vWide, off);
   if (part < 0.02) discard;
-  gl_FragColor = vec4(pow(vTone, vec3(2.2)), part * fade);
+  gl_FragColor = vec4(decoded(vTone), part * fade);
   #include <colorspace_fragment>
 }`;
 

@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import type { NumberArray, Packet } from "../../protocol";
+import type { Natural } from "../herds/herd";
 
 export const WIDE = 1024; // texels in a row of a texture that holds a list
 
@@ -26,6 +27,7 @@ export interface Rig {
   scales: number;
   scaleAt: number; // in the table: how much the size of a group scales each joint and all joints below it
   palette: THREE.DataTexture; // colours of materials that vary
+  natural: Natural;
   legs: number;
   legAt: number; // in the table, for each leg: hip, knee and foot as joints, and the axis of a straight knee
   length: number; // body length, in units of the definition
@@ -93,12 +95,18 @@ export function rigOf(packet: Packet): Rigged {
     scales: scales.length / 4 / joints,
     scaleAt: joints + clip.length / 4 + group.length + leg.length / 4 + looks.length / 4,
     palette: list(packet.arrays.get("palette") ?? []),
+    natural: naturalOf(packet),
     legs: leg.length / 8,
     legAt: joints + clip.length / 4 + group.length,
     length: Number(packet.header.length),
     bending: packet.header.bending as Rig["bending"],
   };
   return { low: skinOf(rig, packet, "low"), fine: skinOf(rig, packet, "fine") };
+}
+
+function naturalOf(packet: Packet): Natural {
+  const [trait = -1, steps = 0] = packet.header.natural as number[];
+  return { table: Uint8Array.from(packet.arrays.get("natural") as NumberArray), trait, steps };
 }
 
 function skinOf(rig: Rig, packet: Packet, level: string): Skin {

@@ -1,7 +1,9 @@
 // Updates the agents' colours, for each frame and after a new choice of colouring. The legend reads the current colouring.
 
+import { NATURAL } from "../../store";
+import type { Herd } from "./herd";
 import type { Herds } from "./herds";
-import { type Range, paint, ranged } from "./colours";
+import { type Range, paint, paintFromBodies, ranged } from "./colours";
 import type { Sight } from "../sight";
 
 export class Colouring {
@@ -24,6 +26,14 @@ export class Colouring {
     this.way = colour;
     this.range = colour.startsWith("state") ? null : ranged(herds.byName.values(), colour, this.range);
     for (const herd of herds.all) paint(herd, colour, this.range);
+    for (const herd of colour === NATURAL ? herds.byName.values() : []) {
+      const keys = herd.species.bodies;
+      if (keys.length > 1)
+        paintFromBodies(
+          herd,
+          keys.map((key) => herds.byBody.get(key) as Herd),
+        );
+    }
     this.sight.bodies.recolour();
     for (const listener of this.listeners) listener();
   }

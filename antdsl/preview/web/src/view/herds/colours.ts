@@ -1,6 +1,7 @@
-// The colour of each agent: by state, speed or any attribute. One entry for each way.
+// The colour of each agent: its natural one, by state, speed or any attribute. One entry for each way.
 
 import type { Attribute, NumberArray, Species, Triple } from "../../protocol";
+import { NATURAL } from "../../store";
 import type { Herd } from "./herd";
 import { RAMP } from "../palette";
 
@@ -40,6 +41,16 @@ export function paint(herd: Herd, colour: string, range: Range | null): void {
 
 function paintValues(herd: Herd, colour: string, range: Range | null): void {
   const { tone } = herd.rows;
+  const natural = colour === NATURAL ? herd.natural : null;
+  if (natural) {
+    const { table, trait, steps } = natural;
+    const group = herd.gaze.groups.indexOf(`trait/${Math.floor(trait / 3)}`);
+    for (let row = 0; row < herd.count; row++) {
+      const step = group < 0 ? 0 : Math.round(herd.gaze.value(row, group, trait % 3) * steps);
+      copy(tone, row, table, Math.min(step, table.length / 3 - 1));
+    }
+    return;
+  }
   const machine = machineOf(herd.species, colour);
   const states = machine && herd.column(`state/${machine.name}`);
   if (machine && states) {
@@ -61,6 +72,18 @@ function paintValues(herd: Herd, colour: string, range: Range | null): void {
   }
   const plain = Uint8Array.from(PLAIN, (part) => Math.round(255 * part));
   for (let row = 0; row < herd.count; row++) copy(tone, row, plain, 0);
+}
+
+/** Set the colours of a species with several bodies to those of its bodies. */
+export function paintFromBodies(herd: Herd, bodies: readonly Herd[]): void {
+  const number = herd.column("body");
+  const next = bodies.map(() => 0);
+  for (let row = 0; row < herd.count; row++) {
+    const body = (number?.[row] as number | undefined) ?? 0;
+    const at = next[body] as number;
+    next[body] = at + 1;
+    copy(herd.rows.tone, row, (bodies[body] as Herd).rows.tone.subarray(4 * at, 4 * at + 3), 0);
+  }
 }
 
 function copy(tone: Uint8Array, row: number, table: Uint8Array, entry: number): void {

@@ -24,6 +24,11 @@ export class Gaze {
     this.version++;
   }
 
+  /** Return one of the three current numbers of a group of a row; 0 without data. */
+  value(row: number, group: number, axis: number): number {
+    return this.data[row * this.width + PART * group + PART / 2 + axis] ?? 0;
+  }
+
   /** Take a frame: for each group int8 [n, 3] (127 is 1), for traits float32 [n, 3], or undefined for no data. `from`: the previous
    * row of each row, or -1. Rows continue from the displayed values, `t` of the way between frames. */
   take(values: (NumberArray | undefined)[], count: number, from: Int32Array, t: number): void {

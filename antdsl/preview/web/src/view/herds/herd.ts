@@ -58,6 +58,14 @@ export interface Acts {
   leans: boolean; // whether other clips replace a clip as the agent turns and climbs
   traits: number; // number of other values by which bodies differ
   idle: [number, number] | null; // the clip below all others, and its duration in seconds
+  natural: Natural;
+}
+
+/** The natural colours of a body: display bytes, three for each colour. `trait` selects one, at `steps` per unit; -1 without. */
+export interface Natural {
+  table: Uint8Array;
+  trait: number;
+  steps: number;
 }
 
 export class Herd {
@@ -68,6 +76,7 @@ export class Herd {
   clock = 0; // seconds since frame 0
   private machines: string[] = [];
   private idle: Acts["idle"] = null;
+  natural: Natural | null = null; // null before the body is known
   ids: NumberArray = new Int32Array(0);
   arrays: Packet["arrays"] = new Map();
   count = 0;
@@ -120,9 +129,10 @@ export class Herd {
   }
 
   /** Set what the body can do. */
-  acting({ machines, loops, legs, looks, leans, traits, idle }: Acts): void {
+  acting({ machines, loops, legs, looks, leans, traits, idle, natural }: Acts): void {
     this.machines = machines;
     this.idle = idle;
+    this.natural = natural;
     this.plays.begin(idle ? ["", ...machines] : machines, loops);
     this.feet.begin(legs);
     const threes = Array.from({ length: Math.ceil(traits / 3) }, (_, k) => `trait/${k}`);

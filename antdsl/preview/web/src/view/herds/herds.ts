@@ -57,6 +57,7 @@ export class Herds {
   acting(key: string, acts: Acts): void {
     this.acts.set(key, acts);
     this.byBody.get(key)?.acting(acts);
+    for (const listener of this.listeners) listener(); // colours and poses depend on it
   }
 
   private people(scene: Scene): void {

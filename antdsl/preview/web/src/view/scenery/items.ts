@@ -111,9 +111,16 @@ function made(packet: Packet): Item {
   geometry.setAttribute("color", new THREE.BufferAttribute(linear, 3));
   geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(face), 1));
   geometry.computeVertexNormals();
+  const light = packet.header.look === "light"; // has its own colour in any light
   const mesh = new THREE.Mesh(
     geometry,
-    new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.55, side: THREE.DoubleSide }),
+    new THREE.MeshStandardMaterial({
+      vertexColors: true,
+      roughness: Number(packet.header.roughness ?? 0.55),
+      color: light ? 0 : 0xffffff,
+      emissive: light ? new THREE.Color().fromArray(linear) : 0,
+      side: THREE.DoubleSide,
+    }),
   );
   mesh.castShadow = mesh.receiveShadow = true;
   mesh.userData.hides = true;
