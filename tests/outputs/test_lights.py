@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,15 +14,17 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.body import build_orientations
 from antdsl.outputs.cache.cache_reader import open_cache
+from antdsl.outputs.exports.gltf_export import export_gltf
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures import Camera, Crowd, Item, Picture, Solid, render_frame
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.lamps import LAMP_COLOUR, Lamp, find_lamps
-from antdsl.outputs.pictures.light import decode_srgb
+from antdsl.outputs.pictures.light import SUN_LIGHT, decode_srgb, make_sun
 from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options
 from antdsl.scene.light_model import LightSettings
+from antdsl.scene.thing_models import UP_VECTORS
 
 NIGHT, UP = LightSettings(sun=0.0, sky=0.0, haze=0.0), (0.0, 1.0, 0.0)
 ABOVE = Camera((0.0, 120.0, 0.01), (0.0, 0.0, 0.0), focal=30.0)
@@ -167,3 +170,28 @@ def test_wrong_values_are_located(tmp_path: Path, line: str, message: str) -> No
     text = SCENE.replace("{sun: 50 %, sky: 0 %, lamps: 200 %, elevation: 30 deg, azimuth: 90 deg}", line)
     shot, report = open_scene(write_scene(tmp_path, text))
     assert shot is None and report.errors[0].span is not None and message in report.errors[0].message, report.errors
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_gltf_has_the_sun_and_a_light_in_each_lamp(tmp_path: Path, up: str) -> None:
+    text = SCENE.replace("units: mm", f"units: mm\nup: {up}").replace("ground.ply}", "ground.ply, up: y}")
+    shot, report = open_scene(write_scene(tmp_path, text))
+    assert shot is not None, str(report)
+    for _ in record_frames(begin_recording(shot, tmp_path / "out", Options(), resume=False, force=False)):
+        pass
+    gallery = Gallery(open_cache(tmp_path / "out"))
+    export_gltf(gallery, [1, 2], tmp_path / "a.gltf")
+    file = json.loads((tmp_path / "a.gltf").read_text(encoding="utf-8"))
+    assert file["extensionsUsed"] == ["KHR_lights_punctual"]
+    sun, lamp = file["extensions"]["KHR_lights_punctual"]["lights"]
+    nodes = {node["extensions"]["KHR_lights_punctual"]["light"]: node for node in file["nodes"] if "extensions" in node}
+    assert (sun["type"], lamp["type"], max(sun["color"]), max(lamp["color"])) == ("directional", "point", 1.0, 1.0)
+    # The light 1 of pictures is at ten radii, 20 mm, from a lamp of 100 %; the sun has half of its usual light.
+    light = lamp["intensity"] / 0.02**2 * np.array(lamp["color"]) / (np.pi * 683)
+    assert np.allclose(light, 2 * LAMP_COLOUR, rtol=1e-4)
+    assert np.allclose(sun["intensity"] * np.array(sun["color"]) / (np.pi * 683), 0.5 * SUN_LIGHT, rtol=1e-4)
+    x, y, z, w = nodes[0]["rotation"]
+    toward_sun = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])  # +z, rotated
+    assert np.allclose(toward_sun, make_sun(np.array(UP_VECTORS[up]), gallery.light).direction, atol=1e-5)
+    parent = next(node for node in file["nodes"] if file["nodes"].index(nodes[1]) in node.get("children", ()))
+    assert parent["name"] == "bulb" and nodes[1]["translation"] == (np.array(UP_VECTORS[up]) * 1.75).tolist()

@@ -20,6 +20,7 @@ from antdsl.bodies.body import compute_vertex_normals
 from antdsl.bodies.files.gltf.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.exports.gltf_keys import PATHS, AgentRows, NodeTracks, plan_keys
+from antdsl.outputs.exports.gltf_lights import add_lights
 from antdsl.outputs.exports.gltf_stage import GltfStage
 from antdsl.outputs.exports.gltf_states import StateChanges
 from antdsl.outputs.exports.poses_export import FEWER_AGENTS_ADVICE, NO_AGENTS_MESSAGE, list_crowds_by_body, make_pose_arrays
@@ -60,7 +61,10 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path, options: Gl
     for (species, _), body in crowd.bodies.items():
         _AgentWriter(stage, body, species, states, options).write_agents()
     for frame in frames:
-        stage.add_picture(gallery.make_picture(frame))
+        picture = gallery.make_picture(frame)
+        stage.add_picture(picture)
+        if frame == frames[0]:
+            add_lights(stage, picture)
     stage.write_motion()
     extras = {"first_frame": frames[0], "last_frame": frames[-1], "fps": 1 / gallery.dt, "tolerance": options.tolerance}
     write_atomically(path, stage.writer.to_bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene], extras=extras))

@@ -38,6 +38,7 @@ class GltfWriter:
         self.data = bytearray()
         self._asset = {"version": "2.0", "generator": generator}
         self._lists: dict[str, list[Entry]] = {}
+        self._extensions: dict[str, Entry] = {}
         self._packed_view: int | None = None  # the buffer view of packed accessors
         self._accessors: dict[tuple[Any, ...], int] = {}  # by their values and use
 
@@ -49,6 +50,10 @@ class GltfWriter:
     def get_part(self, key: str, number: int) -> Entry:
         """Return a part that was added, so that the caller can extend it."""
         return self._lists[key][number]
+
+    def add_extension(self, name: str, entry: Entry) -> None:
+        """Add the file's own entry of an extension. Readers that do not know it may ignore it."""
+        self._extensions[name] = entry
 
     def add_accessor(
         self, values: NDArray[Any], kind: str = "f4", target: int = 0, bounds: bool = False, *, is_packed: bool = False
@@ -100,6 +105,8 @@ class GltfWriter:
         buffer: Entry = {"byteLength": len(data)}
         if as_text:
             buffer["uri"] = "data:application/octet-stream;base64," + b64encode(data).decode("ascii")
+        if self._extensions:
+            top_entries |= {"extensionsUsed": sorted(self._extensions), "extensions": self._extensions}
         tree = {"asset": self._asset, **top_entries, **({"buffers": [buffer]} if data else {}), **lists}
         said = json.dumps(tree, separators=(",", ":"), allow_nan=False, ensure_ascii=as_text).encode()
         if as_text:

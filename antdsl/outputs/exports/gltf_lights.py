@@ -1,0 +1,57 @@
+"""The light of a scene in a glTF file: the sun and the lamps, by the extension `KHR_lights_punctual` (Khronos Group, 2018).
+
+A surface of pictures scatters its albedo times the light, so the light 1 is an irradiance of pi W/m². glTF has lux and candela;
+one watt is 683 lumens, as Blender reads them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.transforms import matrix_to_quaternion
+from antdsl.casting.lamps import UNIT_DISTANCE, place_bulb
+from antdsl.outputs.exports.gltf_stage import GltfStage
+from antdsl.outputs.pictures.lamps import LAMP_COLOUR, find_lamps
+from antdsl.outputs.pictures.light import SUN_LIGHT, make_sun
+from antdsl.outputs.pictures.model import Picture
+from antdsl.scene.scene_model import UNIT_MM
+from antdsl.scene.thing_models import UP_VECTORS
+
+_EXTENSION = "KHR_lights_punctual"
+_LUX_PER_LIGHT = float(np.pi) * 683
+
+
+def add_lights(stage: GltfStage, picture: Picture) -> None:
+    """Write the sun, and a point light in each lamp of the first picture. Lamps move with their items; they do not shrink."""
+    lights: list[tuple[int | None, dict[str, Any]]] = []
+    settings, up = picture.light, np.asarray(UP_VECTORS[stage.gallery.manifest.up], np.float64)
+    if settings.sun > 0:
+        sun = stage.add_child(None, "sun", turn=_aim_backward(make_sun(up, settings).direction.astype(np.float64)))
+        lights.append((sun, {"type": "directional", **_make_strength(SUN_LIGHT * settings.sun, 1.0)}))
+    metres = UNIT_MM[stage.gallery.manifest.units] / 1000
+    for index, item in enumerate(picture.items):
+        for lamp in find_lamps([item], picture.up, settings.lamps):
+            centre, _ = place_bulb(item.shape, np.zeros(3), 1.0, up)
+            bulb = stage.add_child(index, f"{item.name} light", move=centre)
+            candela = (UNIT_DISTANCE * item.drawn_radius * metres) ** 2
+            lights.append((bulb, {"type": "point", **_make_strength(LAMP_COLOUR * lamp.strength, candela)}))
+    lights = [(node, light) for node, light in lights if node is not None]
+    if lights:
+        stage.writer.add_extension(_EXTENSION, {"lights": [light for _, light in lights]})
+        for number, (node, _) in enumerate(lights):
+            stage.writer.get_part("nodes", node)["extensions"] = {_EXTENSION: {"light": number}}
+
+
+def _make_strength(colour: NDArray[np.floating], factor: float) -> dict[str, Any]:
+    """Return colour and intensity of a light; the greatest part of its colour is 1."""
+    greatest = float(np.max(colour))
+    return {"color": [round(float(part) / greatest, 6) for part in colour], "intensity": _LUX_PER_LIGHT * greatest * factor}
+
+
+def _aim_backward(direction: NDArray[np.float64]) -> list[float]:
+    """Return the rotation (x y z w) that turns +z into a direction: a light of glTF shines along its own -z."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return [float(part) for part in matrix_to_quaternion(np.stack([first, np.cross(direction, first), direction], axis=1))]
