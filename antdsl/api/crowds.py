@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from antdsl.api.errors import AntdslError
 from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.program.tables.vocabulary import explain_range, is_limit
 from antdsl.runtime.world import AXES
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ class Crowd:
         registers = self._population.plan.registers
         names = (name.rpartition(".")[0] if name.endswith((".x", ".y", ".z")) else name for name, r in registers.items() if
                  r.role == "attribute" and r.kind.name == "F32")  # fmt: skip
-        return tuple(name for name in dict.fromkeys(names) if name not in _MOTION)
+        return tuple(name for name in dict.fromkeys(names) if name not in _MOTION and not name.startswith("~"))
 
     def _machine_columns(self) -> dict[str, tuple[str, str]]:
         """Return the register's machine and part of each column about states."""
@@ -137,7 +138,8 @@ class Crowd:
     def __setitem__(self, name: str, values: ArrayLike) -> None:
         """Set an attribute of all agents, from the next step on. `values`: one value, or one per agent in the order of ids.
 
-        Raises AntdslError for what is no attribute, another shape, and values that are not finite."""
+        Raises AntdslError for what is no attribute, another shape, and values that an agent cannot have, such as a size of 0.
+        Limits such as `max_turn` may be infinite."""
         population = self._population
         if name not in self.attributes:
             if name in self.names:
@@ -151,8 +153,11 @@ class Crowd:
             raise AntdslError(f"`{name}` needs numbers of the shape {shape}", f"there are {len(population)} agents") from None
         with np.errstate(over="ignore"):
             columns = columns.astype(np.float32)
-        if not np.isfinite(columns).all():
+        if not (np.isfinite(columns) | (is_limit(name) & (columns == np.inf))).all():
             raise AntdslError(f"`{name}` needs finite numbers")
+        for extreme in (columns.min(), columns.max()) if columns.size else ():
+            if (advice := explain_range(name, float(extreme))) is not None:
+                raise AntdslError(f"`{name}` cannot be {extreme:g}", advice)
         rows = population.rows_by_id()
         for k, register in enumerate(registers):
             column = columns if len(registers) == 1 else columns[:, k]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from operator import index
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, SupportsIndex, TypeVar
 
 from antdsl.api.crowds import Crowd, Field, ItemGroup, make_unknown_name_error
 from antdsl.api.errors import AntdslError
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from antdsl.pipeline import Shot
     from antdsl.runtime.world import World
+    from antdsl.scene.values import FrameRange
 
 Observer = TypeVar("Observer", bound="Callable[[Simulation], object]")
 
@@ -24,31 +26,27 @@ Observer = TypeVar("Observer", bound="Callable[[Simulation], object]")
 def open_scene(
     path: str | PathLike[str],
     *,
-    seed: int | None = None,
+    seed: SupportsIndex | None = None,
     set: Mapping[str, str | float] | None = None,
-    frames: tuple[int, int] | None = None,
+    frames: tuple[SupportsIndex, SupportsIndex] | None = None,
     roots: Mapping[str, str | PathLike[str]] | None = None,
     threads: int = 1,
 ) -> Simulation:
     """Open a scene and return its simulation at the first frame.
 
     `seed`, `frames` (first, last): replace those of the scene.
-    `set`: values of params and of fields' settings, such as `{"forager.smell": "20 mm"}`. A number is in base units.
+    `set`: values of params and of fields' settings, such as `{"forager.smell": "20 mm"}`. A number, for params only, is in base
+    units.
     `roots`: folders outside the scene's own that it may read, by name.
     `threads`: of a step; results do not depend on it.
 
     Raises AntdslError with the report if the scene or a program has errors. Warnings are in `Simulation.report`."""
     from antdsl.pipeline import RunChoices
     from antdsl.pipeline import open_scene as open_shot
-    from antdsl.scene.values import FrameRange
 
-    if seed is not None and not (isinstance(seed, int) and 0 <= seed < 2**63):
-        raise AntdslError(f"`{seed}` is not a seed", "write a whole number from 0")
-    if frames is not None and not (len(frames) == 2 and all(isinstance(each, int) for each in frames) and frames[0] <= frames[1]):
-        raise AntdslError(f"`{frames}` is not a range of frames", "write (1, 240)")
     grants = {name: Path(folder) for name, folder in (roots or {}).items()}
     params = {name: str(value) for name, value in (set or {}).items() if isinstance(value, str)}
-    choices = RunChoices(grants, None if frames is None else FrameRange(*frames), seed, params)
+    choices = RunChoices(grants, read_frames(frames), None if seed is None else read_seed(seed), params)
     shot, report = open_shot(Path(path), choices)
     if shot is None or not report.ok:
         raise AntdslError.from_report(report)
@@ -57,6 +55,32 @@ def open_scene(
         if not isinstance(value, str):
             simulation.set_param(name, value)
     return simulation
+
+
+def read_seed(seed: SupportsIndex) -> int:
+    """Return a seed as an integer, also one of NumPy. Raises AntdslError for another value."""
+    try:
+        number = index(seed)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**63:
+        raise AntdslError(f"`{seed}` is not a seed", "write a whole number from 0")
+    return number
+
+
+def read_frames(frames: tuple[SupportsIndex, SupportsIndex] | None) -> FrameRange | None:
+    """Return the range from a first to a last frame; None for None. Raises AntdslError for another value."""
+    from antdsl.scene.values import FrameRange
+
+    if frames is None:
+        return None
+    try:
+        first, last = map(index, frames)
+    except (TypeError, ValueError):
+        first, last = 1, 0
+    if first > last:
+        raise AntdslError(f"`{frames}` is not a range of frames", "write (1, 240)")
+    return FrameRange(first, last)
 
 
 class Simulation:
@@ -122,10 +146,13 @@ class Simulation:
 
         Raises AntdslError for an unknown param, a wrong unit, and a value outside the declared range."""
         from antdsl.runtime import set_param
+        from antdsl.scene.field_settings import list_settable_names
         from antdsl.scene.overrides import read_overrides
 
         shot = self._shot
         param = shot.program.params.get(name)
+        if param is None and name in list_settable_names(shot.program):
+            raise AntdslError(f"`{name}` is a setting of a field", "write text with a unit in `open_scene(…, set={…})`")
         if param is None:
             raise make_unknown_name_error("param", name, tuple(shot.program.params))
         report = Report()

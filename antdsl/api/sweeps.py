@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsIndex
 
 from antdsl.api.errors import AntdslError
+from antdsl.api.simulation import read_frames, read_seed
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -43,9 +44,9 @@ class SweepResult:
 def sweep(
     scenes: str | PathLike[str] | Sequence[str | PathLike[str]],
     *,
-    seeds: int | Iterable[int] = 5,
+    seeds: int | Iterable[SupportsIndex] = 5,
     vary: Mapping[str, Sequence[str | float]] | None = None,
-    frames: tuple[int, int] | None = None,
+    frames: tuple[SupportsIndex, SupportsIndex] | None = None,
     until_empty: Sequence[str] = (),
     processes: int | None = None,
     on_result: Callable[[Mapping[str, Any]], object] | None = None,
@@ -53,7 +54,7 @@ def sweep(
     """Run scenes over values and seeds, with all combinations of `vary`, and return the measures of each run.
 
     `scenes`: one path or several. `seeds`: a number (1 to N), or the seeds themselves.
-    `vary`: the values of params and of fields' settings, such as `{"walker.pace": ["20 mm/s", "40 mm/s"]}`.
+    `vary`: the values of params and of fields' settings, such as `{"walker.pace": ["20 mm/s", "40 mm/s"]}`, with their units.
     `frames` (first, last): replace those of the scene. `until_empty`: a run ends when these amounts are 0, such as `food.load`.
     `processes`: by default, one for each core. `on_result`: a function that is called with each run as it ends.
 
@@ -62,19 +63,25 @@ def sweep(
 
     from antdsl.executors import ProcessEngine
     from antdsl.numerics.processor.host import count_available_cores
-    from antdsl.scene.values import FrameRange
     from antdsl.sweeps import build_jobs, make_variations, run_jobs
 
     paths = [scenes] if isinstance(scenes, str) or not isinstance(scenes, Sequence) else list(scenes)
+    for name, values in (vary or {}).items():
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            raise AntdslError(f"`{name}` needs a list of values", f"write [{values!r}]")
+    if isinstance(until_empty, str):
+        until_empty = (until_empty,)
+    if processes is not None and processes < 1:
+        raise AntdslError(f"a sweep cannot run in {processes} processes", "write 1 or more")
     names = list(vary or {})
     points = [dict(zip(names, map(str, values), strict=True)) for values in product(*(vary or {}).values())]
-    numbers = range(1, seeds + 1) if isinstance(seeds, int) else list(seeds)
+    numbers = list(range(1, seeds + 1)) if isinstance(seeds, int) else [read_seed(seed) for seed in seeds]
     if not paths or not numbers or not points:
         raise AntdslError("there is nothing to run", "name a scene, a seed and a value for each param")
     jobs, report = build_jobs(
         make_variations([Path(path) for path in paths], points),
         numbers,
-        frames=None if frames is None else FrameRange(*frames),
+        frames=read_frames(frames),
         stop_amounts=tuple(until_empty),
         grants={},
     )

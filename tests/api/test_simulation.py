@@ -75,8 +75,22 @@ def test_setting_changes_no_random_draw_of_others() -> None:
     assert one.step(5).state_hash == other.step(5).state_hash
 
 
+def test_what_a_crowd_has_can_be_set_again_and_nothing_internal_is_listed() -> None:
+    one, other = (antdsl.open_scene(MINIMAL, seed=np.int64(7), frames=(np.int32(1), np.int32(4))) for _ in range(2))
+    walkers = other["walker"]
+    for name in walkers.attributes:
+        walkers[name] = walkers[name]
+    assert not any(name.startswith("~") for name in walkers)
+    assert one.run().state_hash == other.run().state_hash
+    walkers["max_turn"] = np.inf
+    assert np.isinf(walkers["max_turn"]).all() and np.isfinite(other.step()["walker"]["position"]).all()
+
+
 MISTAKES = [
     (lambda s: s["foragers"], "there is no species `foragers`; did you mean `forager`?"),
+    (lambda s: s["forager"].__setitem__("size", 0), "`size` cannot be 0; write more than 0"),
+    (lambda s: s["forager"].__setitem__("max_speed", -5), "`max_speed` cannot be -5"),
+    (lambda s: s.set_param("trail.half_life", 3.0), "`trail.half_life` is a setting of a field; write text with a unit"),
     (lambda s: s["forager"]["lood"], "there is no array of `forager` `lood`; did you mean `load`?"),
     (lambda s: s["forager"].__setitem__("position", 0), "`position` is computed by steps and cannot be set; set one of: size"),
     (lambda s: s["forager"].__setitem__("state", 0), "`state` is computed by steps"),
@@ -215,6 +229,14 @@ def test_a_sweep_checks_everything_before_it_runs() -> None:
     with pytest.raises(antdsl.AntdslError) as error:
         antdsl.sweep(FORAGING, vary={"forager.smel": ["20 mm"]})
     assert [finding.code for finding in error.value.report.errors] == ["unknown-thing"]
+    for wrong, message in (
+        ({"frames": (5, 2)}, "not a range"), ({"frames": 5}, "not a range"), ({"seeds": [-1]}, "not a seed"),
+        ({"seeds": "12"}, "not a seed"), ({"processes": -1}, "processes"),
+        ({"until_empty": "food.lood"}, "no amount `food.lood`"),
+        ({"vary": {"forager.smell": "20 mm"}}, "list of values; write \\['20 mm'\\]"),
+    ):  # fmt: skip
+        with pytest.raises(antdsl.AntdslError, match=message):
+            antdsl.sweep(FORAGING, **wrong)  # type: ignore[arg-type]
     for empty in ({"seeds": []}, {"seeds": 0}, {"vary": {"forager.smell": []}}):
         with pytest.raises(antdsl.AntdslError, match="nothing to run"):
             antdsl.sweep(FORAGING, **empty)  # type: ignore[arg-type]
