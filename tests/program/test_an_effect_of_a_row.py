@@ -37,7 +37,7 @@ def row_results() -> Any:
         ("scratch ground(depht: 1 mm)", "unknown-argument", "has no argument `depht`", "did you mean `depth`?"),
         ("scratch ground(depth: 0 mm)", "out-of-range", "`0 mm` is no depth of a scratch", "write a length above 0"),
         ("scratch ground(depth: 1 mm, into: claw)", "wrong-unit", "`into` of `scratch` needs an area", "write an area"),
-        ("scratch ground(depth: 1 mm, into: sand)", "unknown-name", "and `sand` is none", "`sand = 0 mm^2`"),
+        ("scratch ground(depth: 1 mm, into: sand)", "unknown-name", "but `sand` is not one", "`sand = 0 mm^2`"),
         ("misplaced", "misplaced-line", "`scratch` is not allowed here", "in a state"),
     ],
 )

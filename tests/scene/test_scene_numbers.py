@@ -95,7 +95,7 @@ notes:
   - {repel: rows, from: [30, 2, 1], radius: 40 mm}
   - {lane: rows, along: [[1, 2, 3], [4, 5, 6]], width: 9 mm}
   - {part: rows, for: rock, distance: 9 mm}
-  - {thin: rows, to: 90 %, near: [1, 2, 3], within: 500 mm}
+  - {thin: rows, to: 90 %, near: [1, 2, 3], within: 500 mm, most: 40}
 set: {walker.pace: 30 mm/s}
 fields: {trail: {start: 2, around: [1, 2, 3], radius: 30 mm}}
 camera: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm}

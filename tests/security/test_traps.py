@@ -65,6 +65,7 @@ TALK = b"".join(
 
 CASES: dict[str, tuple[Case, ...]] = {
     "new": (Case(("new", "fresh"), (), ("fresh", "fresh/*")),),
+    "examples": (Case(("examples", "minimal", "fresh"), (), ("fresh", "fresh/*")),),
     "check": (
         Case(("check", "."), ("*.ant", "*.yaml", "*.ply", "*.usda"), codes=(1, 3)),
         Case(("check", "stage.yaml", "--cost"), (*SCENE, "stage.yaml", "ground.usda")),

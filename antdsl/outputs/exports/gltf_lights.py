@@ -25,22 +25,23 @@ _LUX_PER_LIGHT = float(np.pi) * 683
 
 def add_lights(stage: GltfStage, picture: Picture) -> None:
     """Write the sun, and a point light in each lamp of the first picture. Lamps move with their items; they do not shrink."""
-    lights: list[tuple[int | None, dict[str, Any]]] = []
+    lights: dict[int, dict[str, Any]] = {}  # by node
     settings, up = picture.light, np.asarray(UP_VECTORS[stage.gallery.manifest.up], np.float64)
     if settings.sun > 0:
         sun = stage.add_child(None, "sun", turn=_aim_backward(make_sun(up, settings).direction.astype(np.float64)))
-        lights.append((sun, {"type": "directional", **_make_strength(SUN_LIGHT * settings.sun, 1.0)}))
+        if sun is not None:
+            lights[sun] = {"type": "directional", **_make_strength(SUN_LIGHT * settings.sun, 1.0)}
     metres = UNIT_MM[stage.gallery.manifest.units] / 1000
     for index, item in enumerate(picture.items):
         for lamp in find_lamps([item], picture.up, settings.lamps):
             centre, _ = place_bulb(item.shape, np.zeros(3), 1.0, up)
             bulb = stage.add_child(index, f"{item.name} light", move=centre)
-            candela = (UNIT_DISTANCE * item.drawn_radius * metres) ** 2
-            lights.append((bulb, {"type": "point", **_make_strength(LAMP_COLOUR * lamp.strength, candela)}))
-    lights = [(node, light) for node, light in lights if node is not None]
+            if bulb is not None:
+                candela = (UNIT_DISTANCE * item.drawn_radius * metres) ** 2
+                lights[bulb] = {"type": "point", **_make_strength(LAMP_COLOUR * lamp.strength, candela)}
     if lights:
-        stage.writer.add_extension(_EXTENSION, {"lights": [light for _, light in lights]})
-        for number, (node, _) in enumerate(lights):
+        stage.writer.add_extension(_EXTENSION, {"lights": list(lights.values())})
+        for number, node in enumerate(lights):
             stage.writer.get_part("nodes", node)["extensions"] = {_EXTENSION: {"light": number}}
 
 
