@@ -46,7 +46,7 @@ class CheckResult:
     programs: dict[Path, Program] = field(default_factory=dict)
     cpu_seconds: float = 0.0
 
-    def merge(self, other: CheckResult) -> None:
+    def merge_result(self, other: CheckResult) -> None:
         """Add the results of another check."""
         self.reports |= other.reports
         self.programs |= other.programs
@@ -77,7 +77,7 @@ def check_files(
         _check_in_processes(groups, choices, strict, min(cores, MAX_PROCESSES), parsed, result)
     # Here is what was left over, or was taken by a process that was ended from outside.
     _check_sequentially([file for file in files if file not in result.reports], choices, strict, parsed, result)
-    result.merge(CheckResult(sources=load_sources(files, parsed)))
+    result.merge_result(CheckResult(sources=load_sources(files, parsed)))
     result.sources.sort(key=lambda source: source.path)
     return result
 
@@ -116,7 +116,7 @@ def _check_in_processes(
             children.append(_start_child(check))
         _check_claimed_groups(groups, mine, choices, strict, parsed_files, result)
         while children:
-            result.merge(_collect_child_result(*children.pop(0)))
+            result.merge_result(_collect_child_result(*children.pop(0)))
     finally:
         os.close(mine)
         for process, pipe in children:  # of a check that was interrupted

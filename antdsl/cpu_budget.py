@@ -33,10 +33,10 @@ def limit_cpu_seconds(seconds: float) -> Iterator[None]:
         yield
         return
 
-    def stop(number: int, frame: object) -> None:
+    def raise_budget_spent(number: int, frame: object) -> None:
         raise CpuBudgetSpent
 
-    previous = signal.signal(signal.SIGPROF, stop)
+    previous = signal.signal(signal.SIGPROF, raise_budget_spent)
     signal.setitimer(signal.ITIMER_PROF, seconds)
     _budget_process, _budget_end_seconds = os.getpid(), time.process_time() + seconds
     try:

@@ -238,10 +238,10 @@ def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRunCost:
     wait_for_code(world)
     world.cpu_seconds.clear()
 
-    def run() -> None:
+    def run_frames() -> None:
         for _ in range(frames):
             step(world)
 
-    _, alone = _time_call(run)
+    _, alone = _time_call(run_frames)
     feet = world.cpu_seconds.get("feet", 0.0)
     return FullRunCost(frames, cpu / frames, wall / frames, alone / frames, feet / frames)

@@ -26,7 +26,7 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
     previous_count = sum(crowd.count for crowd in setting.crowds)
     by = (agents / previous_count) ** 0.5
 
-    def point(place: PointMm) -> PointMm:
+    def scale_point(place: PointMm) -> PointMm:
         return (place[0] * by, place[1] * by, place[2] * by)
 
     crowds, passed = [], 0
@@ -37,10 +37,12 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
         at = crowd.place
         radius = None if at.radius is None else at.radius * by
         points = None if at.points is None else at.points * by
-        around, inside = (None if place is None else point(place) for place in (at.disc_centre, at.ray_origin))
+        around, inside = (None if place is None else scale_point(place) for place in (at.disc_centre, at.ray_origin))
         place = replace(at, disc_centre=around, ray_origin=inside, radius=radius, points=points)
         crowds.append(replace(crowd, count=count, place=place))
-    items = {name: tuple(replace(item, position=point(item.position)) for item in those) for name, those in setting.items.items()}
+    items = {
+        name: tuple(replace(item, position=scale_point(item.position)) for item in those) for name, those in setting.items.items()
+    }
     surfaces, obstacles = (
         {name: replace(mesh, vertices=mesh.vertices * by) for name, mesh in meshes.items()}
         for meshes in (setting.surfaces, setting.obstacles)

@@ -22,8 +22,10 @@ REPORTED_PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """A case with one number of agents. `alone`: the measurement of one process per backend. `together`: that of one process in
-    which several backends took turns."""
+    """The measurements of a case with one number of agents.
+
+    `alone`: one measurement per backend, each from a separate process.
+    `together`: the measurement of one process in which several backends took turns."""
 
     alone: tuple[Measurement, ...]
     together: Measurement | None = None

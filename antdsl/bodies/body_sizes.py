@@ -28,13 +28,13 @@ def standing_proportions(
     """Return the proportions of the bodies of species that set their height. `definitions`: bodies from files. `words`: the
     library's bodies by species."""
     return {
-        name: _proportions(definitions.get(name) or load_library_body(words[name]), words.get(name))
+        name: _measure_proportions(definitions.get(name) or load_library_body(words[name]), words.get(name))
         for name, species in program.species.items()
         if is_standing(species) and (name in definitions or name in words)
     }
 
 
-def _proportions(body: Definition, word: str | None) -> BodyProportions:
+def _measure_proportions(body: Definition, word: str | None) -> BodyProportions:
     low, high = standing_box(body, find_base_layer(body))
     if word in CAPSULE_BY_BODY:
         return BodyProportions(1.0 / max(float(high[1] - low[1]), 1e-3), CAPSULE_BY_BODY[word].width / 2)
@@ -61,7 +61,7 @@ def _warn_of_species(
 ) -> None:
     own = {a.name: a for a in species.attributes if a.is_builtin and a.span != species.span}
     lengths = {name: _first_length(own[name].default, program, scene) for name in ("size", "height", "radius") if name in own}
-    proportions, natural = _proportions(body, word), body.length * body.unit
+    proportions, natural = _measure_proportions(body, word), body.length * body.unit
     size = lengths.get("size")
     height = lengths.get("height")
     if height is not None:
@@ -77,14 +77,14 @@ def _warn_of_species(
 def _warn_if_different(attribute: AttributeDecl, length: float, body_length: float, words: str, report: Report) -> None:
     """Warn if two lengths (mm) differ by more than the greatest ratio. `words`: what the body has, with its length as `{}`."""
     if length > 0 and body_length > 0 and not 1 / _GREATEST_RATIO <= length / body_length <= _GREATEST_RATIO:
-        has = words.format(_describe(body_length))
-        message = f"`{attribute.name}` is about {_describe(length)}, but {has}"
+        has = words.format(_describe_length(body_length))
+        message = f"`{attribute.name}` is about {_describe_length(length)}, but {has}"
         if report.diagnostics and any(d.span == attribute.default.span and d.code == "odd-size" for d in report.diagnostics):
             return
-        report.warning("odd-size", message, attribute.default.span, f"write `{attribute.name} {_describe(body_length)}`")
+        report.warning("odd-size", message, attribute.default.span, f"write `{attribute.name} {_describe_length(body_length)}`")
 
 
-def _describe(length: float) -> str:
+def _describe_length(length: float) -> str:
     """Return a length (mm) as text, in the unit that people use for it."""
     return f"{length / 1000:.3g} m" if length >= 300 else f"{length:.3g} mm"
 

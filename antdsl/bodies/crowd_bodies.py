@@ -83,19 +83,19 @@ class LegsByBody(Mapping[str, LegsData]):
         self._bodies = bodies
 
     @cached_property
-    def _legs(self) -> dict[str, LegsData]:
+    def _legs_by_body(self) -> dict[str, LegsData]:
         """Return the legs of all bodies that have legs, by species."""
         definitions = {name: load_library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
         return {name: build_legs_data(body) for name, body in definitions.items() if body.legs and body.gaits}
 
     def __getitem__(self, key: str) -> LegsData:
-        return self._legs[key]
+        return self._legs_by_body[key]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._legs)
+        return iter(self._legs_by_body)
 
     def __len__(self) -> int:
-        return len(self._legs)
+        return len(self._legs_by_body)
 
 
 def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
@@ -254,7 +254,7 @@ def _check_body(
     names a body, so the body was chosen by the species' name."""
     lacks: dict[str, tuple[str, Label]] = {}  # help text and place of each missing name
 
-    def want(noun: str, name: str, known_names: Iterable[str], label: Label) -> None:
+    def require_name(noun: str, name: str, known_names: Iterable[str], label: Label) -> None:
         names = sorted(set(known_names))
         if not name or name in names:
             return
@@ -269,18 +269,18 @@ def _check_body(
     for machine in species.machines:
         for appearance in _iterate_display_lines(machine):
             if isinstance(appearance, Wear):
-                want("layer", appearance.layer, body.layers, Label(appearance.span, "worn here"))
+                require_name("layer", appearance.layer, body.layers, Label(appearance.span, "worn here"))
             elif isinstance(appearance, Channel):
-                want("channel", appearance.channel, channels, Label(appearance.span, "set here"))
+                require_name("channel", appearance.channel, channels, Label(appearance.span, "set here"))
             else:
-                want("transform group", appearance.group, body.groups, Label(appearance.span, "turned here"))
+                require_name("transform group", appearance.group, body.groups, Label(appearance.span, "turned here"))
         for line in _iterate_play_lines(machine):
             for clip in (line.clip, *line.blend_clips):
-                want("clip", clip, body.clips, Label(line.span, "played here"))
-            want("transform group", line.group, body.groups, Label(line.span, "named here"))
+                require_name("clip", clip, body.clips, Label(line.span, "played here"))
+            require_name("transform group", line.group, body.groups, Label(line.span, "named here"))
     for test in iterate_parts(species):
         if isinstance(test, ClipTest):
-            want("mark", test.mark, marks, Label(test.span, "requested here"))
+            require_name("mark", test.mark, marks, Label(test.span, "requested here"))
     for what, help, label in _find_misplaced_marks(species, body):
         lacks.setdefault(what, (help, label))
     if lacks:

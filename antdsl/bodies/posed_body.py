@@ -329,17 +329,17 @@ def coarsen_shape(shape: Shape, cell: float) -> Shape:
     _, first, of, counts = np.unique(cells, axis=0, return_index=True, return_inverse=True, return_counts=True)
     of = of.reshape(-1)
 
-    def mean(values: np.ndarray) -> np.ndarray:
+    def average_groups(values: np.ndarray) -> np.ndarray:
         sums = [np.bincount(of, values[:, axis], len(first)) for axis in range(3)]
         return np.stack(sums, 1) / counts[:, None]
 
-    points, original_points = mean(shape.points), shape.points.astype(np.float64)
+    points, original_points = average_groups(shape.points), shape.points.astype(np.float64)
     low, high, width = original_points.min(axis=0), original_points.max(axis=0), np.ptp(points, axis=0)
     wider = np.where(width > 0, (high - low) / np.where(width > 0, width, 1), 1)
     points = low + (points - points.min(axis=0)) * np.minimum(wider, _CELL_GROWTH)
     normals = None
     if shape.normals is not None:
-        turned = mean(shape.normals)
+        turned = average_groups(shape.normals)
         length = np.linalg.norm(turned, axis=1, keepdims=True)
         normals = np.where(length > 1e-6, turned / np.maximum(length, 1e-6), shape.normals[first]).astype(np.float32)
     faces = of[shape.faces].astype(np.int32)

@@ -234,7 +234,7 @@ def reduce_to_channels(definition: Definition) -> Definition:
     """Return the definition reduced to its channels: one static joint, and clips with only channel values. Its poses have the
     same channel values as those of the definition."""
 
-    def valued(clip: Clip) -> Clip:
+    def reduce_clip(clip: Clip) -> Clip:
         empty = np.zeros((clip.sample_count, 0, 3), np.float32)
         return replace(
             clip, joints=(), translation=empty, rotation=np.zeros((clip.sample_count, 0, 4), np.float32), scale=empty, shear=None
@@ -243,4 +243,4 @@ def reduce_to_channels(definition: Definition) -> Definition:
     channels = tuple(replace(each, transform="") for each in definition.rig.channels)
     rig = Rig(("still",), np.array([-1], np.int32), np.eye(4)[None], channels)
     groups = {name: replace(group, members=()) for name, group in definition.groups.items()}
-    return replace(definition, rig=rig, clips={name: valued(clip) for name, clip in definition.clips.items()}, groups=groups)
+    return replace(definition, rig=rig, clips={name: reduce_clip(clip) for name, clip in definition.clips.items()}, groups=groups)

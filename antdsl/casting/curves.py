@@ -40,7 +40,7 @@ class SampledCurve:
             raise ValueError("a curve needs at least one point, and all of its points finite")
         if not spacing > 0:
             raise ValueError("the spacing of a curve must be more than 0")
-        self.samples = resample(points[::-1] if reverse else points, spacing)
+        self.samples = resample_curve(points[::-1] if reverse else points, spacing)
         self._segment_vectors = np.diff(self.samples, axis=0)
         self._segment_lengths = np.sqrt((self._segment_vectors * self._segment_vectors).sum(axis=1))
         self.length = float(self._segment_lengths.sum())
@@ -103,7 +103,7 @@ class SampledCurve:
         return part, (offset[:, 0] ** 2 + offset[:, 1] ** 2) + offset[:, 2] ** 2
 
 
-def resample(points: Vectors, spacing: float) -> Vectors:
+def resample_curve(points: Vectors, spacing: float) -> Vectors:
     """Return points [k,3] at equal spacing along a polyline [n,3], both ends included. The spacing is at most `spacing`, unless
     the number of points reaches its limit."""
     step = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))

@@ -90,7 +90,7 @@ def _compute_lower_bound(cells: CellLayout, cell_bounds: Array1[F32], px: F64, p
     """Return a lower bound (mm) of the distance from a position to all triangles."""
     low, high, size, width = cells
     part = 1.0 / width
-    ix, iy, iz = _clamp(px, low[0], high[0]), _clamp(py, low[1], high[1]), _clamp(pz, low[2], high[2])
+    ix, iy, iz = _clamp_number(px, low[0], high[0]), _clamp_number(py, low[1], high[1]), _clamp_number(pz, low[2], high[2])
     gx, gy, gz = px - ix, py - iy, pz - iz
     outside = (gx * gx + gy * gy) + gz * gz
     cell = min(_to_cell_number((ix - low[0]) * part), size[0] - 1) * size[1] + min(
@@ -130,7 +130,7 @@ def _to_cell_number(place: F64) -> I64:
 
 
 @inlined
-def _clamp(place: F64, low: F64, high: F64) -> F64:
+def _clamp_number(place: F64, low: F64, high: F64) -> F64:
     """Return a coordinate clamped as by fmin and fmax: NaN becomes the lowest."""
     inside = place if place > low else low
     return inside if inside < high else high
@@ -164,8 +164,7 @@ def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
 
 
 def measure_sides_and_area(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the lengths (3, m) of the sides of triangles, and their total area. They determine how many cubes the triangles
-    touch."""
+    """Return the lengths (3, m) of the sides of triangles `corners` (m, 3, 3), and the total area of the triangles."""
     sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
     normal = np.cross(sides[0], sides[1])
     lengths: NDArray[np.float64] = np.sqrt(np.stack([dot(side, side) for side in sides]))

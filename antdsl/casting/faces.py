@@ -310,7 +310,7 @@ def write_nearest(
         positions[i, 0], positions[i, 1], positions[i, 2], squared_distances[i] = q[0], q[1], q[2], d
         w1, w2 = evaluate_point(planes, f, 1, q[0], q[1], q[2]), evaluate_point(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
-        if not _minimum(w0, w1, w2) > rims[f]:
+        if not _find_minimum(w0, w1, w2) > rims[f]:
             vertex = weld[3 * f + _greatest_index(w0, w1, w2)]
             begin = True
             for k in range(first[vertex], first[vertex + 1]):
@@ -334,7 +334,7 @@ def evaluate_direction(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64,
 
 
 @inlined
-def _minimum(a: F64, b: F64, c: F64) -> F64:
+def _find_minimum(a: F64, b: F64, c: F64) -> F64:
     """Return the least number; NaN if any is NaN, as `np.minimum`."""
     if a != a or b != b or c != c:
         return np.nan
@@ -358,7 +358,7 @@ def _intersect_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: 
     w1 = evaluate_point(planes, face, 1, a, b, c) + t * evaluate_direction(planes, face, 1, x, y, z)
     w2 = evaluate_point(planes, face, 2, a, b, c) + t * evaluate_direction(planes, face, 2, x, y, z)
     w0 = (1.0 - w1) - w2
-    return t, (w0, w1, w2), _minimum(w0, w1, w2)
+    return t, (w0, w1, w2), _find_minimum(w0, w1, w2)
 
 
 @inlined

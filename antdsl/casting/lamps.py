@@ -32,7 +32,7 @@ class LightSphere:
     radius: float
     strength: float
 
-    def aim(self, points: AnyFloats, numbers: NDArray[np.integer], count: int) -> AnyFloats:
+    def aim_rays(self, points: AnyFloats, numbers: NDArray[np.integer], count: int) -> AnyFloats:
         """Return vectors (n, 3) from `points` (n, 3) to points of the sphere, which rays reach at the parameter 1.
 
         `numbers` (n,): which of `count` evenly spread points of the half sphere that faces each point."""

@@ -19,12 +19,12 @@ class _DeferredModule(ModuleType):
         if name.startswith("__"):
             raise AttributeError(name)
 
-        def call(*arguments: Any, **keywords: Any) -> Any:
+        def call_function(*arguments: Any, **keywords: Any) -> Any:
             if sys.modules.get(self.__name__) is self:
                 del sys.modules[self.__name__]
             return getattr(import_module(self.__name__), name)(*arguments, **keywords)
 
-        return call
+        return call_function
 
 
 @cache

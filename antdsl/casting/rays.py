@@ -148,7 +148,7 @@ class RayScene(ProximityQueries):
             mesh[rows], local[rows] = self._split_face_numbers(face)
         return RayHitArrays(t, mesh, local, weights[:, 1], weights[:, 2], normal)
 
-    def find_hits_within(
+    def find_hits_along_step(
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
         """Return the rays that hit between `origin` [n,3] and `origin + step`, ascending, with ray parameter, mesh and face.

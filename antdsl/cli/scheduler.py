@@ -168,10 +168,10 @@ def choose_stop_exit_code(exception: BaseException) -> ExitCode:
 def raise_on_sigterm() -> Iterator[None]:
     """Raise TerminationSignal on SIGTERM while the context is open, as Ctrl-C raises KeyboardInterrupt."""
 
-    def stop(number: int, frame: object) -> None:
+    def raise_signal(number: int, frame: object) -> None:
         raise TerminationSignal if number == signal.SIGTERM else KeyboardInterrupt
 
-    previous_handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous_handlers = {number: signal.signal(number, raise_signal) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:

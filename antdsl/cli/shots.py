@@ -94,10 +94,10 @@ def run_shots(
             engine = stack.enter_context(open_engine(scheduler, processes, per, files))
             where_to = {each.key: folder for each, folder in zip(tasks, folders, strict=True)}
 
-            def parent(task: Task) -> Path:
+            def find_parent_folder(task: Task) -> Path:
                 return where_to[task.key].parent
 
-            for answered in run_tasks(tasks, engine, report_note=print_warning, choose_folder=parent):
+            for answered in run_tasks(tasks, engine, report_note=print_warning, choose_folder=find_parent_folder):
                 folder = where_to[answered.task.key]
                 for note in answered.notes:
                     print_warning(f"{folder.name}: {note}")

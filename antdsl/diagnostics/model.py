@@ -150,7 +150,7 @@ class Report:
     def sort_by_place(self) -> list[Diagnostic]:
         """Return the findings in order of file and place; those without a place come last."""
 
-        def key(d: Diagnostic) -> tuple[int, str, int]:
+        def make_sort_key(d: Diagnostic) -> tuple[int, str, int]:
             return (1, "", 0) if d.span is None else (0, d.span.source.path, d.span.start)
 
-        return sorted(self.diagnostics, key=key)
+        return sorted(self.diagnostics, key=make_sort_key)

@@ -44,10 +44,10 @@ def explain_agents_with_positions(
 ) -> list[LocatedExplanation | None]:
     """Return explanations as `explain_agents` does, with positions."""
 
-    def look(world: World, population: Population, trace: AgentTrace) -> tuple[AgentTrace, LocatedExplanation]:
+    def explain_agent(world: World, population: Population, trace: AgentTrace) -> tuple[AgentTrace, LocatedExplanation]:
         return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_find_positions(trace))
 
-    step = replay.step(frame, agents, look)
+    step = replay.step(frame, agents, explain_agent)
     explanations: list[LocatedExplanation | None] = []
     for each in step.results:
         if each is None:

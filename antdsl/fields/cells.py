@@ -135,8 +135,8 @@ class SurfaceCells:
         return int(np.unique(self._voxel_numbers, return_counts=True)[1].max(initial=0))
 
     def _find_cell_ranges(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the first cell and the number of cells of voxels [n,3], relative to the box's corner. Voxels outside the box
-        have 0 cells."""
+        """Return the first cell of each voxel, and the number of its cells, int64[n]. `voxel` [n, 3]: coordinates of voxels
+        relative to the corner of the box of all voxels. A voxel outside the box has 0 cells."""
         is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         flat = np.where(is_in_box, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
         if self._start_table is not None:

@@ -150,7 +150,7 @@ def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorSource
     """Return a function that gives the vectors of a flow around a target. The target is in the world's axes and relative to its
     origin."""
 
-    def vectors(positions: Floats) -> Floats:
+    def compute_vectors(positions: Floats) -> Floats:
         distance, point, tangent = find_nearest_on_target(target, positions)
         direction = tangent
         if flow.gather and flow.radius is not None:
@@ -162,4 +162,4 @@ def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorSource
             direction = offset if flow.direction == "away" else -offset
         return direction * (compute_falloff(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
 
-    return vectors
+    return compute_vectors

@@ -68,14 +68,14 @@ def compute_directions(surface: WalkableSurface, path_costs: Floats) -> Floats:
     for k in range(3):
         edge = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
         uphill += (values[:, k] - values[:, 0])[:, None] * np.cross(normal, edge)
-    downhill = -_normalise(uphill) * twice[:, None]
+    downhill = -_normalise_rows(uphill) * twice[:, None]
     total = np.stack(
         [sum(np.bincount(triangles[:, k], downhill[:, axis], len(surface.points)) for k in range(3)) for axis in range(3)], axis=1
     )
-    return _normalise(total)
+    return _normalise_rows(total)
 
 
-def _normalise(v: Floats) -> Floats:
+def _normalise_rows(v: Floats) -> Floats:
     """Return vectors (n, 3) scaled to length 1; vectors that are much shorter than the longest become 0."""
     size = np.sqrt((v * v).sum(axis=1))
     return v / np.where(size > 1e-12 * size.max(initial=0.0) + 1e-300, size, np.inf)[:, None]

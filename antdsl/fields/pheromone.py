@@ -91,8 +91,8 @@ class PheromoneField:
             for name in ("_places", "_seen"):
                 self.__dict__.pop(name, None)
         elif "_places" in self.__dict__:
-            self._places[:, new] = self.cells.position[new].T
-            self._seen[new, :3] = self._places[:, new].T
+            self._cell_positions[:, new] = self.cells.position[new].T
+            self._seen[new, :3] = self._cell_positions[:, new].T
         self.__dict__.pop("_laplacian", None)
 
     @property
@@ -147,7 +147,7 @@ class PheromoneField:
     def _run_step_kernels(self, remaining_share: float, spread: float, threads: int) -> None:
         """Diffuse, evaporate and add deposits with kernels."""
 
-        def step(*arguments: Any) -> None:
+        def run_kernel(*arguments: Any) -> None:
             parallel.run_in_parts(
                 partial(step_cells, self._padded, *arguments), len(self._pending), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
             )
@@ -155,10 +155,10 @@ class PheromoneField:
         lands = 0 if not self._has_pending else 1 if self.combine == "add" else 2
         self._has_pending = False
         if self.deposits_first:
-            step(_NO_SHARES, self._pending, 0.0, 1.0, DEPOSIT_UNIT, self.limit, -np.inf, lands)
-        change = self._laplacian.compute(self._padded, threads) if spread > 0 else _NO_SHARES
+            run_kernel(_NO_SHARES, self._pending, 0.0, 1.0, DEPOSIT_UNIT, self.limit, -np.inf, lands)
+        change = self._laplacian.compute_flow(self._padded, threads) if spread > 0 else _NO_SHARES
         last = (0.0, np.inf, 0) if self.deposits_first else (DEPOSIT_UNIT, self.limit, lands)
-        step(change, self._pending, spread, remaining_share, *last[:2], FLUSH_THRESHOLD, last[2])
+        run_kernel(change, self._pending, spread, remaining_share, *last[:2], FLUSH_THRESHOLD, last[2])
 
     @cached_property
     def _laplacian(self) -> _DiffusionFlow:
@@ -217,7 +217,7 @@ class PheromoneField:
         if not len(self.cells):
             zeros = np.zeros(agent_cells.size, np.float32)
             return zeros, zeros.copy(), zeros.copy()
-        positions = self._places
+        positions = self._cell_positions
         own_positions, normal = (
             positions.take(agent_cells, axis=1),
             np.ascontiguousarray(self.cells.normal.take(agent_cells, axis=0).T),
@@ -247,11 +247,11 @@ class PheromoneField:
     def _seen(self) -> NDArray[np.float32]:
         """Return cell positions as agents sense them: `_places` in float32, one contiguous row for each cell."""
         single_positions = np.zeros((len(self.cells) + 1, 4), np.float32)
-        single_positions[:, :3] = self._places.T
+        single_positions[:, :3] = self._cell_positions.T
         return single_positions
 
     @cached_property
-    def _places(self) -> NDArray[np.float64]:
+    def _cell_positions(self) -> NDArray[np.float64]:
         """Return the cell positions, float64[3, cells + 1]. The last column stands for "no cell"."""
         return np.ascontiguousarray(np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1))
 
@@ -277,7 +277,7 @@ class _DiffusionFlow:
         )
         self._inflow = np.empty(0)
 
-    def compute(self, amounts: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
+    def compute_flow(self, amounts: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
         """Return the flow into each cell, in an array that the next call overwrites. `amounts` may have extra entries after the
         cells."""
         if not len(self._inflow):

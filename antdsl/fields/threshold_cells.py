@@ -17,10 +17,11 @@ _CELLS_PER_CHUNK = 512  # cells per chunk: compared first, then the changed ones
 
 
 class CellsAboveThreshold:
-    """For each cell of a field: whether one of the `k` nearest cells of its block has an amount of at least `threshold`
-    (float32).
+    """A mask of the cells of a field near which the amount reaches `threshold`: one of the `k` cells nearest to the cell has at
+    least this amount.
 
-    The answer is true for all cells if `threshold` is not above 0, if cells can grow, or if there are too many cells."""
+    All cells count as near if `threshold` is 0 or less, if the field can get new cells, or if there are too many cells for a
+    table."""
 
     def __init__(self, field: PheromoneField, threshold: np.float32, k: int) -> None:
         self._inputs, self._k = (field, field.version, threshold), k

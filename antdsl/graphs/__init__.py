@@ -59,6 +59,6 @@ FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], FileRes
 }
 
 
-def write(charts: Sequence[Chart], format: str) -> FileResult:
+def write_charts(charts: Sequence[Chart], format: str) -> FileResult:
     """Return the bytes of a file in one of `FORMATS`; None with a finding if a required package is not installed."""
     return FORMATS[format][1](charts)

@@ -10,7 +10,7 @@ from antdsl.graphs.drawing import (
     PLAIN_LINE_WIDTH,
     choose_line_colours,
     choose_text_colour,
-    darken,
+    darken_colour,
     format_hex_colour,
 )
 from antdsl.graphs.model import RGB, Arrow, Box, Chart
@@ -44,7 +44,7 @@ def _format_box(box: Box) -> str:
     words = _quote_text("\n".join(word for word in (box.name, box.label) if word))
     if box.kind != "state":
         return f'style="rounded,dashed", label={words}, color="{format_hex_colour(box.colour)}", {tip}'
-    fill, edge, ink = box.colour, darken(box.colour), choose_text_colour(box.colour)
+    fill, edge, ink = box.colour, darken_colour(box.colour), choose_text_colour(box.colour)
     colours = f'fillcolor="{format_hex_colour(fill)}", color="{format_hex_colour(edge)}", fontcolor="{format_hex_colour(ink)}"'
     return f"label={words}, {colours}, {tip}"
 
@@ -52,7 +52,7 @@ def _format_box(box: Box) -> str:
 def _format_arrow(arrow: Arrow, colour: RGB) -> str:
     """Return the attributes of an arrow."""
     words = f"label={_quote_text(chr(10).join(arrow.lines))}, " if arrow.lines else ""
-    ink, thick = format_hex_colour(darken(colour, 0.1)), INTERRUPT_LINE_WIDTH if arrow.interrupt else PLAIN_LINE_WIDTH
+    ink, thick = format_hex_colour(darken_colour(colour, 0.1)), INTERRUPT_LINE_WIDTH if arrow.interrupt else PLAIN_LINE_WIDTH
     tip = f", tooltip={_quote_text(arrow.details)}" if arrow.details else ""
     return f'{words}color="{format_hex_colour(colour)}", fontcolor="{ink}", penwidth={thick}{tip}'
 

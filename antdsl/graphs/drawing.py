@@ -104,7 +104,7 @@ def _draw_chart(chart: PlacedChart) -> Iterator[Shape]:
 def choose_line_colours(chart: Chart) -> tuple[RGB, ...]:
     """Return the colour of each arrow. It is the colour of the source state, dark enough to be visible; interrupts have a
     separate colour."""
-    colours = {box.key: darken(box.colour) for box in chart.boxes}
+    colours = {box.key: darken_colour(box.colour) for box in chart.boxes}
     return tuple(INTERRUPT_COLOUR if arrow.interrupt else colours[arrow.source] for arrow in chart.arrows)
 
 
@@ -155,7 +155,7 @@ def _move_towards(corner: Point, other: Point) -> Point:
 
 def _draw_box(box: Box, place: PlacedBox) -> Iterator[Shape]:
     frame = Rectangle(
-        place.left, place.top, place.width, place.height, 7, box.colour, darken(box.colour), 1.2, details=box.details
+        place.left, place.top, place.width, place.height, 7, box.colour, darken_colour(box.colour), 1.2, details=box.details
     )
     x, y = place.centre
     if box.kind in ("start", "choice"):
@@ -180,7 +180,7 @@ def _draw_words(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
     box = arrow.words
     yield Rectangle(box.left, box.top, box.width, box.height, 3, WHITE, None)
     first = y - LINE_HEIGHT * (len(arrow.lines) - 1) / 2
-    ink = darken(colour, 0.1)
+    ink = darken_colour(colour, 0.1)
     for number, line in enumerate(arrow.lines):
         yield _make_centred_line(line, (x, first + LINE_HEIGHT * number), WORD_FONT_SIZE, ink)
 
@@ -200,7 +200,7 @@ def _compute_luminance(colour: RGB) -> float:
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
-def darken(colour: RGB, max_luminance: float = 0.22) -> RGB:
+def darken_colour(colour: RGB, max_luminance: float = 0.22) -> RGB:
     """Return the colour, darkened to a luminance of at most `max_luminance`. The default makes a thin line visible on white. For
     words, 0.1 gives a contrast of 7 : 1."""
     while _compute_luminance(colour) > max_luminance:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from antdsl.graphs.drawing import INTERRUPT_LINE_WIDTH, choose_line_colours, choose_text_colour, darken, format_hex_colour
+from antdsl.graphs.drawing import INTERRUPT_LINE_WIDTH, choose_line_colours, choose_text_colour, darken_colour, format_hex_colour
 from antdsl.graphs.model import Arrow, Box, Chart
 
 # Characters that are allowed in quotes. All others are written as their number: quotes and brackets would end the text, and a
@@ -55,7 +55,7 @@ def _format_link(keys: dict[str, str], arrow: Arrow) -> str:
 def _format_style(box: Box) -> str:
     """Return the colours of a box as Mermaid styles."""
     if box.kind in ("state", "start"):
-        fill, edge, ink = box.colour, darken(box.colour), choose_text_colour(box.colour)
+        fill, edge, ink = box.colour, darken_colour(box.colour), choose_text_colour(box.colour)
         return f"fill:{format_hex_colour(fill)},stroke:{format_hex_colour(edge)},color:{format_hex_colour(ink)}"
     dashes = "" if box.kind == "choice" else ",stroke-dasharray:4 3"
     return f"fill:#ffffff,stroke:{format_hex_colour(box.colour)},color:#212129{dashes}"

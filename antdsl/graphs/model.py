@@ -94,15 +94,15 @@ class PlacedChart:
     def shifted_by(self, horizontal_shift: float, vertical_shift: float) -> PlacedChart:
         """Return the chart, moved by `horizontal_shift` and `vertical_shift` px."""
 
-        def shift(place: PlacedBox) -> PlacedBox:
+        def shift_box(place: PlacedBox) -> PlacedBox:
             return replace(place, centre=(place.centre[0] + horizontal_shift, place.centre[1] + vertical_shift))
 
         arrows = tuple(
             replace(
                 a,
                 points=tuple((x + horizontal_shift, y + vertical_shift) for x, y in a.points),
-                words=shift(a.words) if a.words else None,
+                words=shift_box(a.words) if a.words else None,
             )
             for a in self.arrows
         )
-        return replace(self, boxes=tuple((box, shift(place)) for box, place in self.boxes), arrows=arrows)
+        return replace(self, boxes=tuple((box, shift_box(place)) for box, place in self.boxes), arrows=arrows)

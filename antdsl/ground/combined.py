@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh.topology import find_facing_sides
 from antdsl.ground.protocol import Floats, Footing, GroundMove, MeshSurfaces
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid import move as walk_on
+from antdsl.ground.solid import move_over_solid as walk_on
 from antdsl.ground.solid_queries import cast_down, cast_from_above, compute_normals, find_entry_fraction
 from antdsl.numerics.vector_rows import compute_unit_tangents, find_rows_in_box, length, make_columns_contiguous, take_rows
 from antdsl.numerics.vectors import rotate_between_normals

@@ -146,14 +146,14 @@ class _RayScenePair:
         normal = np.where(second[:, None], b.normal, a.normal)
         return RayHitArrays(np.where(second, b.t, a.t), np.where(second, b.mesh, a.mesh), face, u, v, normal)
 
-    def find_hits_within(
+    def find_hits_along_step(
         self, origin: Floats, step: Floats, threads: int = 1
     ) -> tuple[Index, Floats, NDArray[np.int32], NDArray[np.int32]]:
-        """Return the hits within a step in both scenes, as `RayScene.find_hits_within`."""
+        """Return the hits within a step in both scenes, as `RayScene.find_hits_along_step`."""
         n = len(origin)
         part, mesh, face = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         for scene, first_face in ((self._first_scene, 0), (self._second_scene, self._first_face_count)):
-            which, t, _, local = scene.find_hits_within(origin, step, threads)
+            which, t, _, local = scene.find_hits_along_step(origin, step, threads)
             nearer = t < part[which]
             which = which[nearer]
             part[which], mesh[which], face[which] = t[nearer], 0, local[nearer] + first_face
@@ -164,7 +164,7 @@ class _RayScenePair:
         self, origin: Floats, displacement: Floats, normals: Floats, normal_columns: Index, threads: int = 1
     ) -> tuple[Index, Floats, Floats]:
         """Return the hits and their normals in both scenes, as `RayScene.find_hit_normals`."""
-        which, part, _, face = self.find_hits_within(origin, displacement, threads)
+        which, part, _, face = self.find_hits_along_step(origin, displacement, threads)
         return which, part, normals.take(normal_columns.take(face), axis=1)
 
     def find_closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:

@@ -31,7 +31,7 @@ class PlaneGround:
         """Return None: no part of the ground consists of meshes."""
         return None
 
-    def _flatten(self, vectors: Floats) -> Floats:
+    def _flatten_vectors(self, vectors: Floats) -> Floats:
         """Return vectors projected onto the plane."""
         along = self._compute_heights(vectors)
         flat: Floats = vectors - along[:, None] * self._up
@@ -50,12 +50,14 @@ class PlaneGround:
         self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None
     ) -> tuple[Footing, NDArray[np.bool_]]:
         """Project points [n,3] onto the plane along the plane's own normal; every point succeeds."""
-        return Footing.from_plane(self._flatten(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(len(points), np.bool_)
+        return Footing.from_plane(self._flatten_vectors(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(
+            len(points), np.bool_
+        )
 
     def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Return the nearest footings on the plane to points [n,3], and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        return Footing.from_plane(self._flatten(points)), np.abs(self._compute_heights(points))
+        return Footing.from_plane(self._flatten_vectors(points)), np.abs(self._compute_heights(points))
 
     def position(self, footing: Footing) -> Floats:
         """Return positions in the world, float64[n,3]."""

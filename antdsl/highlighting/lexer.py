@@ -26,7 +26,7 @@ def _make_group_action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str
     """Return an action that splits a match into the groups of its pattern. The text between the groups is blank."""
     types = [find_token_type(name) for name in pattern.group_classes]
 
-    def action(lexer: RegexLexer, match: Match[str]) -> _TokenStream:
+    def emit_group_tokens(lexer: RegexLexer, match: Match[str]) -> _TokenStream:
         last = match.start()
         for number, kind in enumerate(types, 1 if match.re.groups else 0):
             start, end = match.span(number)
@@ -37,7 +37,7 @@ def _make_group_action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str
             yield start, kind, match.group(number)
             last = end
 
-    return action
+    return emit_group_tokens
 
 
 class AntLexer(RegexLexer):

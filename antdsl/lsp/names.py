@@ -206,7 +206,7 @@ class _OccurrenceIndexer:
             self.meaning_by_span[node.value.span] = None  # `add`, `first` and similar words are not names there
 
     def target(self, node: nodes.Target) -> None:
-        if node.previous and node.name is not None:
+        if node.is_previous and node.name is not None:
             self.meaning_by_span[node.name.span] = None
 
     def mark_layer(self, node: nodes.Layer) -> None:

@@ -104,12 +104,12 @@ language_server = AntLanguageServer()
 
 
 @language_server.feature(lsp.SHUTDOWN)
-def _shutdown(ls: AntLanguageServer, *params: object) -> None:
+def _handle_shutdown(ls: AntLanguageServer, *params: object) -> None:
     ls.is_shutdown_requested = True
 
 
 @language_server.feature(lsp.EXIT)
-def _exit(ls: AntLanguageServer, *params: object) -> None:
+def _handle_exit(ls: AntLanguageServer, *params: object) -> None:
     ls.exited_without_shutdown = not ls.is_shutdown_requested
 
 
@@ -117,7 +117,7 @@ def _exit(ls: AntLanguageServer, *params: object) -> None:
 
 
 @language_server.feature(lsp.INITIALIZED)
-def _initialized(ls: AntLanguageServer, params: lsp.InitializedParams) -> None:
+def _handle_initialized(ls: AntLanguageServer, params: lsp.InitializedParams) -> None:
     encoding = ls.workspace.position_encoding
     ls.files.encoding = encoding.value if isinstance(encoding, lsp.PositionEncodingKind) else encoding or "utf-16"
     ls.files.roots = [path for uri in ls.workspace.folders if (path := uri_to_path(uri)) is not None]
@@ -196,7 +196,7 @@ def _answer_at_position(ls: AntLanguageServer, params: Any, answer: Callable[[Op
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_HOVER)
-def _hover(ls: AntLanguageServer, params: lsp.HoverParams) -> lsp.Hover | None:
+def _handle_hover(ls: AntLanguageServer, params: lsp.HoverParams) -> lsp.Hover | None:
     def answer(document: OpenDocument, offset: int) -> lsp.Hover | None:
         names = document.find_occurrences(offset)
         occurrence_by_text = {
@@ -225,7 +225,7 @@ def _make_markdown(text: str) -> lsp.MarkupContent:
 @language_server.feature(
     lsp.TEXT_DOCUMENT_COMPLETION, lsp.CompletionOptions(trigger_characters=[".", ">", "(", " ", ":", "/", ",", "{"])
 )
-def _completion(ls: AntLanguageServer, params: lsp.CompletionParams) -> lsp.CompletionList | None:
+def _handle_completion(ls: AntLanguageServer, params: lsp.CompletionParams) -> lsp.CompletionList | None:
     def answer(document: OpenDocument, offset: int) -> lsp.CompletionList:
         proposals = (
             complete_program(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
@@ -237,7 +237,7 @@ def _completion(ls: AntLanguageServer, params: lsp.CompletionParams) -> lsp.Comp
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
-def _definition(ls: AntLanguageServer, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
+def _handle_definition(ls: AntLanguageServer, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
     return _answer_at_position(
         ls,
         params,
@@ -246,7 +246,7 @@ def _definition(ls: AntLanguageServer, params: lsp.DefinitionParams) -> list[lsp
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_REFERENCES)
-def _references(ls: AntLanguageServer, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
+def _handle_references(ls: AntLanguageServer, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
     declaration = params.context.include_declaration
     return _answer_at_position(
         ls,
@@ -259,26 +259,26 @@ def _references(ls: AntLanguageServer, params: lsp.ReferenceParams) -> list[lsp.
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
 def _document_highlights(ls: AntLanguageServer, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
-    def answer(document: OpenDocument, offset: int) -> list[lsp.DocumentHighlight]:
+    def make_highlights(document: OpenDocument, offset: int) -> list[lsp.DocumentHighlight]:
         locations = navigation.find_references(ls.files, document, offset)
         return [lsp.DocumentHighlight(protocol.to_lsp_range(each.range)) for each in locations if each.document is document]
 
-    return _answer_at_position(ls, params, answer)
+    return _answer_at_position(ls, params, make_highlights)
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_PREPARE_RENAME)
 def _prepare_rename(ls: AntLanguageServer, params: lsp.PrepareRenameParams) -> lsp.Range | None:
-    def answer(document: OpenDocument, offset: int) -> lsp.Range:
+    def find_rename_range(document: OpenDocument, offset: int) -> lsp.Range:
         try:
             return protocol.to_lsp_range(document.range(navigation.find_renamable_name(ls.files, document, offset).span))
         except navigation.RenameRejected as error:
             raise JsonRpcInvalidParams(str(error)) from None
 
-    return _answer_at_position(ls, params, answer)
+    return _answer_at_position(ls, params, find_rename_range)
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_RENAME, lsp.RenameOptions(prepare_provider=True))
-def _rename(ls: AntLanguageServer, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
+def _handle_rename(ls: AntLanguageServer, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
     def answer(document: OpenDocument, offset: int) -> lsp.WorkspaceEdit:
         try:
             locations = navigation.rename_symbol(ls.files, document, offset, params.new_name)

@@ -165,20 +165,20 @@ def _describe_unit(key: NameKey) -> str | None:
 def _make_typed_word_rule(table: Any, explanation: str, form: str) -> HelpRule:
     """Return a rule for the words of a table of types. `explanation`: the explanation. `form`: a sample with a placeholder."""
 
-    def rule(key: NameKey) -> str | None:
+    def describe_typed_word(key: NameKey) -> str | None:
         return format_markdown(f"{key[1]}: {table[key[1]]}\n{form.format(key[1])}", explanation) if key[1] in table else None
 
-    return rule
+    return describe_typed_word
 
 
 def _make_word_rule(table: Mapping[str, tables.WordHelp | ThingKindRow], explanation: str, notation: str = "ant") -> HelpRule:
     """Return a rule for the words of a table of help texts. `explanation`: the explanation of all words."""
 
-    def rule(key: NameKey) -> str | None:
+    def describe_word(key: NameKey) -> str | None:
         row = table.get(key[1])
         return None if row is None else format_markdown(row.sample, row.help, explanation, notation=notation)
 
-    return rule
+    return describe_word
 
 
 def describe_keyword(word: str, begins_line: bool) -> str | None:

@@ -324,43 +324,43 @@ def add_elementwise_function(module: LlvmModule, name: str, kinds: tuple[str, ..
     return name
 
 
-def _minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+def _emit_minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the lesser number; NaN if one of them is NaN."""
     left, right = e.match_kinds(a, b)
     output = e.select_lanes(left > right, right, left)
     return output if right.literal_value is not None else e.select_lanes(e.is_nan(right), right, output)
 
 
-def _maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+def _emit_maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.match_kinds(a, b)
     output = e.select_lanes(left < right, right, left)
     return output if right.literal_value is not None else e.select_lanes(e.is_nan(right), right, output)
 
 
-def _fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+def _emit_fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the lesser number; if one of them is NaN, the other one."""
     left, right = e.match_kinds(a, b)
     return e.select_lanes(e.is_nan(right), left, e.select_lanes(left < right, left, right))
 
 
-def _fmax(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+def _emit_fmax(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.match_kinds(a, b)
     return e.select_lanes(e.is_nan(right), left, e.select_lanes(left > right, left, right))
 
 
-def _frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:
+def _emit_frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:
     """Split a normal float64 into its fraction in [0.5, 1) and its exponent of 2 as i32."""
     bits = e.reinterpret_bits(a, I64)
     power = e.convert((bits >> 52) & 0x7FF, I32) - 1022
     return e.reinterpret_bits((bits & ~(0x7FF << 52)) | (1022 << 52), F64), power
 
 
-def _ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
+def _emit_ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
     """Return a times 2**power, with a power between -1022 and 1023."""
     return a * e.reinterpret_bits((e.convert(power, I64) + 1023) << 52, F64)
 
 
-def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+def _emit_fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the exact remainder, with the sign of a. Most values are already less than b; others are computed lane by lane."""
     left, right = e.match_kinds(a, b)
     result = e.allocate_slot(left.kind, LANE_COUNT)
@@ -390,9 +390,9 @@ _EMITTER_BY_UFUNC: Mapping[Any, Callable[..., Any]] = {
     np.bitwise_and: _make_binary("and"), np.bitwise_or: _make_binary("or"), np.bitwise_xor: _make_binary("xor"),
     np.right_shift: _make_binary("lshr"), np.left_shift: _make_binary("shl"),
     np.negative: _make_unary("fneg"), np.absolute: _make_unary("fabs"), np.floor: _make_unary("floor"),
-    np.rint: _make_unary("rint"), np.sqrt: _make_unary("sqrt"), np.frexp: _frexp, np.ldexp: _ldexp, np.fmod: _fmod,
-    np.minimum: _minimum, np.maximum: _maximum, np.fmin: _fmin, np.fmax: _fmax,
-    np.clip: lambda e, a, low, high: _minimum(e, _maximum(e, a, low), high),
+    np.rint: _make_unary("rint"), np.sqrt: _make_unary("sqrt"), np.frexp: _emit_frexp, np.ldexp: _emit_ldexp, np.fmod: _emit_fmod,
+    np.minimum: _emit_minimum, np.maximum: _emit_maximum, np.fmin: _emit_fmin, np.fmax: _emit_fmax,
+    np.clip: lambda e, a, low, high: _emit_minimum(e, _emit_maximum(e, a, low), high),
     np.isfinite: lambda e, a: e.op("fabs", a.kind, a) < np.inf,
     np.where: lambda e, condition, then, other: e.select_lanes(condition, then, other),
     np.ndim: lambda e, a: 1,

@@ -251,10 +251,10 @@ class ObjectCache:
         with suppress(OSError, ValueError):
             os.unlink(path)
         kind = self._kind
-        self._report(f"{kind.name} in {_quote(path.parent)} {kind.verb} not used: {reason}; {kind.fallback}")
+        self._report(f"{kind.name} in {_quote_path(path.parent)} {kind.verb} not used: {reason}; {kind.fallback}")
 
     def _report_not_stored(self, folder: Path, reason: str, advice: str) -> None:
-        self._report(f"{self._kind.name} {self._kind.verb} not stored in {_quote(folder)}: {reason}; {advice}")
+        self._report(f"{self._kind.name} {self._kind.verb} not stored in {_quote_path(folder)}: {reason}; {advice}")
 
     def _report(self, sentence: str) -> None:
         with self._lock:
@@ -304,5 +304,5 @@ def _describe_problem(problem: OSError | ValueError) -> str:
     return "no folder can have this name"  # a path with a zero character
 
 
-def _quote(path: Path) -> str:
+def _quote_path(path: Path) -> str:
     return "`" + replace_unprintable(str(path)) + "`"

@@ -132,7 +132,7 @@ class ObjectFile:
         head = file.read(_HEADER_STRUCT.size)
         magic, checked, count = _HEADER_STRUCT.unpack(head) if len(head) == _HEADER_STRUCT.size else (b"", b"", 0)
         index = file.read(min(_MAX_FILE_BYTES, count * _ENTRY_STRUCT.size))
-        if magic != _FILE_MAGIC or _hash(index) != checked:
+        if magic != _FILE_MAGIC or _hash_data(index) != checked:
             _report_damaged_file(self._path)
             return
         for key, position, size, content in _ENTRY_STRUCT.iter_unpack(index):
@@ -153,7 +153,7 @@ class ObjectFile:
                 code = file.read(size)
         except OSError:
             code = b""
-        if _hash(code) != content:
+        if _hash_data(code) != content:
             _report_damaged_file(self._path)
             return None
         return code
@@ -163,11 +163,11 @@ def pack_objects(codes: Mapping[str, bytes]) -> bytes:
     """Return the content of a file with these object files, by key. The content depends on nothing else."""
     index, position = [], 0
     for key, code in sorted(codes.items()):
-        index.append(_ENTRY_STRUCT.pack(bytes.fromhex(key), position, len(code), _hash(code)))
+        index.append(_ENTRY_STRUCT.pack(bytes.fromhex(key), position, len(code), _hash_data(code)))
         position += len(code)
     entries = b"".join(index)
     return (
-        _HEADER_STRUCT.pack(_FILE_MAGIC, _hash(entries), len(index))
+        _HEADER_STRUCT.pack(_FILE_MAGIC, _hash_data(entries), len(index))
         + entries
         + b"".join(code for _, code in sorted(codes.items()))
     )
@@ -181,5 +181,5 @@ def _report_damaged_file(path: Path) -> None:
     _damaged_file = path
 
 
-def _hash(data: bytes) -> bytes:
+def _hash_data(data: bytes) -> bytes:
     return blake2b(data, digest_size=32).digest()

@@ -62,14 +62,14 @@ def _build_crc_function() -> Callable[[NDArray[np.uint8], int], int] | None:
     code = build_llvm_text.code()
     function = code.function("fold")  # the function is valid as long as `code` exists
 
-    def fold(data: NDArray[np.uint8], previous_crc: int) -> int:
+    def update_crc(data: NDArray[np.uint8], previous_crc: int) -> int:
         table = _CallTable(*[0] * _DATA_WORD, array_address(data), len(data), previous_crc)
         function(ctypes.addressof(table), 0, 0)
         return table[0]
 
-    fold.code = code  # type: ignore[attr-defined]
+    update_crc.code = code  # type: ignore[attr-defined]
     parameters = [ArgumentSpec((0,), _DATA_WORD, dtype=_BYTE_DTYPE, axes=1), ArgumentSpec((1,), _PREVIOUS_CRC_WORD, INTEGER_KIND)]
-    return make_builtin("fold", code, parameters, _PREVIOUS_CRC_WORD + 1, [INTEGER_KIND], fold) or fold
+    return make_builtin("fold", code, parameters, _PREVIOUS_CRC_WORD + 1, [INTEGER_KIND], update_crc) or update_crc
 
 
 def has_carryless_products(target: llvm_compiler.Target) -> bool:
@@ -127,7 +127,7 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
         where = add_value(f"getelementptr i8, ptr {address}, i64 {_BLOCK_BYTES * block_count * register}")
         return add_value(f"load {wide}, ptr {where}, align 1")
 
-    def advance(remainder: str, bits: int, addend: str, count: int) -> str:
+    def advance_state(remainder: str, bits: int, addend: str, count: int) -> str:
         """Return the state in `count` blocks, advanced by `bits`, combined with the data `addend`."""
         kind, ending = kinds[count]
         factors = (
@@ -178,23 +178,23 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
     lines.append(f"  %more = icmp slt i64 %done, {words[0]}\n  br i1 %more, label %turn, label %last\nturn:")
     address = add_value(f"getelementptr i8, ptr {place}, i64 {add_value(f'mul i64 %done, {stride}')}")
     for k in range(_REGISTERS_PER_STEP):
-        then = advance(remainder[k], 8 * stride, load_register(address, k), block_count)
+        then = advance_state(remainder[k], 8 * stride, load_register(address, k), block_count)
         lines.append(f"  %then{k} = bitcast {wide} {then} to {wide}")
     lines.append("  %next = add i64 %done, 1\n  br label %head\nlast:")
     accumulator = remainder[0]
     for k in range(1, _REGISTERS_PER_STEP):
-        accumulator = advance(accumulator, 8 * _BLOCK_BYTES * block_count, remainder[k], block_count)
+        accumulator = advance_state(accumulator, 8 * _BLOCK_BYTES * block_count, remainder[k], block_count)
     parts = [
         add_value(f"shufflevector {wide} {accumulator}, {wide} poison, <2 x i32> <i32 {2 * k}, i32 {2 * k + 1}>")
         for k in range(block_count)
     ]
     accumulator = parts[0]
     for part in parts[1:]:
-        accumulator = advance(accumulator, 8 * _BLOCK_BYTES, part, 1)
+        accumulator = advance_state(accumulator, 8 * _BLOCK_BYTES, part, 1)
     sixteen = ("<2 x i64>", accumulator)
     address, accumulator = write_loop(
         "blocks", "last", (add_value(f"mul i64 {words[0]}, {stride}"), *sixteen), _BLOCK_BYTES,
-        lambda remainder, address: advance(remainder, 8 * _BLOCK_BYTES, add_value(f"load <2 x i64>, ptr {address}, align 1"), 1),
+        lambda state, address: advance_state(state, 8 * _BLOCK_BYTES, add_value(f"load <2 x i64>, ptr {address}, align 1"), 1),
     )  # fmt: skip
     state, block_bytes = "0", add_value(f"bitcast <2 x i64> {accumulator} to <16 x i8>")
     for k in range(_BLOCK_BYTES):

@@ -15,7 +15,7 @@ _FLOAT64_BITS = 53  # bits of float64: sums are exact below 2**(quantum + 53)
 LOW_WORD_BITS = 22  # bits of the lower of two words, for larger sums; both words suffice for any number of terms
 
 
-def quantise(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
+def quantise_terms(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
     """Return terms as float64 multiples of 2**quantum, limited to +-2**(quantum + 44); NaN stays NaN."""
     bound = np.ldexp(1.0, quantum + MAX_TERM_EXPONENT)
     magic = np.ldexp(1.5, quantum + 52)
@@ -29,7 +29,7 @@ def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], qu
     """Return the sum of the terms of each index 0 .. length-1. Each sum is exact, then rounded to float64 and float32."""
     if index.size == 0:
         return np.zeros(length, np.float32)
-    wide = quantise(terms, quantum)
+    wide = quantise_terms(terms, quantum)
     largest = max(float(wide.max()), -float(wide.min()))
     if not largest * index.size <= np.ldexp(1.0, quantum + _FLOAT64_BITS):  # also for NaN
         return _sum_in_two_words(index, wide, quantum, length)

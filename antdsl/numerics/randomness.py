@@ -91,15 +91,15 @@ def to_unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
 def draw_uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
     """Return draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the
     generator."""
-    return _draw(fill_uniforms, np.float32, build_counters(seed, frame, species, site, index >> 2), index, ids)
+    return _draw_numbers(fill_uniforms, np.float32, build_counters(seed, frame, species, site, index >> 2), index, ids)
 
 
 def draw_word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
     """Return the random word from which `draw_uniform` makes the draw with the same arguments."""
-    return _draw(fill_words, np.uint64, build_counters(seed, frame, species, site, index >> 2), index, ids)
+    return _draw_numbers(fill_words, np.uint64, build_counters(seed, frame, species, site, index >> 2), index, ids)
 
 
-def _draw(
+def _draw_numbers(
     fill_kernel: RandomKernel, dtype: type[np.generic], shared_counters: CounterWords, index: int, ids: NDArray[np.int64]
 ) -> NDArray[Any]:
     """Return draw `index` for each id, as numbers of a `dtype`, computed by the kernel `fill_kernel`."""

@@ -58,14 +58,14 @@ def get_or_compute(
     - `size`: the number of faces of the mesh, or of another `unit`; 0 for a result that no other run needs"""
     global _computed_tables
     key = _compute_key(name, inputs) if size >= MIN_STORED_SIZE else None
-    tables = None if key is None else _unpack(_open_store_once().get(key))
+    tables = None if key is None else _unpack_tables(_open_store_once().get(key))
     if tables is None:
         if size >= MIN_STORED_SIZE:
             stages.begin_stage(f"{name} of {size:,} {unit}")
         tables = compute()
         _computed_tables += 1
         if key is not None and sum(array.nbytes for array in tables.values()) <= _MAX_TABLE_BYTES - MIB:
-            _open_store_once().put(key, _pack(tables))
+            _open_store_once().put(key, _pack_tables(tables))
     return tables
 
 
@@ -120,7 +120,7 @@ def _list_modules() -> Iterator[Path]:
         yield from sorted((package / folder).rglob("*.py"))
 
 
-def _pack(tables: Mapping[str, NDArray[Any]]) -> bytes:
+def _pack_tables(tables: Mapping[str, NDArray[Any]]) -> bytes:
     """Return arrays as bytes: a line of JSON with the name, type and shape of each array, then their data."""
     arrays = {name: np.ascontiguousarray(array) for name, array in tables.items()}
     line = json.dumps([[name, array.dtype.str, array.shape] for name, array in arrays.items()]).encode() + b"\n"
@@ -132,7 +132,7 @@ def _pack(tables: Mapping[str, NDArray[Any]]) -> bytes:
     return b"".join(parts)
 
 
-def _unpack(data: bytes | None) -> Tables | None:
+def _unpack_tables(data: bytes | None) -> Tables | None:
     """Return the arrays that `_pack` stored; None for None or invalid data."""
     if data is None:
         return None

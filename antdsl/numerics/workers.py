@@ -174,12 +174,12 @@ def run_in_parts(work: Callable[[int, int], T], count: int, threads: int, max_th
     """Run `parallel.run_in_parts` with at most `max_threads` threads, the number that is worthwhile."""
     pool = _get_pool(threads)
 
-    def together() -> list[T]:
+    def run_parts_in_parallel() -> list[T]:
         thread_count = min(max_threads, threads, MAX_JOB_PARTS)
         results = pool.run_kernel(work, count, count_parts(count, thread_count)) if isinstance(pool, WorkerPool) else None
         return _pull_parts(pool, work, count, thread_count) if results is None else results
 
-    return _run_exclusively(pool, together, lambda: [work(0, count)])
+    return _run_exclusively(pool, run_parts_in_parallel, lambda: [work(0, count)])
 
 
 def _run_exclusively(pool: WorkerPool | ExecutorPool, run_together: Callable[[], T], run_alone: Callable[[], T]) -> T:
@@ -228,11 +228,13 @@ def call_for_each_row(function: Callable[[int, int, int], None], parts: NDArray[
     """Call a function of machine code with each row, as `parallel.call_for_each_row`."""
     pool = _get_pool(threads)
 
-    def alone() -> None:
+    def call_in_order() -> None:
         for part in parts.tolist():
             function(*part)
 
-    _run_exclusively(pool, partial(pool.call_for_each_row, function, parts) if isinstance(pool, WorkerPool) else alone, alone)
+    _run_exclusively(
+        pool, partial(pool.call_for_each_row, function, parts) if isinstance(pool, WorkerPool) else call_in_order, call_in_order
+    )
 
 
 @cache

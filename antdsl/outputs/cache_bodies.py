@@ -31,7 +31,7 @@ class CacheBodies:
 
     def keys(self, number: int) -> tuple[str, ...]:
         """Return the keys of the bodies of a species. Frames use these keys to name the feet of the agents."""
-        species, count = self._manifest.species[number], len(_entries(self._manifest.species[number]))
+        species, count = self._manifest.species[number], len(_list_entries(self._manifest.species[number]))
         return tuple(body_key(species.name, which, count) for which in range(count))
 
     def numbers(self, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -51,7 +51,7 @@ class CacheBodies:
         """Return the agent definition of a body of a species. Raises BodyError if the cache's definition is damaged."""
         if (number, body_index) not in self._definitions:
             species = self._manifest.species[number]
-            entry = _entries(species)[body_index]
+            entry = _list_entries(species)[body_index]
             self._definitions[number, body_index] = (
                 load_library_body(entry.body if entry.body in BODY_WORDS else find_body_for_species(species.name))
                 if entry.definition is None
@@ -61,7 +61,7 @@ class CacheBodies:
 
     def reach(self, number: int) -> float:
         """Return the reach of the bodies of a species in body lengths: at least 1, more only for bodies from files."""
-        entries = _entries(self._manifest.species[number])
+        entries = _list_entries(self._manifest.species[number])
         own = [self.body(number, 0, which).reach for which, each in enumerate(entries) if each.definition is not None]
         return max([1.0, *own])
 
@@ -87,6 +87,6 @@ def find_body_numbers(manifest: Manifest, number: int, ids: NDArray[np.int64]) -
     return numbers
 
 
-def _entries(species: SpeciesEntry) -> tuple[WornBodyEntry, ...]:
+def _list_entries(species: SpeciesEntry) -> tuple[WornBodyEntry, ...]:
     """Return the bodies of a species; at least one."""
     return species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)

@@ -118,18 +118,24 @@ class FrameDrawer:
         request, name = self.wanted, self._name
         if request.at is not None and request.look_at is not None:
             eye, aim = (to_tuple(np.array(point) - self.gallery.origin) for point in (request.at, request.look_at))
-            return _constant(Camera(eye, aim))
+            return _make_constant_function(Camera(eye, aim))
         if name in ("eye", "close") and (following := self._follow_agent(first, is_close=name == "close")) is not None:
             return following.make_camera
         if name == "top":
-            return _constant(make_top_camera(first, aspect=self._aspect))
+            return _make_constant_function(make_top_camera(first, aspect=self._aspect))
         if name in ("fit", "eye", "close") or self._cameras.is_fitted(name):
             points, focal = self.gallery.find_outline_points(self.frames), request.focal or DEFAULT_FOCAL_MM
-            return _constant(make_fitted_camera(points, self._up, aspect=self._aspect, focal=focal))
+            return _make_constant_function(make_fitted_camera(points, self._up, aspect=self._aspect, focal=focal))
         own = self._cameras.make_camera(first.frame or 0, name)
         if own is None:
-            return _constant(make_overview_camera(first, aspect=self._aspect, focal=request.focal or DEFAULT_FOCAL_MM))
-        return (lambda frame: self._cameras.make_camera(frame, name) or own) if self._cameras.is_moving(name) else _constant(own)
+            return _make_constant_function(
+                make_overview_camera(first, aspect=self._aspect, focal=request.focal or DEFAULT_FOCAL_MM)
+            )
+        return (
+            (lambda frame: self._cameras.make_camera(frame, name) or own)
+            if self._cameras.is_moving(name)
+            else _make_constant_function(own)
+        )
 
     def _follow_agent(self, first: Picture, *, is_close: bool) -> FollowingCamera | None:
         """Return the camera beside the requested agent, or beside one with others nearby in the first frame that has agents.
@@ -154,7 +160,7 @@ class FrameDrawer:
         return choose_direction(self.gallery, number, agent, stable, focal, is_close=is_close)
 
 
-def _constant(camera: Camera) -> Callable[[int], Camera]:
+def _make_constant_function(camera: Camera) -> Callable[[int], Camera]:
     return lambda frame: camera
 
 

@@ -50,10 +50,10 @@ def rebuild(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: dict[
         new[node] = other or builder(node.op, *args, attrs=node.attrs, kind=node.kind)
     changed = _map_plan(plan, new)
     beside.update((node, new[node]) for node in beside)
-    return _renumber(changed, beside)
+    return _renumber_nodes(changed, beside)
 
 
-def _renumber(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode]) -> Plan:
+def _renumber_nodes(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode]) -> Plan:
     """Return the plan without the unused nodes that folding leaves. A new PlanBuilder made all nodes, so no two nodes are
     equal."""
     new: dict[PlanNode, PlanNode] = {}
@@ -65,16 +65,16 @@ def _renumber(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode]) -> Plan:
 
 
 def _map_plan(plan: Plan, node_map: dict[PlanNode, PlanNode]) -> Plan:
-    def optional(node: PlanNode | None) -> PlanNode | None:
+    def map_optional(node: PlanNode | None) -> PlanNode | None:
         return None if node is None else node_map[node]
 
-    def field(f: FieldPlan) -> FieldPlan:
+    def map_field(f: FieldPlan) -> FieldPlan:
         return replace(
             f,
             cell=node_map[f.cell],
-            retained_share=optional(f.retained_share),
-            diffuse=optional(f.diffuse),
-            limit=optional(f.limit),
+            retained_share=map_optional(f.retained_share),
+            diffuse=map_optional(f.diffuse),
+            limit=map_optional(f.limit),
         )
 
     species = {}
@@ -83,7 +83,7 @@ def _map_plan(plan: Plan, node_map: dict[PlanNode, PlanNode]) -> Plan:
         lazy = tuple(dict.fromkeys(node_map[n] for n in s.memoised_senses))
         species[name] = replace(s, memoised_senses=lazy, **phases)  # type: ignore[arg-type]
     return replace(
-        plan, species=species, fields={n: field(f) for n, f in plan.fields.items()},
+        plan, species=species, fields={n: map_field(f) for n, f in plan.fields.items()},
         params={n: ParamPlan(p.name, node_map[p.default]) for n, p in plan.params.items()},
     )  # fmt: skip
 

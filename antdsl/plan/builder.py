@@ -91,9 +91,9 @@ class PlanBuilder:
         if wrong:
             raise PlanError(wrong)
         simple = simplify.simplify(self, op, args, attrs)
-        return simple if simple is not None else self.intern(op, args, attrs, infer_result_kind(op, args, attrs, kind))
+        return simple if simple is not None else self.find_or_add(op, args, attrs, infer_result_kind(op, args, attrs, kind))
 
-    def intern(
+    def find_or_add(
         self, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind, span: Span | None = None
     ) -> PlanNode:
         """Return the node with these values. A new node is added only if there is no equal one."""
@@ -109,7 +109,7 @@ class PlanBuilder:
         """Return an F32 constant."""
         return self("const", attrs=(round_to_f32(float(x)),))
 
-    def boolean(self, x: bool) -> PlanNode:
+    def add_boolean(self, x: bool) -> PlanNode:
         """Return a BOOL constant."""
         return self.true if x else self.false
 
@@ -126,7 +126,7 @@ class PlanBuilder:
         if kind is ValueKind.F32:
             return self.number(float(value))
         if kind is ValueKind.BOOL:
-            return self.boolean(bool(value))
+            return self.add_boolean(bool(value))
         return self.row(int(value)) if kind is ValueKind.I32 else self.agent_id(int(value))
 
     def all(self, *conditions: PlanNode) -> PlanNode:

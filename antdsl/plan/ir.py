@@ -302,21 +302,21 @@ class LayerPlan:
 
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
-    """A clip of the body by its name, on the joints of a transform group (`on`; "": all).
-    `is_additive`: the differences from the rest pose are added to all other clips. `left_clip`, `right_clip`, `up_clip`,
-    `down_clip`: the clips that replace it as an agent turns, climbs or descends."""
+    """A clip of the body by its name, on the joints of a transform group (`on`; "": all). `is_additive`: the differences from
+    the rest pose are added to all other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`: the
+    clips that replace it as an agent turns, climbs or descends."""
 
     name: str
     on: str = ""
     is_additive: bool = False
-    left_clip: str = ""
-    right_clip: str = ""
-    up_clip: str = ""
-    down_clip: str = ""
+    left_turn_clip: str = ""
+    right_turn_clip: str = ""
+    climbing_clip: str = ""
+    descending_clip: str = ""
 
     @property
     def has_lean_clips(self) -> bool:
-        return any((self.left_clip, self.right_clip, self.up_clip, self.down_clip))
+        return any((self.left_turn_clip, self.right_turn_clip, self.climbing_clip, self.descending_clip))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

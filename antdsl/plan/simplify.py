@@ -43,7 +43,7 @@ def _fold_constants(b: PlanBuilder, op: str, values: list[Any]) -> PlanNode | No
     if op in ARITHMETIC_FUNCTIONS:
         return b.number(round_to_f32(ARITHMETIC_FUNCTIONS[op](*values)))
     if op in COMPARISON_FUNCTIONS:
-        return b.boolean(COMPARISON_FUNCTIONS[op](*values))
+        return b.add_boolean(COMPARISON_FUNCTIONS[op](*values))
     if op in ("min", "max"):
         chosen = (find_minimum if op == "min" else find_maximum)(*values)
         return None if chosen is None else b.number(chosen)
@@ -100,7 +100,7 @@ def _simplify_or(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantVal
 
 def _simplify_not(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[0] is not None:
-        return b.boolean(not v[0])
+        return b.add_boolean(not v[0])
     inner = args[0]
     if inner.op == "not":
         return inner.args[0]
@@ -152,7 +152,7 @@ def round_to_f32(x: float) -> float:
         return math.copysign(math.inf, x)
 
 
-def _divide(a: float, b: float) -> float:
+def _divide_numbers(a: float, b: float) -> float:
     if b != 0:
         return a / b
     if a == 0 or math.isnan(a):
@@ -172,7 +172,7 @@ ARITHMETIC_FUNCTIONS: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
-    "div": _divide,
+    "div": _divide_numbers,
     "neg": lambda a: -a,
     "abs": abs,
     "floor": _round_down,

@@ -27,7 +27,7 @@ def pack_arrays(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) ->
         if kind not in _ALLOWED_DTYPES:
             raise TypeError(f"`{name}` is {little[name].dtype}, which packets do not support")
 
-    def text(start: int) -> tuple[bytes, int]:
+    def make_header(start: int) -> tuple[bytes, int]:
         """Return the header for arrays that begin at `start`, and the end offset of the arrays."""
         listed.clear()
         at = start
@@ -38,7 +38,7 @@ def pack_arrays(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) ->
 
     start = 64
     while True:  # repeated, because the header contains offsets with digits that make it longer
-        said, end = text(start)
+        said, end = make_header(start)
         if 8 + len(said) <= start:
             break
         start = -(-(8 + len(said)) // 8) * 8

@@ -197,13 +197,13 @@ class Session:
 
     def reload(self) -> Outcome:
         """Continue from the current frame with the current files. If they have errors, the last valid program continues."""
-        outcome = self._recompile(self.choices, self._current_stretch.disabled_layers)
+        outcome = self._recompile_files(self.choices, self._current_stretch.disabled_layers)
         if outcome.ok or not (self.choices.params or self._current_stretch.disabled_layers or self.notes):
             return outcome
         choices, dropped = self._drop_unknown_choices(self.choices, self._current_stretch.disabled_layers)
         if not dropped:
             return outcome
-        outcome = self._recompile(choices, self._current_stretch.disabled_layers)
+        outcome = self._recompile_files(choices, self._current_stretch.disabled_layers)
         return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
 
     def precompile(self) -> None:
@@ -222,7 +222,7 @@ class Session:
             return Outcome(report)
         if name not in self.shot.plan.params or name in find_binding_params(self.shot.plan) or self._lacks_notes():
             choices = self.choices
-            return self._recompile(
+            return self._recompile_files(
                 replace(choices, params={**choices.params, name: value}), self._current_stretch.disabled_layers, text, did
             )
         self.timeline.drop_after(self.frame, text)
@@ -243,7 +243,7 @@ class Session:
         params |= self._settings_of_disabled_fields.pop(name, {}) if is_on else {}
         text = "" if is_on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
         did = f"field `{name}` is switched on again" if is_on else f"field `{name}` is switched off"
-        return self._recompile(
+        return self._recompile_files(
             replace(self.choices, params=params if is_on else {**params, **off}), self._current_stretch.disabled_layers, text, did
         )
 
@@ -255,14 +255,14 @@ class Session:
         if is_on:
             if off.pop(key, None) is None:
                 return make_error_outcome(f"`{species}` has no layer `{layer}` that is off")
-            return self._recompile(self.choices, off, description=f"layer `{shorten_text(layer)}` is on again")
+            return self._recompile_files(self.choices, off, description=f"layer `{shorten_text(layer)}` is on again")
         plan = self.shot.plan.species.get(species)
         layer_plan = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
         if layer_plan is None:
             return make_error_outcome(f"`{species}` has no layer `{layer}`")
         off[key] = Path(os.path.realpath(layer_plan.span.source.path))
         text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
-        return self._recompile(self.choices, off, text, f"layer `{shorten_text(layer)}` is off")
+        return self._recompile_files(self.choices, off, text, f"layer `{shorten_text(layer)}` is off")
 
     def direct(self, notes: HandNotes, description: str, text: str = "") -> Outcome:
         """Replace the notes by hand. The session goes back to the last frame that the change does not affect, and continues from
@@ -274,7 +274,7 @@ class Session:
         elif frame < self.first:
             outcome = replace(self._start_over(choices, layers), text=text, description=description)
         else:
-            outcome = self._recompile(choices, layers, text, description, first=int(min(frame, self.frame)))
+            outcome = self._recompile_files(choices, layers, text, description, first=int(min(frame, self.frame)))
         self.notes = notes if outcome.ok else self.notes
         return outcome
 
@@ -313,7 +313,7 @@ class Session:
             self.compiler.replacement_texts = previous_texts
         return shot, report, missing_layers
 
-    def _recompile(
+    def _recompile_files(
         self,
         choices: RunChoices,
         disabled_layers: DisabledLayers,

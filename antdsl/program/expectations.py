@@ -74,7 +74,7 @@ class Expectation:
     - `kind`: always, never, eventually, finally, sooner, within, for or until.
     - `block_number`: the number of its `each` block from 1; 0 outside of such blocks.
     - `species`: the species of which each agent is judged separately; None for the complete run.
-    - `at_end`: it uses a measure that is known only at the end of the run.
+    - `is_at_end`: it uses a measure that is known only at the end of the run.
     - `hold_time`: the condition counts after it has held for this time.
     - `start_condition`: the time starts whenever this condition becomes true."""
 
@@ -84,7 +84,7 @@ class Expectation:
     condition: Expr
     time: Expr | None
     readings: tuple[ExpectationReading, ...]
-    at_end: bool  # it uses a motion measure, which is only known after the run
+    is_at_end: bool  # it uses a motion measure, which is only known after the run
     span: Span
     hold_time: Expr | None = None
     start_condition: Expr | None = None

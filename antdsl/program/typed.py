@@ -85,7 +85,7 @@ class Binding:
     - `latch`: `value` switches it on, `next_value` off.
     - `element`: the current element of a set.
 
-    `key`: the stable identity of a memory, such as `forager.main.search.wander#1.bearing`. `snapshot`: a `let` of a species,
+    `key`: the stable identity of a memory, such as `forager.main.search.wander#1.bearing`. `is_snapshot`: a `let` of a species,
     which reads the agent's state at the start of the step."""
 
     name: str
@@ -96,7 +96,7 @@ class Binding:
     value: Expr | None = None
     next_value: Expr | None = None
     key: str = ""
-    snapshot: bool = False
+    is_snapshot: bool = False
 
 
 @expression_class

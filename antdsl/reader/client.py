@@ -116,7 +116,7 @@ class _ReaderProcess:
 
 
 class FileReader:
-    """A reader with its private folder; see the function `send_request`."""
+    """Reads files of other programs, such as USD, in a child process with its own folder; see the function `send_request`."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -299,12 +299,12 @@ def _kill_after_deadline(
 ) -> Iterator[None]:
     """Within the context, kill a child that has not finished after `seconds` of wall-clock time, and set `late_event`."""
 
-    def stop() -> None:
+    def kill_process() -> None:
         if late_event is not None:
             late_event.set()
         reader_process.kill()
 
-    timer = threading.Timer(seconds, stop)
+    timer = threading.Timer(seconds, kill_process)
     timer.daemon = True
     timer.start()
     try:

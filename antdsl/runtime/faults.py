@@ -36,17 +36,17 @@ class Fault:
     reason: str = "is not finite"
 
     def __str__(self) -> str:
-        return self._describe("" if self.span is None else f"{self.span}: ")
+        return self._describe_fault("" if self.span is None else f"{self.span}: ")
 
     @property
     def brief_text(self) -> str:
         """Return the text of the fault with the file's name instead of its path, which is private to this machine."""
         if self.span is None:
-            return self._describe("")
+            return self._describe_fault("")
         line, column = self.span.source.find_line_column(self.span.start)
-        return self._describe(f"{PurePath(self.span.source.path).name}:{line}:{column}: ")
+        return self._describe_fault(f"{PurePath(self.span.source.path).name}:{line}:{column}: ")
 
-    def _describe(self, place: str) -> str:
+    def _describe_fault(self, place: str) -> str:
         values = ", ".join(f"{text} = {value}" for text, value in self.operands)
         subject = self.species if self.agent < 0 else f"{self.species} {self.agent}"
         return f"{place}{subject} at frame {self.frame}: `{self.value_name}` {self.reason}" + (f" ({values})" if values else "")

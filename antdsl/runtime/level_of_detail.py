@@ -163,14 +163,14 @@ def is_in_boxes(place: NDArray[np.float32], low: NDArray[np.float32], high: NDAr
     least, most = low.min(axis=0), high.max(axis=0)
     width = np.maximum(most - least, np.float32(1e-6)) / np.float32(_GRID_CELLS_PER_AXIS)
 
-    def cell(points: NDArray[np.float32]) -> NDArray[np.intp]:  # monotonic, so that no box is missed
+    def find_grid_cells(points: NDArray[np.float32]) -> NDArray[np.intp]:  # monotonic, so that no box is missed
         at: NDArray[np.intp] = np.clip(np.floor((points - least) / width), 0, _GRID_CELLS_PER_AXIS - 1).astype(np.intp)
         return at
 
     reached = np.zeros((_GRID_CELLS_PER_AXIS, _GRID_CELLS_PER_AXIS, _GRID_CELLS_PER_AXIS), np.bool_)
-    for (a, b, c), (d, e, f) in zip(cell(low), cell(high), strict=True):
+    for (a, b, c), (d, e, f) in zip(find_grid_cells(low), find_grid_cells(high), strict=True):
         reached[a : d + 1, b : e + 1, c : f + 1] = True
-    maybe = np.flatnonzero(reached[tuple(cell(place).T)])
+    maybe = np.flatnonzero(reached[tuple(find_grid_cells(place).T)])
     order = maybe[np.argsort(place[maybe, 0], kind="stable")]
     x = place[order, 0]
     first, last = np.searchsorted(x, low[:, 0], "left"), np.searchsorted(x, high[:, 0], "right")

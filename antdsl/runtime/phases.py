@@ -132,7 +132,7 @@ def move_all(world: World) -> None:
                     step.record()
                 contact_solver.resolve_contacts(world, stances, world.dt / world.setting.substeps)
                 for step in clear_steps:
-                    step.correct()
+                    step.correct_moved_bodies()
                 if world.notes is not None:
                     world.notes.cut_pushes(world, stances.positions, world.dt / world.setting.substeps)
         if world.notes is not None:

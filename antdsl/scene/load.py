@@ -279,7 +279,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     """Return the keys that the model at a path knows."""
     from antdsl.scene import scene_model
     from antdsl.scene.camera_models import CAMERA_MODEL_BY_TAG, CameraKey
-    from antdsl.scene.crowds.casting_model import DRAW_MODELS
+    from antdsl.scene.crowds.casting_model import RANDOM_VALUE_MODELS
     from antdsl.scene.crowds.crowd_model import LayerChoice
     from antdsl.scene.notes.notes_model import NOTE_MODELS, make_note_tag
     from antdsl.scene.notes.selectors import AgentConditions, Ball, Box
@@ -294,7 +294,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
         "mapping-selector": AgentConditions,
         "box-region": Box,
         "ball-region": Ball,
-        **{f"{key}-draw": each for key, each in DRAW_MODELS.items()},
+        **{f"{key}-draw": each for key, each in RANDOM_VALUE_MODELS.items()},
         "fields": scene_model.FieldStart,
         **{make_note_tag(verb): model for verb, model in NOTE_MODELS.items()},
         **scene_model.MODEL_BY_PATH,

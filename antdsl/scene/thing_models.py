@@ -35,9 +35,10 @@ Look = Annotated[str, BeforeValidator(parse_one_of(*LOOKS))]  # keys for the thi
 
 
 class ThingModel(ScenePart):
-    """One form of a thing of the world. Its first field is the head, the key that identifies the form.
+    """A model of one way to define a thing of the world in a scene, such as by a mesh file. Its first field is the required key
+    by which the way is recognised.
 
-    `names_file`: whether the value of the head is the path of the thing's own file."""
+    `names_file`: whether the value of this key is the path of a file with the thing."""
 
     names_file: ClassVar[bool] = False
 

@@ -60,7 +60,7 @@ def require_text(value: Any, expected_text: str) -> str:
 def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
     """Return a parser for an integer in decimal digits, from `low` to `high`."""
 
-    def read(value: Any) -> int:
+    def read_integer(value: Any) -> int:
         text = require_text(value, "a whole number")
         if not re.fullmatch(r"[+-]?[0-9]{1,20}", text, re.ASCII):
             raise make_error(f"{describe_value(text)} is not a whole number", f"write digits only, {low} to {high}")
@@ -68,7 +68,7 @@ def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
             raise make_error(f"`{int(text)}` is not between {low} and {high}")
         return int(text)
 
-    return read
+    return read_integer
 
 
 def parse_any_quantity(value: Any) -> Quantity:
@@ -94,7 +94,7 @@ def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quant
 def parse_quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
     """Return a parser for quantities of one dimension. A bare number is in the scene's own unit (degrees for an angle)."""
 
-    def read(value: Any) -> Quantity:
+    def read_quantity(value: Any) -> Quantity:
         quantity = parse_any_quantity(value)
         if quantity.is_bare and dim == ANGLE_DIMENSION:
             quantity = parse_quantity(f"{quantity.text} deg")
@@ -102,14 +102,14 @@ def parse_quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
             raise make_error(f"`{quantity.text}` is not {describe_dimension(dim)}", f"write `{format_with_unit(50, dim)}`")
         return _limit_quantity(quantity, LARGEST_BY_DIMENSION[dim], f" {BASE_UNIT_BY_DIMENSION[dim]}")
 
-    return read
+    return read_quantity
 
 
 def parse_positive_quantity(dim: Dimension) -> Callable[[Any], Quantity]:
     """Return a parser for quantities of one dimension that are above zero."""
     inner = parse_quantity_of(dim)
 
-    def read(value: Any) -> Quantity:
+    def read_positive_quantity(value: Any) -> Quantity:
         quantity = inner(value)
         if quantity.number <= 0:
             raise make_error(f"`{quantity.text}` is not above zero")
@@ -119,13 +119,13 @@ def parse_positive_quantity(dim: Dimension) -> Callable[[Any], Quantity]:
             )
         return quantity
 
-    return read
+    return read_positive_quantity
 
 
 def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
     """Return a parser for a plain decimal number from `low` to `high`."""
 
-    def read(value: Any) -> float:
+    def read_number(value: Any) -> float:
         text = require_text(value, "a number")
         try:
             parsed_number = parse_number(text)
@@ -135,7 +135,7 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
             raise make_error(f"`{text}` is not between {low:g} and {high:g}")
         return parsed_number
 
-    return read
+    return read_number
 
 
 def parse_share(value: Any) -> float:
@@ -156,7 +156,7 @@ def _check_name(value: Any) -> str:
 def parse_one_of(*words: str) -> Callable[[Any], str]:
     """Return a parser for one of `words`."""
 
-    def read(value: Any) -> str:
+    def read_word(value: Any) -> str:
         from antdsl.diagnostics.suggestion import find_nearest_name
 
         text = require_text(value, "a word")
@@ -168,7 +168,7 @@ def parse_one_of(*words: str) -> Callable[[Any], str]:
             )
         return text
 
-    return read
+    return read_word
 
 
 def _parse_fps(value: Any) -> Fraction:
@@ -235,7 +235,7 @@ def _check_path(value: Any) -> str:
 def parse_word_or_file(*words: str) -> Callable[[Any], str]:
     """Return a parser for one of `words`, or for the path of a file, which has a dot or a slash."""
 
-    def read(value: Any) -> str:
+    def read_word_or_file(value: Any) -> str:
         text = require_text(value, "a word, or the path of a file,")
         if "." in text or "/" in text:
             return _check_path(value)
@@ -247,7 +247,7 @@ def parse_word_or_file(*words: str) -> Callable[[Any], str]:
             raise make_error(f"{describe_value(text)} is none of {listed}, and not a file", help)
         return text
 
-    return read
+    return read_word_or_file
 
 
 def _check_word(value: Any) -> str:

@@ -95,12 +95,12 @@ class SearchMemory(NamedTuple):
     """Scratch memory of a search, `SEARCH_CAPACITY` numbers each.
 
     `candidates`: agents, as positions in the order of cells.
-    `keys`, `ranks`: their sort keys, and their ranks by distance.
+    `candidate_keys`, `distance_ranks`: their sort keys, and their ranks by distance.
     `nearest_rows`, `nearest_keys`: the nearest agents in order, and their keys."""
 
     candidates: Array1[I64]
-    keys: Array1[I64]
-    ranks: Array1[I64]
+    candidate_keys: Array1[I64]
+    distance_ranks: Array1[I64]
     nearest_rows: Array1[I64]
     nearest_keys: Array1[I64]
 
@@ -207,15 +207,18 @@ def _select_nearest(
         length = np.sqrt((dx * dx + dy * dy) + dz * dz)
         side = dot(up, (np.float64(ux), np.float64(uy), np.float64(uz)))
         is_candidate = (p < count) & (length <= reach) & (q != position) & (side > 0.0)
-        memory.keys[p] = float_to_bits(np.float64(length)) | np.int64(number) if is_candidate else MAX_INT64
+        memory.candidate_keys[p] = float_to_bits(np.float64(length)) | np.int64(number) if is_candidate else MAX_INT64
     for p in simd_range(0, padded):
-        key, rank = memory.keys[p], 0
+        key, rank = memory.candidate_keys[p], 0
         for q in range(count):
-            rank += memory.keys[q] < key
-        memory.ranks[p] = rank
+            rank += memory.candidate_keys[q] < key
+        memory.distance_ranks[p] = rank
     for p in range(count):
-        memory.nearest_rows[memory.ranks[p]], memory.nearest_keys[memory.ranks[p]] = memory.candidates[p], memory.keys[p]
-        good_count += memory.keys[p] < MAX_INT64
+        memory.nearest_rows[memory.distance_ranks[p]], memory.nearest_keys[memory.distance_ranks[p]] = (
+            memory.candidates[p],
+            memory.candidate_keys[p],
+        )
+        good_count += memory.candidate_keys[p] < MAX_INT64
     return min(good_count, max_others)
 
 

@@ -168,13 +168,13 @@ class CellGrid:
         ids = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, ids, reach, *(view or (none,) * 4))
 
-        def part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
+        def search_part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
             pair_columns = _find_pairs(grid, axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
             if pair_columns is not None:
                 pair_columns[0][:] += begin
             return pair_columns
 
-        pair_columns = parallel.run_in_parts(part, query[0].size, threads)
+        pair_columns = parallel.run_in_parts(search_part, query[0].size, threads)
         filled = [columns for columns in pair_columns if columns is not None]
         if len(filled) < len(pair_columns):
             raise TooManyNeighbours

@@ -45,11 +45,11 @@ def place_scripted_agents(
             continue
         own = np.flatnonzero((numbers == number) & ~np.isin(ids, free_ids[entry.name]))
         known_rows = np.flatnonzero(np.isin(population.ids, ids[own]) | np.isin(population.ids, free_ids[entry.name]))
-        rows = _place(world, population, arrays, own, manifest, known_rows, next_ids.get(entry.name, 0))
-        _aim(world, population, rows, next_arrays, number, UNIT_MM[manifest.units])
+        rows = _place_agents(world, population, arrays, own, manifest, known_rows, next_ids.get(entry.name, 0))
+        _aim_velocities(world, population, rows, next_arrays, number, UNIT_MM[manifest.units])
 
 
-def _place(
+def _place_agents(
     world: World,
     population: Population,
     arrays: Arrays,
@@ -92,13 +92,15 @@ def _place(
     factor = size / np.where(population.now["size"][rows] > 0, population.now["size"][rows], np.float32(1))
     factor = np.where(np.abs(factor - 1) < _SAME_SIZE, np.float32(1), factor)
     for name in ("size", "radius"):
-        _write(population, name, rows, population.now[name][rows] * factor)
+        _write_register(population, name, rows, population.now[name][rows] * factor)
     population.cells.clear()
     population.version += 1
     return rows
 
 
-def _aim(world: World, population: Population, rows: NDArray[np.intp], next_arrays: Arrays, number: int, unit_mm: float) -> None:
+def _aim_velocities(
+    world: World, population: Population, rows: NDArray[np.intp], next_arrays: Arrays, number: int, unit_mm: float
+) -> None:
     """Give agents the velocities that lead to their positions in the next frame; 0 if they are not there."""
     own = np.flatnonzero(get_species_numbers(next_arrays) == number)
     at, is_there = match_rows(population.ids[rows], get_agent_ids(next_arrays)[own])
@@ -109,10 +111,10 @@ def _aim(world: World, population: Population, rows: NDArray[np.intp], next_arra
 
 def _write_vector(population: Population, name: str, rows: NDArray[np.intp], values: Floats) -> None:
     for k, axis in enumerate(AXES):
-        _write(population, f"{name}.{axis}", rows, values[:, k])
+        _write_register(population, f"{name}.{axis}", rows, values[:, k])
 
 
-def _write(population: Population, name: str, rows: NDArray[np.intp], values: NDArray[np.floating]) -> None:
+def _write_register(population: Population, name: str, rows: NDArray[np.intp], values: NDArray[np.floating]) -> None:
     """Write a register as it is at the start of a step and now."""
     for registers in (population.now, population.start):
         registers[name][rows] = values
@@ -127,9 +129,9 @@ def hold_against_pushes(world: World, free_ids: Mapping[str, Ids]) -> Iterator[N
         own = population.ids[~np.isin(population.ids, free_ids[name])]
         rows = population.find_rows(own)
         limits[name] = own, {key: population.now[key][rows] for key in ("mass", "max_speed")}
-        _write(population, "mass", rows, limits[name][1]["mass"] * _HEAVY)
+        _write_register(population, "mass", rows, limits[name][1]["mass"] * _HEAVY)
         speed = length(population.read_vector("velocity")[rows]).astype(np.float32)
-        _write(population, "max_speed", rows, np.maximum(limits[name][1]["max_speed"], speed * np.float32(1.01)))
+        _write_register(population, "max_speed", rows, np.maximum(limits[name][1]["max_speed"], speed * np.float32(1.01)))
     try:
         yield
     finally:
@@ -137,4 +139,4 @@ def hold_against_pushes(world: World, free_ids: Mapping[str, Ids]) -> Iterator[N
             population = world.populations[name]
             rows = population.find_rows(own)
             for key, array in values.items():
-                _write(population, key, rows[rows >= 0], array[rows >= 0])
+                _write_register(population, key, rows[rows >= 0], array[rows >= 0])

@@ -48,7 +48,7 @@ class SpecJudge:
         for line in (line for line in self.lines if line.plan.kind == "until" and line.plan.species is None):
             final = bool(len(line.find_failed(self._observe_line(world, spec_world, line, final)))) or final
         for line in self.lines:
-            if line.is_open and line.plan.kind != "until" and (final or not line.plan.at_end):
+            if line.is_open and line.plan.kind != "until" and (final or not line.plan.is_at_end):
                 observation = self._observe_line(world, spec_world, line, final)
                 failing_agents = (
                     self._judge_sooner(line, observation) if line.plan.kind == "sooner" else line.find_failed(observation)

@@ -149,7 +149,7 @@ def _check_amounts(shot: Shot, stop_amounts: tuple[str, ...], report: Report) ->
     """Report amounts that the scene does not have."""
     amount_names = list(list_amount_names(shot))
     for requested_name in stop_amounts:
-        if not any(is_amount_match(requested_name, name) for name in amount_names):
+        if not any(matches_amount_name(requested_name, name) for name in amount_names):
             display_names = ", ".join(f"`{name}`" for name in amount_names[:6]) or "none: it has no items"
             report.error(
                 "unknown-thing",
@@ -167,7 +167,7 @@ def list_amount_names(shot: Shot) -> Iterator[str]:
                 yield f"{name}.{item.name}.{attribute}"
 
 
-def is_amount_match(requested_name: str, name: str) -> bool:
+def matches_amount_name(requested_name: str, name: str) -> bool:
     """Return whether a requested name (`food.load` or `food.apple.load`) means the amount `food.apple.load`."""
     items, _, rest = name.partition(".")
     return requested_name in (name, f"{items}.{rest.partition('.')[2]}")

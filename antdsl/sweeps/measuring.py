@@ -20,7 +20,7 @@ from antdsl.outputs.surface_error import measure_surface_error
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, state_hash, step
 from antdsl.source_hash import hash_sources
-from antdsl.sweeps.jobs import SweepJob, compute_job_key, find_start_hashes, is_amount_match
+from antdsl.sweeps.jobs import SweepJob, compute_job_key, find_start_hashes, matches_amount_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ def _is_run_over(world: World, stop_amounts: tuple[str, ...]) -> bool:
         amount > 0
         for name, amount in _read_amounts(world)
         for requested_name in stop_amounts
-        if is_amount_match(requested_name, name)
+        if matches_amount_name(requested_name, name)
     )
 
 

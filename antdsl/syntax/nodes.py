@@ -150,7 +150,7 @@ class IsNone:
     """`x is none`, `x is not none`."""
 
     operand: Expr
-    negated: bool
+    is_negated: bool
     span: Span
 
 
@@ -312,7 +312,7 @@ class Target:
     """Where a transition goes: a state's name, `previous`, or `choose { … }` (`choices`)."""
 
     name: Name | None
-    previous: bool
+    is_previous: bool
     choices: tuple[Weight, ...]
     span: Span
 

@@ -61,7 +61,7 @@ def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
         if data.startswith(magic):
             report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _suggest_regular_file(kind))
             return None, report
-    text = _decode(name, data, report)
+    text = _decode_text(name, data, report)
     if text is None:
         return None, report
     return Source(name, text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")), report
@@ -93,7 +93,7 @@ def _report_too_large(name: str, report: Report) -> None:
     report.error("file-too-large", f"`{name}` is larger than {max_kib} KiB", None, help)
 
 
-def _decode(name: str, data: bytes, report: Report) -> str | None:
+def _decode_text(name: str, data: bytes, report: Report) -> str | None:
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -16,7 +16,7 @@ from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.files.writing import write_gltf
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import find_base_layer
-from antdsl.bodies.proposing.proposal import propose
+from antdsl.bodies.proposing.proposal import propose_definition
 
 HILL = Path(__file__).parents[2] / "examples" / "walker" / "hill.ply"
 
@@ -41,7 +41,7 @@ def read_bare(word: str, folder: Path) -> Definition:
 
 @pytest.mark.parametrize("word", ["person", "hunter", "ant", "spider"])
 def test_legs_and_walks_are_those_that_the_body_has(word: str, tmp_path: Path) -> None:
-    body, lines = load_library_body(word), propose(read_bare(word, tmp_path), "x.gltf").lines
+    body, lines = load_library_body(word), propose_definition(read_bare(word, tmp_path), "x.gltf").lines
     assert (lines["front"], lines["up"], lines["units"], lines["idle"]) == ("+z", "+y", "m", "idle")
     assert [(leg["upper"], leg["lower"]) for leg in lines["legs"]] == [(leg.upper, leg.lower) for leg in body.legs]
     strides = {clip["clip"]: clip.get("stride", 0.0) for clip in lines["clips"]}
@@ -63,14 +63,14 @@ def test_names_of_clips_are_those_that_say_something(tmp_path: Path) -> None:
     body = read_bare("person", tmp_path)
     renamed = {"walk": "Armature|Walk_01", "run": "clip0", "idle": "Breathing", "wave": "Armature|Wave", "die": "die"}
     clips = {renamed[name]: replace(clip, name=renamed[name]) for name, clip in body.clips.items() if name in renamed}
-    lines = propose(replace(body, clips=clips), "x.gltf").lines
+    lines = propose_definition(replace(body, clips=clips), "x.gltf").lines
     names = {clip["clip"]: clip["name"] for clip in lines["clips"]}
     assert names == {"Armature|Walk_01": "walk", "clip0": "walk_2", "Breathing": "idle", "Armature|Wave": "wave", "die": "die"}
 
 
 def test_another_up_axis_and_unit_are_found(tmp_path: Path) -> None:
     body = convert_axes(read_bare("person", tmp_path), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 10.0)
-    proposal = propose(replace(body, up=(0.0, 1.0, 0.0), unit=1000.0), "x.gltf")
+    proposal = propose_definition(replace(body, up=(0.0, 1.0, 0.0), unit=1000.0), "x.gltf")
     assert (proposal.lines["front"], proposal.lines["up"], proposal.lines["units"]) == ("+x", "+z", "cm")
     assert any("no legs reach the ground" in reason for reason in proposal.reasons["up"])
     assert any("would be" in reason for reason in proposal.reasons["units"])
@@ -78,15 +78,15 @@ def test_another_up_axis_and_unit_are_found(tmp_path: Path) -> None:
 
 def test_a_body_without_walking_clips_gets_a_usual_walk(tmp_path: Path) -> None:
     body = read_bare("hunter", tmp_path)
-    lines = propose(replace(body, clips={"idle": body.clips["idle"]}), "x.gltf").lines
+    lines = propose_definition(replace(body, clips={"idle": body.clips["idle"]}), "x.gltf").lines
     (gait,) = lines["gaits"]
     assert sorted(gait["phases"]) == [0.0, 0.25, 0.5, 0.75] and gait["speed"] > 0
-    without = propose(replace(body, clips={}), "x.gltf")
+    without = propose_definition(replace(body, clips={}), "x.gltf")
     assert "idle" not in without.lines and "clips" not in without.lines and len(without.lines["legs"]) == 4
 
 
 def test_a_body_without_legs_says_why(tmp_path: Path) -> None:
-    proposal = propose(read_bare("ball", tmp_path), "x.gltf")
+    proposal = propose_definition(read_bare("ball", tmp_path), "x.gltf")
     assert "legs" not in proposal.lines and "gaits" not in proposal.lines
     assert "no legs" in proposal.text()
 

@@ -218,7 +218,7 @@ def test_a_library_is_found_by_its_condensed_path_or_where_a_root_grants_the_abs
         ({"rig": RIG, "shapes": [{"file": "skin.bgeo.sc"}]}, "wrong-kind", '"skin.bgeo.sc"', "it is packed"),
         ({"rig": RIG, "shapelib_includes": [["$HIP/lib.bgeo", ""]]}, "wrong-kind", '["$HIP/lib.bgeo", ""]', "it is a packed"),
         ({"from": "body.fbx"}, "wrong-kind", '"body.fbx"', "its format is not published: export it as glTF or USD"),
-        ({"from": "sword.obj"}, "wrong-kind", '"sword.obj"', "one of .glb"),
+        ({"from": "sword.obj"}, "wrong-kind", '"sword.obj"', "use a file of one of these types: .glb"),
         ({}, "missing-key", "{", 'add `"rig": {"file": "rig.json"}`'),
         ({"rig": RIG, "clip": []}, "unknown-key", '"clip"', 'write `"clips"`'),
         ({"rig": RIG, "front": "z"}, "wrong-value", '"z"', 'write `"+z"`'),

@@ -140,7 +140,10 @@ def test_what_is_added_fades_and_gives_way_to_what_is_not() -> None:
 def test_clips_give_way_as_an_agent_turns_and_climbs(lean: tuple[float, float], height: float) -> None:
     zero = still("zero", {j: {"t": (0, 0, 0)} for j in JOINTS})
     body = replace(definition(JOINTS, LOW, HIGH, zero), groups=BODY.groups)
-    table, clips = build_clip_table(body), (PlayedClip("low", left_clip="high", right_clip="zero", up_clip="high"),)
+    table, clips = (
+        build_clip_table(body),
+        (PlayedClip("low", left_turn_clip="high", right_turn_clip="zero", climbing_clip="high"),),
+    )
     leans = np.array([lean], np.float32)
     matrices = blend_poses(table, body.groups, build_machine_playback(table, clips, [machine(0)], 1, leans)).world_transforms
     assert float(matrices[0, 0, 1, 3]) == pytest.approx(height, abs=1e-5)

@@ -16,7 +16,7 @@ from antdsl.bodies.agents.transforms import (
     normalise_quaternion,
     quaternion_to_angles,
     quaternion_to_matrix,
-    slerp,
+    slerp_quaternions,
 )
 
 
@@ -56,8 +56,8 @@ def test_between_two_rotations_it_goes_the_short_way_at_an_even_rate() -> None:
     turns = normalise_quaternion(np.random.default_rng(3).normal(size=(60, 4)))
     for a, b in zip(turns[::2], turns[1::2], strict=True):
         expected = Slerp([0, 1], Rotation.from_quat([a, b]))(0.3).as_matrix()
-        assert np.abs(quaternion_to_matrix(slerp(a, b, np.array(0.3))) - expected).max() < 1e-11
-    same = slerp(turns, -turns, np.full(60, 0.5))
+        assert np.abs(quaternion_to_matrix(slerp_quaternions(a, b, np.array(0.3))) - expected).max() < 1e-11
+    same = slerp_quaternions(turns, -turns, np.full(60, 0.5))
     assert np.abs(np.abs((same * turns).sum(axis=1)) - 1).max() < 1e-12
 
 

@@ -58,9 +58,9 @@ def test_long_rays_use_open3d_and_short_rays_use_the_grid(calls: Counter[str]) -
     origin = np.array([[0.0, 500.0, 0.0], [5.0, 500.0, 5.0]])
     down = np.array([[0.0, -1.0, 0.0], [0.0, -1.0, 0.0]])
     assert scene.find_first_hits(origin, down).is_hit.all() and calls["cast_rays"] == 1
-    hits, part, _, _ = scene.find_hits_within(origin, down * 5_000.0, 1)
+    hits, part, _, _ = scene.find_hits_along_step(origin, down * 5_000.0, 1)
     assert len(hits) == 2 and calls["cast_rays"] == 2
     low = np.array([[0.0, 10.0, 0.0], [5.0, 10.0, 5.0]])
     total = calls.total()
-    scene.find_hits_within(low, down * 15.0, 1)
+    scene.find_hits_along_step(low, down * 15.0, 1)
     assert calls.total() == total and part.size == 2

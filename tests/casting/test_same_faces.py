@@ -82,8 +82,8 @@ def make_scene(brief: bool) -> RayScene:
 
 def answers(scene: RayScene) -> dict[str, np.ndarray]:
     origin, displacement = rays_at_edges()
-    rows, part, mesh, face = scene.find_hits_within(origin, displacement)
-    for one, other in zip((rows, part, mesh, face), scene.find_hits_within(origin, displacement, most_hit=True), strict=True):
+    rows, part, mesh, face = scene.find_hits_along_step(origin, displacement)
+    for one, other in zip((rows, part, mesh, face), scene.find_hits_along_step(origin, displacement, most_hit=True), strict=True):
         assert np.array_equal(one, other)
     first = scene.find_first_hits(origin, displacement)
     x, y, z = (np.ascontiguousarray(v, np.float32) for v in origin.T)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from antdsl.casting.curves import SampledCurve, resample
+from antdsl.casting.curves import SampledCurve, resample_curve
 
 
 def spiral(n: int = 60) -> np.ndarray:
@@ -15,11 +15,11 @@ def spiral(n: int = 60) -> np.ndarray:
 
 def test_samples_are_evenly_spaced_and_include_both_ends():
     line = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 9], [4, 0, 9]], np.float64)
-    even = resample(line, 0.5)
+    even = resample_curve(line, 0.5)
     assert len(even) == 27 and np.array_equal(even[[0, -1]], line[[0, -1]])
     assert np.allclose(np.linalg.norm(np.diff(even, axis=0), axis=1), 0.5)
-    assert len(resample(line, 1e-9)) <= 5000
-    assert len(resample(np.ones((3, 3)), 1.0)) == 1
+    assert len(resample_curve(line, 1e-9)) <= 5000
+    assert len(resample_curve(np.ones((3, 3)), 1.0)) == 1
 
 
 @pytest.mark.parametrize("reach", [5.0, 200.0, 5000.0])

@@ -161,7 +161,7 @@ def test_few_and_many_feelers_have_equal_hits(monkeypatch: pytest.MonkeyPatch):
     reach = np.random.default_rng(1).choice([1e-6, 1e-4, 0.1, 3.0, 30.0], 5000)
     for few in (0, 5000):
         monkeypatch.setattr(rays, "_MAX_RAYS_CAST_ONCE", few)
-        touched.append(scene.find_hits_within(origin, direction * reach[:, None]))
+        touched.append(scene.find_hits_along_step(origin, direction * reach[:, None]))
     assert 400 < len(touched[0][0]) < 4500
     for many, few in zip(*touched, strict=True):
         assert np.array_equal(many, few)

@@ -224,7 +224,7 @@ def test_random_machines_have_readable_charts(tmp_path: Path, seed: int) -> None
 
 
 def written(charts: tuple[Chart, ...], format: str) -> bytes:
-    text, report = graphs.write(charts, format)
+    text, report = graphs.write_charts(charts, format)
     assert text is not None and report.ok
     return text
 
@@ -374,7 +374,7 @@ def test_without_the_extra_pictures_name_it_and_texts_are_written(
 
 
 def assert_extra_is_named(charts: tuple[Chart, ...], format: str) -> None:
-    text, report = graphs.write(charts, format)
+    text, report = graphs.write_charts(charts, format)
     assert text is None and [d.code for d in report.errors] == ["missing-extra"]
     assert 'pip install "antdsl[graph]"' in report.errors[0].help
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from antdsl.ground.protocol import GroundMove
-from antdsl.ground.solid import Volume, move
+from antdsl.ground.solid import Volume, move_over_solid
 from antdsl.ground.solid.trilinear import BrickTables, to_brick_tables
 from antdsl.ground.solid.walking import _project_to_surface
 from antdsl.machine_code.kernels import F64, Array1, Array2, kernel
@@ -62,7 +62,7 @@ def wandering(
     place, up, head = start
     rng = np.random.default_rng(7)
     for _ in range(steps):
-        moved = move(solid, place, head * step, head, up, BODY)
+        moved = move_over_solid(solid, place, head * step, head, up, BODY)
         yield place, moved
         place, up, head = moved.position, moved.up, moved.heading
         angle = rng.normal(size=len(place))[:, None] * turn
@@ -103,7 +103,7 @@ def test_who_walks_round_a_cube_comes_back_to_where_it_began() -> None:
     head = np.array([[1.0, 0, 0]])
     sides = set()
     for _ in range(170):
-        moved = move(solid, place, head, head, up, BODY)
+        moved = move_over_solid(solid, place, head, head, up, BODY)
         place, up, head = moved.position, moved.up, moved.heading
         axis = int(np.abs(up[0]).argmax())
         sides.add((axis, bool(up[0, axis] > 0)))
@@ -118,7 +118,7 @@ def test_who_walks_into_a_hole_goes_through_the_tunnel_and_out() -> None:
     head = np.array([[0.0, -1.0, 0]])
     positions = []
     for _ in range(60):
-        moved = move(solid, place, head, head, up, BODY)
+        moved = move_over_solid(solid, place, head, head, up, BODY)
         place, up, head = moved.position, moved.up, moved.heading
         positions.append(place[0])
         assert solid.sample(place)[0] > -1e-4 * BODY
@@ -145,7 +145,7 @@ def test_a_step_keeps_its_length_and_is_laid_into_the_surface() -> None:
     place, up, head = standing(solid, np.array([[0.0, 60, 0]] * 5), np.array([[0.0, 1, 0]] * 5))
     wish = head * 2.0 + up * np.array([[0.0], [0.5], [-0.5], [2.0], [50.0]])
     wish[3] = np.nan
-    moved = move(solid, place, wish, head, up, BODY)
+    moved = move_over_solid(solid, place, wish, head, up, BODY)
     long = np.linalg.norm(wish[:3], axis=1)
     assert np.abs(moved.travelled[:3] - long).max() < 1e-6
     assert np.abs(np.linalg.norm(moved.position[:3] - place[:3], axis=1) - long).max() < 0.02
@@ -169,7 +169,7 @@ def test_walks_on_a_ball_follow_great_circles() -> None:
     far = rng.choice([0.004, 0.3, 2.5, 7.0], count)
     lean_axis, lean = unit(np.cross(normal, rng.normal(size=(count, 3)))), rng.choice([0.0, 0.4], count)
     inputs = [rotated(each, lean_axis, -lean) for each in (travel * far[:, None], head, normal)]
-    moved = move(solid, place, *inputs, BODY)
+    moved = move_over_solid(solid, place, *inputs, BODY)
 
     axis, angle = np.cross(normal, travel), far / radius
     expected = [rotated(each, axis, angle) for each in (place, normal, head, travel)]
@@ -188,7 +188,7 @@ def test_a_body_upside_down_turns_over_its_heading() -> None:
     place = np.stack([rng.uniform(-9, 9, 12), np.full(12, 20.0), rng.uniform(-9, 9, 12)], axis=1)
     up = np.tile([0.0, -1.0, 0.0], (12, 1))
     head, travel = (unit(rng.normal(size=(12, 3)) * [1, 0, 1]) for _ in range(2))
-    moved = move(solid, place, travel * 2, head, up, BODY)
+    moved = move_over_solid(solid, place, travel * 2, head, up, BODY)
     turned = [rotated(each, np.cross(up, head), np.full(12, np.pi)) for each in (travel, head)]
     assert np.abs(moved.position - (place + 2 * turned[0])).max() < 1e-3
     assert np.abs(moved.heading - turned[1]).max() < 1e-6 and np.abs(moved.direction - turned[0]).max() < 1e-6
@@ -199,7 +199,7 @@ def test_directions_along_the_normal_become_tangents() -> None:
     solid, rng = make_solid(meshes.ball(20.0, rings=24)), np.random.default_rng(7)
     directions = unit(np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(20, 3))]))
     place, up, _ = standing(solid, directions * 20, directions)
-    moved = move(solid, place, 0 * up, up, up, BODY)
+    moved = move_over_solid(solid, place, 0 * up, up, up, BODY)
     assert not moved.travelled.any() and not moved.is_lost.any()
     for vectors in (moved.heading, moved.direction):
         assert np.abs((vectors * moved.up).sum(axis=1)).max() < 1e-9 and np.abs(np.linalg.norm(vectors, axis=1) - 1).max() < 1e-9
@@ -251,10 +251,10 @@ def test_who_loses_the_ground_goes_to_what_is_left() -> None:
     solid.carve_balls(place[:20], np.full(20, 6.0), np.arange(20))
     assert (solid.sample(place[:20]) > 3).all()
     for step in (0.0, 1.0):
-        moved = move(solid, place, head * step, head, up, BODY)
+        moved = move_over_solid(solid, place, head * step, head, up, BODY)
         assert not moved.is_lost.any() and np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
     solid.carve_balls(np.zeros((1, 3)), np.array([100.0]), np.array([0]))
-    moved = move(solid, place, head, head, up, BODY)
+    moved = move_over_solid(solid, place, head, head, up, BODY)
     assert moved.is_lost.all() and (moved.position == place).all()
 
 
@@ -262,8 +262,8 @@ def test_one_agent_moves_as_it_does_among_many() -> None:
     solid = cheese()
     directions = unit(np.random.default_rng(1).normal(size=(50, 3)))
     place, up, head = standing(solid, directions * 15, directions[::-1])
-    everyone = move(solid, place, head, head, up, BODY)
+    everyone = move_over_solid(solid, place, head, head, up, BODY)
     for subset in (slice(7, 8), slice(20, 33), slice(None, None, -1)):
-        few = move(solid, place[subset], head[subset], head[subset], up[subset], BODY)
+        few = move_over_solid(solid, place[subset], head[subset], head[subset], up[subset], BODY)
         for all_, column in zip(everyone.list_columns(), few.list_columns(), strict=True):
             assert np.array_equal(all_[subset], column)

@@ -201,7 +201,7 @@ def test_tables_of_moving_meshes_are_not_stored(folder: Path) -> None:
     for frame in range(3):
         ground.pose_meshes({"deck": vertices + np.array([0.0, frame + 1.0, 0.0])})
         scene, _ = ground._get_ray_scene(None)
-        assert scene.find_hits_within(np.array([[0.0, 40.0 + frame, 0.0]]), np.array([[0.0, -60.0, 0.0]]))[0].size == 1
+        assert scene.find_hits_along_step(np.array([[0.0, 40.0 + frame, 0.0]]), np.array([[0.0, -60.0, 0.0]]))[0].size == 1
     assert len(list(folder.iterdir())) == begin
     brief = RayScene(vertices, faces, is_short_lived=True)
     brief.measure_clearance(*np.zeros((3, 4), np.float32))

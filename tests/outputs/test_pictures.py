@@ -123,7 +123,7 @@ def test_even_scent_on_uneven_cells_shows_no_pattern():
     trail = Trail("trail", flat @ slope, np.ones(len(flat)), 3.0)
     points = (draw.uniform(-24, 24, (4000, 2)) @ slope).astype(np.float32)
     cloth = TrailVoxels(points.min(axis=0).astype(float), points.max(axis=0).astype(float), 3.0)
-    cloth.spread_trail(trail)
+    cloth.add_trail(trail)
     assert np.allclose(cloth.interpolate_cover(points), 1.0, atol=1e-3)
 
 

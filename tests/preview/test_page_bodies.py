@@ -52,7 +52,8 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 PLAYS = (
-    PlayedClip("sway", left_clip="nod", up_clip="reach"), PlayedClip("nod"), PlayedClip("reach", "arms"), PlayedClip("gone"),
+    PlayedClip("sway", left_turn_clip="nod", climbing_clip="reach"), PlayedClip("nod"), PlayedClip("reach", "arms"),
+    PlayedClip("gone"),
     PlayedClip("nod", "arms", add=True),
 )  # fmt: skip
 CAMERA = {"at": [50, 40, 120], "look_at": [50, 0, 50], "focal": 35}

@@ -91,8 +91,8 @@ def test_the_clip_before_gives_way_in_the_time_that_is_said() -> None:
     assert fade[:6] == pytest.approx(0) and fade[6:11] == pytest.approx([0.75, 0.5, 0.25, 0, 0], abs=1e-6)
     assert fade[12] == pytest.approx(1 / 3, abs=1e-5) and fade[13] == 0  # 0.15 s where nothing is said
     assert history.every("main.clip") == [0] * 6 + [1] * 6 + [-1] * 5
-    previous_turns = turns(history, name="clip_before_turns")
-    assert np.diff(previous_turns[6:9]) == pytest.approx(0.2, abs=1e-5)  # it goes on meanwhile
+    before_turns = turns(history, name="clip_before_turns")
+    assert np.diff(before_turns[6:9]) == pytest.approx(0.2, abs=1e-5)  # it goes on meanwhile
 
 
 def test_two_that_cover_ground_keep_step() -> None:
@@ -201,7 +201,7 @@ def test_how_much_an_agent_turns_and_climbs() -> None:
     assert turned[0] == 0 and turned[-1] == pytest.approx(rate[-2] / 90, abs=0.05) and turned[-1] > 0.2
     assert history.every("lean#slope") == pytest.approx([0] * 21, abs=1e-6), "the ground is level"
     (clip,) = history.world.plan.species["a"].clips
-    assert (clip.left_clip, clip.right_clip, clip.up_clip, clip.down_clip) == (
+    assert (clip.left_turn_clip, clip.right_turn_clip, clip.climbing_clip, clip.descending_clip) == (
         "lean_left",
         "lean_right",
         "climb",

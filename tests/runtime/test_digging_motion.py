@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from meshes import box
 
-from antdsl.ground.solid import Volume, move
+from antdsl.ground.solid import Volume, move_over_solid
 from antdsl.runtime import Options, World, bind, step
 
 PROGRAM = """ant 1
@@ -49,7 +49,7 @@ def test_a_body_tilts_before_an_edge_and_over_it_in_several_steps() -> None:
         place = cube.project_to_surface(place, up).points
         turns = []
         for _ in range(14):
-            moved = move(cube, place, head, head, up, body)
+            moved = move_over_solid(cube, place, head, head, up, body)
             turns.append(degrees(moved.up, up)[0])
             assert abs((moved.heading * moved.up).sum()) < 1e-9 and abs((moved.direction * moved.up).sum()) < 1e-9
             place, up, head = moved.position, moved.up, moved.heading

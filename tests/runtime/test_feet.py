@@ -310,7 +310,7 @@ def test_feet_stand_on_obstacles_and_on_the_side_of_a_sheet_that_they_walk_on(tm
     up, place = bodies.axes[:, 1].T, bodies.place.T
     inside = (up[0] * place[0] + up[2] * place[2] < 0) & (side > 20)
     hips = bodies.to_world(world.legs_by_species["walker"].legs.hip)
-    hit = world.obstacles["ground"].find_hits_within(
+    hit = world.obstacles["ground"].find_hits_along_step(
         hips[:, feet.is_standing].T.copy(), ((feet.shown - hips)[:, feet.is_standing] * 0.999).T.copy()
     )[0]
     assert len(hit) < 0.01 * feet.is_standing.sum() and side.max() > 15 and inside.size

@@ -301,7 +301,7 @@ def test_faces_that_cut_each_other_are_known_and_no_others_are() -> None:
         assert all(f in table.cuts.of(np.array([g]))[1] for g in known)
         for k in range(3):
             edge = corners[near][:, [k, (k + 1) % 3]]
-            hit, part, _, _ = scene.find_hits_within(edge[:, 0], edge[:, 1] - edge[:, 0])
+            hit, part, _, _ = scene.find_hits_along_step(edge[:, 0], edge[:, 1] - edge[:, 0])
             through = near[hit[(part > 0.01) & (part < 0.99)]]
             through = through[[not np.isin(table.weld[f], table.weld[g]).any() for g in through]]
             assert np.isin(through, known).all(), (f, through)

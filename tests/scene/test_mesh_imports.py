@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_files import read_mesh, read_mesh_arrays
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.polygons import MAX_POLYGON_CORNERS, TooManyCorners, split_strip, triangulate
+from antdsl.scene.geometry.polygons import MAX_POLYGON_CORNERS, TooManyCorners, split_strip, triangulate_polygons
 from antdsl.scene.staging.mesh_imports import weld_vertices
 
 POINTS = np.array([[-50, 0, -50], [-50, 0, 50], [0, 1.5, 50], [0, 0, -50], [50, 0, 50], [50, 0, -50], [80, 0, 0]], float)
@@ -218,7 +218,7 @@ def test_polygons_are_covered_once(name: str, axis: int, slant: float, turned: b
     ring = np.array(RINGS[name], float)[:: -1 if turned else 1]
     point_numbers = {tuple(point): k for k, point in reversed(list(enumerate(ring.tolist())))}
     names = [point_numbers[tuple(point)] for point in ring.tolist()]
-    triangulation = triangulate(in_space(ring, axis, slant), np.array([len(ring)]), np.array(names))
+    triangulation = triangulate_polygons(in_space(ring, axis, slant), np.array([len(ring)]), np.array(names))
     assert not triangulation.crossing_polygons and len(triangulation.corners) == len(ring) - 2
     covers(ring, triangulation.corners, names)
 
@@ -229,7 +229,7 @@ def test_stars_of_any_shape_are_covered_once(radii: list[int], random: object) -
     angles = np.arange(len(radii)) * 2 * np.pi / len(radii)
     ring = np.array(radii)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     ring = np.roll(ring, radii[0], axis=0)
-    triangulation = triangulate(in_space(ring, radii[1] % 3, 0.2), np.array([len(ring)]), np.arange(len(ring)))
+    triangulation = triangulate_polygons(in_space(ring, radii[1] % 3, 0.2), np.array([len(ring)]), np.arange(len(ring)))
     if not triangulation.crossing_polygons:  # stars about their middle never cross
         covers(ring, triangulation.corners, list(range(len(ring))))
     assert not triangulation.crossing_polygons
@@ -238,7 +238,7 @@ def test_stars_of_any_shape_are_covered_once(radii: list[int], random: object) -
 def test_convex_polygons_are_fans_and_many_are_cut_at_once() -> None:
     angles = np.arange(6) * np.pi / 3
     points = np.stack([np.cos(angles), 0 * angles, -np.sin(angles)], axis=1)
-    triangulation = triangulate(points, np.array([6, 3, 0, 2, 4]), np.array([*range(6), 0, 1, 2, 0, 1, 0, 2, 3, 5]))
+    triangulation = triangulate_polygons(points, np.array([6, 3, 0, 2, 4]), np.array([*range(6), 0, 1, 2, 0, 1, 0, 2, 3, 5]))
     assert triangulation.corners[:4].tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
     assert triangulation.polygon_indices.tolist() == [0, 0, 0, 0, 1, 4, 4] and (
         triangulation.cut_count,
@@ -248,15 +248,17 @@ def test_convex_polygons_are_fans_and_many_are_cut_at_once() -> None:
 
 def test_polygons_that_cross_themselves_are_named_and_huge_ones_are_errors() -> None:
     points = np.array([(0, 0, 0), (4, 0, 4), (4, 0, 0), (0, 0, 5)], float)
-    assert triangulate(points, np.array([4]), np.arange(4)).crossing_polygons == (0,)
+    assert triangulate_polygons(points, np.array([4]), np.arange(4)).crossing_polygons == (0,)
     angles = np.arange(5) * 4 * np.pi / 5
     star = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
-    assert triangulate(star, np.array([5]), np.arange(5)).crossing_polygons == (0,)
+    assert triangulate_polygons(star, np.array([5]), np.arange(5)).crossing_polygons == (0,)
     count = MAX_POLYGON_CORNERS + 2
     around = np.arange(count) * 2 * np.pi / count
     radius = np.where(np.arange(count) % 2, 1.0, 0.5) * np.where(np.arange(count) < count // 2, 1.0, -0.2)
     with pytest.raises(TooManyCorners):
-        triangulate(np.stack([radius * np.cos(around), 0 * around, np.sin(around)], axis=1), np.array([count]), np.arange(count))
+        triangulate_polygons(
+            np.stack([radius * np.cos(around), 0 * around, np.sin(around)], axis=1), np.array([count]), np.arange(count)
+        )
 
 
 # --- glTF --------------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from antdsl.pipeline import check_path
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_files import read_mesh, read_mesh_arrays
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate_polygons
 
 CORNERS = b"v 0 0 0\nv 0 0 9\nv 9 0 9\nv 9 0 0\n"
 POINTS = np.array([(0, 0, 0), (4, 0, 0), (4, 0, 4), (0, 0, 4), (0, 0, 4)], float)
@@ -39,7 +39,7 @@ def words_of(data: bytes, name: str = "a.obj", group: str | None = None) -> tupl
 )  # fmt: skip
 def test_repeated_corners_are_no_crossing(ring: list[int], triangles: list[list[int]]) -> None:
     indices = np.array([*ring, 0, 1, 2, 3])
-    triangulation = triangulate(POINTS, np.array([len(ring), 4]), indices)
+    triangulation = triangulate_polygons(POINTS, np.array([len(ring), 4]), indices)
     assert indices[triangulation.corners].tolist() == [*triangles, [0, 1, 2], [0, 2, 3]]
     assert (
         not triangulation.crossing_polygons
@@ -50,7 +50,7 @@ def test_repeated_corners_are_no_crossing(ring: list[int], triangles: list[list[
 
 @pytest.mark.parametrize("ring", [[0, 0, 0, 0], [0, 1, 1, 0], [0, 1, 0, 1]])
 def test_polygons_of_fewer_than_three_places_have_no_area(ring: list[int]) -> None:
-    triangulation = triangulate(POINTS, np.array([4]), np.array(ring))
+    triangulation = triangulate_polygons(POINTS, np.array([4]), np.array(ring))
     assert not triangulation.crossing_polygons and len(triangulation.corners) == 2  # reported with the faces without area
 
 
@@ -58,16 +58,16 @@ def test_corners_on_a_straight_side_make_nothing_concave() -> None:
     angles = np.arange(12) * np.pi / 6
     ring = np.stack([np.cos(angles), 0 * angles, -np.sin(angles)], axis=1)[::3]
     ring = np.stack([ring, (ring + np.roll(ring, -1, axis=0)) / 2], axis=1).reshape(-1, 3)
-    assert triangulate(ring, np.array([8]), np.arange(8)).concave_count == 0
+    assert triangulate_polygons(ring, np.array([8]), np.arange(8)).concave_count == 0
     ring[1] *= 0.5
-    assert triangulate(ring, np.array([8]), np.arange(8)).concave_count == 1
+    assert triangulate_polygons(ring, np.array([8]), np.arange(8)).concave_count == 1
 
 
 def test_a_disc_of_too_many_corners_is_called_a_polygon() -> None:
     angles = np.arange(25_000) * 2 * np.pi / 25_000
     disc = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
     with pytest.raises(TooManyCorners, match="has a polygon of 25,000 corners, more than 20,000"):
-        triangulate(disc, np.array([25_000]), np.arange(25_000))
+        triangulate_polygons(disc, np.array([25_000]), np.arange(25_000))
 
 
 # --- text --------------------------------------------------------------------------------------------------------------

@@ -145,7 +145,7 @@ def blend_poses(
         rows = None if len(playback.trees) == 1 else np.flatnonzero(playback.tree == number)
         count = n if rows is None else len(rows)
 
-        def work(begin: int, end: int, tree: ClipTree = tree, rows: NDArray[np.intp] | None = rows) -> None:
+        def blend_range(begin: int, end: int, tree: ClipTree = tree, rows: NDArray[np.intp] | None = rows) -> None:
             for a in range(begin, end, part):
                 b = min(a + part, end)
                 agents = slice(a, b) if rows is None else rows[a:b]
@@ -158,7 +158,7 @@ def blend_poses(
 
         if count:
             with standard_floats():
-                parallel.run_in_parts(work, count, threads)
+                parallel.run_in_parts(blend_range, count, threads)
     return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
 
 

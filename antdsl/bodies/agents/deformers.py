@@ -104,7 +104,7 @@ def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> De
 def _build_rigid_deformer(binding: Binding) -> Deformer:
     """Return the deformer that moves a shape by its joint alone."""
 
-    def carried(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+    def carry_shape(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
         joint = definition.rig.joint(binding.transform)
         matrices = poses.world_transforms[:, joint].transpose(1, 2, 0)[:, :, None]
         points = transform_points(matrices, deformed_shape.points).transpose(2, 1, 0)
@@ -113,4 +113,4 @@ def _build_rigid_deformer(binding: Binding) -> Deformer:
         across = transform_points(invert_and_transpose(matrices), deformed_shape.normals)
         return DeformedShape(points, normalise_in_place(across).transpose(2, 1, 0), deformed_shape.attributes)
 
-    return carried
+    return carry_shape

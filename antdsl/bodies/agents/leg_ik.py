@@ -175,10 +175,10 @@ class LegSolver:
         most = np.zeros(len(stance_weights), np.float32)
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
             hip, knee, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.foot))
-            length = (_length(knee - hip) + _length(foot - knee)) * np.float32(MAX_LEG_EXTENSION)
+            length = (_measure_lengths(knee - hip) + _measure_lengths(foot - knee)) * np.float32(MAX_LEG_EXTENSION)
             displacement = goal - hip
-            high = _dot(displacement, self._up_axis[:, None])
-            level = np.maximum(length * length - np.maximum(_dot(displacement, displacement) - high * high, 0), 0)
+            high = _dot_rows(displacement, self._up_axis[:, None])
+            level = np.maximum(length * length - np.maximum(_dot_rows(displacement, displacement) - high * high, 0), 0)
             short = np.clip(-np.sqrt(level) - high, 0, np.float32(_MAX_TRUNK_SINK) * length)
             most = np.maximum(most, np.where(is_on_ground[:, k], short, 0))
         world[:, 3] -= self._up_axis[:, None, None] * (most * stance_weights)
@@ -189,21 +189,21 @@ class LegSolver:
         sole = world[:, :, leg.sole].copy()
         goal = foot + (goal - foot) * stance_weights
         thigh, shank = hip - knee, foot - knee
-        a, b = _length(thigh), _length(shank)
+        a, b = _measure_lengths(thigh), _measure_lengths(shank)
         tiny = np.float32(1e-6) * self._length
         a, b = np.maximum(a, tiny), np.maximum(b, tiny)
         hip_to_goal = goal - hip
         far = np.clip(
-            _length(hip_to_goal), np.abs(a - b) * np.float32(_FOLDED_LEG_FACTOR), (a + b) * np.float32(MAX_LEG_EXTENSION)
+            _measure_lengths(hip_to_goal), np.abs(a - b) * np.float32(_FOLDED_LEG_FACTOR), (a + b) * np.float32(MAX_LEG_EXTENSION)
         )
-        old = np.clip(_dot(thigh, shank) / (a * b), -1, 1)
+        old = np.clip(_dot_rows(thigh, shank) / (a * b), -1, 1)
         new = np.clip((a * a + b * b - far * far) / (2 * a * b), -1, 1)
         old_sine, new_sine = np.sqrt(1 - old * old), np.sqrt(1 - new * new)
         axis = self._compute_knee_axis(world, leg, thigh, shank, a * b)
         turn = _build_axis_rotation(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
         _turn_joints(world, np.concatenate([leg.shank, leg.sole]), turn, knee)
         reached = world[:, 3, leg.foot] - hip
-        turn = _build_rotation_between(_unit(reached), _unit(hip_to_goal))
+        turn = _build_rotation_between(_normalise_rows(reached), _normalise_rows(hip_to_goal))
         _turn_joints(world, np.concatenate([leg.thigh, leg.shank, leg.sole]), turn, hip)
         moved = world[:, 3, leg.foot] - foot
         world[:, :, leg.sole] = sole
@@ -212,18 +212,18 @@ class LegSolver:
     def _compute_knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
         """Return the unit axis [3, n] about which the knee opens. Where a leg is straight, it is the axis of the standing
         pose."""
-        axis = _cross(thigh, shank)
+        axis = _cross_rows(thigh, shank)
         rest = self._get_straight_axis(leg)
-        straight = _length(axis) <= np.float32(_MIN_KNEE_SINE) * size
-        axis = np.where(straight, rest - thigh * (_dot(rest, thigh) / _dot(thigh, thigh)), axis)
-        return _unit(axis)
+        straight = _measure_lengths(axis) <= np.float32(_MIN_KNEE_SINE) * size
+        axis = np.where(straight, rest - thigh * (_dot_rows(rest, thigh) / _dot_rows(thigh, thigh)), axis)
+        return _normalise_rows(axis)
 
     def _get_straight_axis(self, leg: LegChain) -> Floats:
         """Return the bend axis [3, 1] of the standing pose; for a straight leg, the axis of a knee that bends forward."""
         hip, knee, foot = (self._standing_positions[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
-        rest = _cross(hip - knee, foot - knee)
-        if _length(rest)[0] <= _MIN_KNEE_SINE * _length(hip - knee)[0] * _length(foot - knee)[0]:
-            rest = _cross(self._front_axis[:, None], hip - foot)  # a knee that bends to the front
+        rest = _cross_rows(hip - knee, foot - knee)
+        if _measure_lengths(rest)[0] <= _MIN_KNEE_SINE * _measure_lengths(hip - knee)[0] * _measure_lengths(foot - knee)[0]:
+            rest = _cross_rows(self._front_axis[:, None], hip - foot)  # a knee that bends to the front
         return rest
 
     def _move_trunk(self, world: Floats, feet: BodySpaceFeet) -> None:
@@ -268,7 +268,7 @@ def _build_axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
 
 def _build_rotation_between(a: Floats, b: Floats) -> Floats:
     """Return matrices [3, 3, n] of the shortest rotations from unit vectors `a` to `b`."""
-    axis, cosine = _cross(a, b), _dot(a, b)
+    axis, cosine = _cross_rows(a, b), _dot_rows(a, b)
     x, y, z = axis
     by = 1 / np.maximum(1 + cosine, np.float32(1e-6))
     return np.stack([
@@ -278,18 +278,18 @@ def _build_rotation_between(a: Floats, b: Floats) -> Floats:
     ])  # fmt: skip
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
+def _dot_rows(a: Floats, b: Floats) -> Floats:
     product: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
     return product
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
+def _cross_rows(a: Floats, b: Floats) -> Floats:
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _length(v: Floats) -> Floats:
-    return np.asarray(np.sqrt(_dot(v, v)))
+def _measure_lengths(v: Floats) -> Floats:
+    return np.asarray(np.sqrt(_dot_rows(v, v)))
 
 
-def _unit(v: Floats) -> Floats:
-    return np.asarray(v / np.maximum(_length(v), np.float32(1e-12)))
+def _normalise_rows(v: Floats) -> Floats:
+    return np.asarray(v / np.maximum(_measure_lengths(v), np.float32(1e-12)))

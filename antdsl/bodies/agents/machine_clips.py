@@ -63,16 +63,16 @@ class PlayedClip(NamedTuple):
     """A clip that a line of a state plays on the joints of a transform group.
 
     `group`: the transform group, "" for the complete rig. `add`: whether the clip's differences from the rest pose are added
-    over all other clips. `left_clip`, `right_clip`, `up_clip` and `down_clip`: the clips that replace it as an agent turns,
-    climbs or descends; "" for none."""
+    over all other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip` and `descending_clip`: the clips that replace it
+    as an agent turns, climbs or descends; "" for none."""
 
     clip: str
     group: str = ""
     add: bool = False
-    left_clip: str = ""
-    right_clip: str = ""
-    up_clip: str = ""
-    down_clip: str = ""
+    left_turn_clip: str = ""
+    right_turn_clip: str = ""
+    climbing_clip: str = ""
+    descending_clip: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +143,9 @@ def _iterate_slots(
     lean: Floats | None,
 ) -> Iterator[_ClipSlot]:
     """Yield the clips that a machine plays. Additive clips are separate slots."""
-    names = [(each.clip, each.left_clip, each.right_clip, each.up_clip, each.down_clip) for each in played_clips]
+    names = [
+        (each.clip, each.left_turn_clip, each.right_turn_clip, each.climbing_clip, each.descending_clip) for each in played_clips
+    ]
     numbers = np.array([[_find_clip_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
     seconds = np.array([[table.get_duration(n) if n != REST_CLIP else 0.0 for n in row] for row in numbers])
     loops = np.array([bool(table.is_looping[n + 1]) for n in numbers[:, 0]])

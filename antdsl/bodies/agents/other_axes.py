@@ -34,11 +34,11 @@ def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: floa
         shapes={name: _convert_shape(each, change, back) for name, each in body.shapes.items()},
         layers={name: _convert_layer(each, np.abs(turn)) for name, each in body.layers.items()},
         gaits=tuple(replace(g, speed=g.speed * size, stride=g.stride * size, lift=g.lift * size) for g in body.gaits),
-        front=front, up=up, length=body.length * size, unit=unit, capsule=_scaled(body.capsule, size),
+        front=front, up=up, length=body.length * size, unit=unit, capsule=_scale_capsule(body.capsule, size),
     )  # fmt: skip
 
 
-def _scaled(capsule: tuple[float, float, float, float] | None, size: float) -> tuple[float, float, float, float] | None:
+def _scale_capsule(capsule: tuple[float, float, float, float] | None, size: float) -> tuple[float, float, float, float] | None:
     """Return a collision shape in other units."""
     if capsule is None:
         return None
@@ -87,11 +87,12 @@ def _convert_shape(shape: Shape, rotation: Floats, inverse_rotation: Floats) -> 
 def _convert_layer(layer: Layer, axis_map: Floats) -> Layer:
     """Return a layer with the bounds scales permuted to the new axes."""
 
-    def turned(scale: tuple[float, float, float]) -> tuple[float, float, float]:
+    def convert_scale(scale: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (axis_map @ np.array(scale)).tolist()
         return x, y, z
 
     static, deforming = (
-        tuple(replace(each, bounds_scale=turned(each.bounds_scale)) for each in part) for part in (layer.static, layer.deforming)
+        tuple(replace(each, bounds_scale=convert_scale(each.bounds_scale)) for each in part)
+        for part in (layer.static, layer.deforming)
     )
     return replace(layer, static=static, deforming=deforming)

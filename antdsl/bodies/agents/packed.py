@@ -45,7 +45,7 @@ def pack_definition(body: Definition) -> Arrays:
     flat: dict[str, list[NDArray[Any]]] = {kind: [] for kind in NUMBER_KINDS}
     used = dict.fromkeys(NUMBER_KINDS, 0)
 
-    def put(array: NDArray[Any] | None) -> list[Any] | None:
+    def pack(array: NDArray[Any] | None) -> list[Any] | None:
         if array is None:
             return None
         kind = f"{array.dtype.kind}{array.dtype.itemsize}"
@@ -56,10 +56,10 @@ def pack_definition(body: Definition) -> Arrays:
     def shape(shape: Shape) -> dict[str, Any]:
         capture, blend, between = shape.capture, shape.blend, shape.in_betweens
         return {
-            "name": shape.name, "points": put(shape.points), "faces": put(shape.faces), "normals": put(shape.normals),
-            "uvs": put(shape.uvs), "materials": shape.materials, "material": put(shape.material),
-            "attributes": {name: put(values) for name, values in shape.attributes.items()},
-            "capture": capture and [capture.names, put(capture.joints), put(capture.weights), put(capture.inverse_matrices)],
+            "name": shape.name, "points": pack(shape.points), "faces": pack(shape.faces), "normals": pack(shape.normals),
+            "uvs": pack(shape.uvs), "materials": shape.materials, "material": pack(shape.material),
+            "attributes": {name: pack(values) for name, values in shape.attributes.items()},
+            "capture": capture and [capture.names, pack(capture.joints), pack(capture.weights), pack(capture.inverse_matrices)],
             "blend": blend and [blend.shapes, blend.channels, blend.attributes, blend.point_id, blend.primitive_id],
             "between": between and [between.shapes, between.weights],
             "dual_quaternion_blend": shape.dual_quaternion_blend,
@@ -70,7 +70,7 @@ def pack_definition(body: Definition) -> Arrays:
         return {
             "name": clip.name, "rate": clip.rate, "joints": clip.joints, "channels": clip.channels, "loop": clip.loop,
             "stride": clip.stride, "marks": dict(clip.marks), "feet": clip.feet,
-            "arrays": [put(array) for array in arrays],
+            "arrays": [pack(array) for array in arrays],
         }  # fmt: skip
 
     def binding(binding: Binding) -> list[Any]:
@@ -80,7 +80,7 @@ def pack_definition(body: Definition) -> Arrays:
     document = {
         "body": 1, "name": body.name, "front": body.front, "up": body.up, "length": body.length, "unit": body.unit,
         "materials": dict(body.materials),
-        "rig": [rig.names, put(rig.parents), put(rig.rest), [[c.name, c.default, c.transform] for c in rig.channels]],
+        "rig": [rig.names, pack(rig.parents), pack(rig.rest), [[c.name, c.default, c.transform] for c in rig.channels]],
         "shapes": [shape(each) for each in body.shapes.values()],
         "layers": [[each.name, [[binding(b) for b in part] for part in (each.static, each.deforming)]]
                    for each in body.layers.values()],
@@ -130,7 +130,7 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     if said["body"] != 1:
         raise ValueError
 
-    def get(place: Any, *expected_sides: int | None, kind: str = "f4") -> NDArray[Any]:
+    def read_array(place: Any, *expected_sides: int | None, kind: str = "f4") -> NDArray[Any]:
         """Return an array of the given kind. `expected_sides`: its number of rows along each axis; None allows any number."""
         own, first, shape = place
         sides = tuple(_read_integer(side) for side in shape)
@@ -146,44 +146,44 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         return array[from_ : from_ + prod(sides)].reshape(sides)
 
     def shape(entry: Any) -> Shape:
-        points = get(entry["points"], None, 3)
-        faces = get(entry["faces"], None, 3, kind="i4")
+        points = read_array(entry["points"], None, 3)
+        faces = read_array(entry["faces"], None, 3, kind="i4")
         attributes = {}
         for name, place in entry["attributes"].items():
             sides: tuple[int | None, ...] = (len(points), *(None for _ in place[2][1:]))
-            attributes[_read_text(name)] = get(place, *sides, kind="i8" if place[0] == "i8" else "f4")
+            attributes[_read_text(name)] = read_array(place, *sides, kind="i8" if place[0] == "i8" else "f4")
         return Shape(
             _read_text(entry["name"]), points, faces,
-            None if entry["normals"] is None else get(entry["normals"], len(points), 3),
-            None if entry["uvs"] is None else get(entry["uvs"], len(points), 2),
+            None if entry["normals"] is None else read_array(entry["normals"], len(points), 3),
+            None if entry["uvs"] is None else read_array(entry["uvs"], len(points), 2),
             _read_texts(entry["materials"]),
-            None if entry["material"] is None else get(entry["material"], len(faces), kind="i4"),
-            attributes, capture(entry["capture"], len(points)),
-            None if entry["blend"] is None else blend(*entry["blend"]),
+            None if entry["material"] is None else read_array(entry["material"], len(faces), kind="i4"),
+            attributes, read_capture(entry["capture"], len(points)),
+            None if entry["blend"] is None else read_blend_targets(*entry["blend"]),
             None
             if entry["between"] is None
             else InBetweens(_read_texts(entry["between"][0]), _read_numbers(entry["between"][1])),
             _read_text(entry["dual_quaternion_blend"]),
         )  # fmt: skip
 
-    def blend(shapes: Any, channels: Any, attributes: Any, point_id: Any, primitive_id: Any) -> BlendTargets:
+    def read_blend_targets(shapes: Any, channels: Any, attributes: Any, point_id: Any, primitive_id: Any) -> BlendTargets:
         return BlendTargets(
             _read_texts(shapes), _read_texts(channels), _read_texts(attributes), _read_text(point_id), _read_text(primitive_id)
         )
 
-    def capture(entry: Any, points: int) -> Capture | None:
+    def read_capture(entry: Any, points: int) -> Capture | None:
         if entry is None:
             return None
         names = _read_texts(entry[0])
-        joints = get(entry[1], points, None, kind="i4")
-        inverse = get(entry[3], len(names), 4, 4, kind="f8")
-        return Capture(names, joints, get(entry[2], points, joints.shape[1]), inverse)
+        joints = read_array(entry[1], points, None, kind="i4")
+        inverse = read_array(entry[3], len(names), 4, 4, kind="f8")
+        return Capture(names, joints, read_array(entry[2], points, joints.shape[1]), inverse)
 
     def clip(entry: Any) -> Clip:
         joints, channels = _read_texts(entry["joints"]), _read_texts(entry["channels"])
         array_places = entry["arrays"]
         count = _read_integer(array_places[0][2][0])
-        moved = [None if place is None else get(place, count, len(joints), wide)
+        moved = [None if place is None else read_array(place, count, len(joints), wide)
                  for place, wide in zip(array_places[:4], (3, 4, 3, 3), strict=True)]  # fmt: skip
         if moved[0] is None or moved[1] is None or moved[2] is None:
             raise ValueError
@@ -191,10 +191,10 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         marks = {_read_text(name): _read_number(mark_time) for name, mark_time in entry["marks"].items()}
         return Clip(
             _read_text(entry["name"]), rate, joints, moved[0], moved[1], moved[2], moved[3], channels,
-            get(array_places[4], None, None), bool(entry["loop"]), stride, marks, bool(entry["feet"]),
+            read_array(array_places[4], None, None), bool(entry["loop"]), stride, marks, bool(entry["feet"]),
         )  # fmt: skip
 
-    def layer(entry: Any) -> Layer:
+    def read_layer(entry: Any) -> Layer:
         bindings = [
             tuple(Binding(_read_text(b[0]), _read_text(b[1]), _read_triple(b[2]), _read_text(b[3])) for b in part)
             for part in entry[1]
@@ -203,7 +203,7 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
     names, parents, rest, channels = said["rig"]
     rig = Rig(
-        _read_texts(names), get(parents, len(names), kind="i4"), get(rest, len(names), 4, 4, kind="f8"),
+        _read_texts(names), read_array(parents, len(names), kind="i4"), read_array(rest, len(names), 4, 4, kind="f8"),
         tuple(Channel(_read_text(name), _read_number(default), _read_text(joint)) for name, default, joint in channels),
     )  # fmt: skip
     groups = [
@@ -214,7 +214,7 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     ]
     return Definition(
         _read_text(said["name"]), rig,
-        {each.name: each for each in map(shape, said["shapes"])}, {each.name: each for each in map(layer, said["layers"])},
+        {each.name: each for each in map(shape, said["shapes"])}, {each.name: each for each in map(read_layer, said["layers"])},
         {each.name: each for each in map(clip, said["clips"])}, {each.name: each for each in groups}, {},
         {_read_text(name): _read_triple(colour) for name, colour in said["materials"].items()},
         _read_triple(said["front"]), _read_triple(said["up"]), _read_number(said["length"]), _read_number(said["unit"]),

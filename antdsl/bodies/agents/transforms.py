@@ -92,7 +92,7 @@ def align_signs(quaternion: Floats) -> Floats:
     return np.concatenate([quaternion[:1], quaternion[1:] * signs[..., None]])
 
 
-def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
+def slerp_quaternions(a: Floats, b: Floats, share: Floats) -> Floats:
     """Return the rotation at `share` float64[...] of the shortest path from `a` to `b`, float64[..., 4] each. The angular speed
     is constant (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)

@@ -87,7 +87,7 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
     """Return the tree of a definition with separate files inserted in place of the references. Parts that cannot be read are left
     out."""
 
-    def part(node: Node, expected_part: str) -> Node | None:
+    def insert_part(node: Node, expected_part: str) -> Node | None:
         file = node.get_inner("file")
         if file is None or len(node.keys) != 1 or not isinstance(file.value, str):
             return node
@@ -101,10 +101,10 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
         if node is None:
             continue
         if isinstance(node.value, list) and not node.has_plain_numbers and key in ("layers", "groups"):
-            items = [part(each, what) for each in node.value if isinstance(each, Node)]
+            items = [insert_part(each, what) for each in node.value if isinstance(each, Node)]
             entries[key] = replace(node, value=[each for each in items if each is not None])
         else:
-            entries[key] = part(node, what)
+            entries[key] = insert_part(node, what)
     return replace(root, value={key: node for key, node in entries.items() if node is not None})
 
 
@@ -151,7 +151,9 @@ def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Defin
         return None
     if get_file_ending(base.file) not in (*GLTF_ENDINGS, *USD_ENDINGS):
         kinds = ", ".join(f".{kind}" for kind in (*GLTF_ENDINGS, *USD_ENDINGS))
-        files.report.error("wrong-kind", f"`{base.file[-80:]}` has no joints", place, f"one of {kinds} is read here")
+        files.report.error(
+            "wrong-kind", f"`{base.file[-80:]}` has no joints", place, f"use a file of one of these types: {kinds}"
+        )
         return None
     definition = files.read_body(base.file, place, base.prim or "", base.rate or 0.0)
     return None if definition is None else replace(definition, name=name)
@@ -227,7 +229,9 @@ def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFil
     if get_file_ending(path) != "json":
         if not files.is_closed_format(path, place):
             kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF_ENDINGS, *USD_ENDINGS))
-            files.report.error("wrong-kind", f"`{path[-80:]}` is not a file of clips", place, f"one of {kinds} is read")
+            files.report.error(
+                "wrong-kind", f"`{path[-80:]}` is not a file of clips", place, f"use a file of one of these types: {kinds}"
+            )
         return {}
     root = files.read_part(path, "a clip", place)
     form = None if root is None else read_form(ClipForm, root, files.report)

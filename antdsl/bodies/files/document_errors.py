@@ -47,7 +47,7 @@ def read_form(form: type[F], root: Node, report: Report) -> F | None:
         except ValidationError as problem:
             errors = problem.errors(include_url=False, include_input=False)
         errors.sort(key=lambda error: _is_ignorable(form, error))  # so that each pass ends with an error, or removes all warnings
-        diagnostics = [_diagnose(form, root, error) for error in drop_consequent_errors(errors[:_MAX_ERRORS])]
+        diagnostics = [_convert_error(form, root, error) for error in drop_consequent_errors(errors[:_MAX_ERRORS])]
         report.extend(diagnostics)
         if any(diagnostic.severity == "error" for diagnostic in diagnostics):
             return None
@@ -77,7 +77,7 @@ def _delete_entry(tree: Any, path: Path) -> None:
     del tree[path[-1]]
 
 
-def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
+def _convert_error(form: type[Form], root: Node, error: Any) -> Diagnostic:
     """Return the finding for an error that pydantic raised."""
     kind, path, context = error["type"], tuple(error["loc"]), error.get("ctx", {})
     owner, field = _find_innermost_form(form, path)

@@ -39,35 +39,35 @@ def _check_nonempty(value: str) -> str:
 def require_one_of(*words: str) -> BeforeValidator:
     """Return a validator that accepts one of the given words."""
 
-    def check(value: Any) -> Any:
+    def check_word(value: Any) -> Any:
         if value not in words:
             raise make_error(f"this must be one of `{'`, `'.join(words)}`", f'write `"{words[0]}"`')
         return value
 
-    return BeforeValidator(check)
+    return BeforeValidator(check_word)
 
 
 def require_version(number: int) -> BeforeValidator:
     """Return a validator that accepts only the version `number` of a form."""
 
-    def check(value: Any) -> int:
+    def check_version(value: Any) -> int:
         if value != number or isinstance(value, bool):
             raise make_error("this version is not supported", f"write `{number}`, if the file is in that form")
         return number
 
-    return BeforeValidator(check)
+    return BeforeValidator(check_version)
 
 
 def limit_entries(limit_name: str, entry_noun: str, owner: str = "a body") -> BeforeValidator:
     """Return a validator of the number of entries. `limit_name`: the name of the largest number in `antdsl.limits`."""
 
-    def check(entries: Any) -> Any:
+    def check_count(entries: Any) -> Any:
         most = getattr(limits, limit_name)
         if isinstance(entries, list | dict) and len(entries) > most:
             raise make_error(f"{owner} has at most {most:,} {entry_noun}", code="too-large")
         return entries
 
-    return BeforeValidator(check)
+    return BeforeValidator(check_count)
 
 
 def _reject_number_array(entries: Any) -> Any:

@@ -203,7 +203,7 @@ class _Reader:
         if sign == "{":
             return self.read_object(offset, depth)
         if sign == '"':
-            return self.string(offset)
+            return self.read_string(offset)
         match = _NUMBER_PATTERN.match(self.text, offset)
         if match:
             return Node(self.source, self.parse_number(match), offset, match.end())
@@ -274,7 +274,7 @@ class _Reader:
     def read_key(self, offset: int) -> Node:
         """Return the key of an object's entry, a text in double quotes."""
         if self.text[offset] == '"':
-            return self.string(offset)
+            return self.read_string(offset)
         match = _WORD_PATTERN.match(self.text, offset)
         word = match[0] if match else self.text[offset]
         bare = word.strip("'")
@@ -301,7 +301,7 @@ class _Reader:
             raise self.report_error(end, end + 1, f"`,` or `{closing_bracket}` is missing here", help, opening)
         return at
 
-    def string(self, offset: int) -> Node:
+    def read_string(self, offset: int) -> Node:
         match = _STRING_PATTERN.match(self.text, offset)
         if not match:
             line = re.compile(r"[^\n]*").match(self.text, offset)

@@ -53,7 +53,9 @@ def read_definition(
         return check_definition(ReadDefinition(definition, span=place, needs_length=not definition.length), report), report
     if kind != "json":
         kinds = ", ".join(f".{each}" for each in ("json", *GLTF_ENDINGS, *USD_ENDINGS))
-        report.error("wrong-kind", f"`{display_path[-80:]}` is not a body file", place, f"one of {kinds} is read")
+        report.error(
+            "wrong-kind", f"`{display_path[-80:]}` is not a body file", place, f"use a file of one of these types: {kinds}"
+        )
         return None, report
     from antdsl.bodies.files.definition_document import read_document  # imported late: most commands read no definition
 

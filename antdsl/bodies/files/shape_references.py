@@ -98,7 +98,9 @@ def load_shapes(
         return dict(body.shapes)
     if kind not in MESH_ENDINGS:
         kinds = ", ".join(f".{each}" for each in (*GLTF_ENDINGS, *USD_ENDINGS, *MESH_ENDINGS))
-        files.report.error("wrong-kind", f"`{path[-80:]}` is not a file of shapes", place, f"one of {kinds} is read")
+        files.report.error(
+            "wrong-kind", f"`{path[-80:]}` is not a file of shapes", place, f"use a file of one of these types: {kinds}"
+        )
         return {}
     try:
         mesh = read_mesh(files.read_file(files.to_root_path(path), limits.MAX_MESH_BYTES), path)

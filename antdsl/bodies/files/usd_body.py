@@ -113,7 +113,7 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
 
 
 def _iterate_skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
-    """Yield each skeleton with its UsdSkel query and the queries of the meshes that follow it, in file order."""
+    """Yield, in file order, each skeleton prim, its UsdSkel query, and the UsdSkel queries of the meshes that are bound to it."""
     skel, usd = import_pxr_module("UsdSkel"), import_pxr_module("Usd")
     cache, visited = skel.Cache(), set()
     predicate = usd.TraverseInstanceProxies()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import BlendTargets, BodyError, Capture, Channel, InBetweens, Shape
 from antdsl.bodies.files.gltf.gltf_shapes import make_unused_name, normalise_capture
-from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate_polygons
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import import_pxr_module
 
@@ -119,7 +119,7 @@ def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple
     if not right or (len(corners) and (corners.min() < 0 or corners.max() >= len(points))):
         raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that use missing points", _EXPORT_HELP)
     try:
-        cut = triangulate(points, counts, corners)
+        cut = triangulate_polygons(points, counts, corners)
     except TooManyCorners as error:
         raise BodyError(f"has a mesh `{prim.GetPath()}` that {error}", "cut it into smaller faces", "too-large") from None
     triangles, face = cut.corners, cut.polygon_indices
@@ -262,7 +262,7 @@ def _read_materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str
     """Return the names of a mesh's materials, and the material number of each triangle. Add the colours to the definition."""
     names: list[str] = []
 
-    def number(bound: Any) -> int:
+    def number_material(bound: Any) -> int:
         name, colour = bound
         body.materials.setdefault(name, colour)
         if name not in names:
@@ -274,12 +274,12 @@ def _read_materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str
     if mesh_material is None and not subsets:
         return (), None
     most = int(face.max()) + 1
-    of_face = np.full(most, number(mesh_material or ("default", (1.0, 1.0, 1.0))), np.int32)
+    of_face = np.full(most, number_material(mesh_material or ("default", (1.0, 1.0, 1.0))), np.int32)
     for subset in subsets:
         bound = _read_bound_material(body, subset.GetPrim())
         if bound is not None:
             rows = np.array(subset.GetIndicesAttr().Get(body.stage.first) or [], np.int64)
-            of_face[rows[(rows >= 0) & (rows < most)]] = number(bound)
+            of_face[rows[(rows >= 0) & (rows < most)]] = number_material(bound)
     return tuple(names), of_face[face]
 
 

@@ -43,7 +43,7 @@ def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
         unit, body = "mm", convert_axes(body, body.front, body.up, 1.0)
     files: dict[str, bytes] = {}
 
-    def part(path: str, text: str) -> dict[str, str]:
+    def add_part_file(path: str, text: str) -> dict[str, str]:
         own = path
         count = 2
         while f"{name}/{own}.json" in files:
@@ -53,7 +53,7 @@ def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
 
     document: dict[str, Any] = {
         "antdsl_body": 1, "name": body.name, "front": format_axis(body.front), "up": format_axis(body.up), "units": unit,
-        "length": body.length, "rig": part("rig", write_rig(body.rig)),
+        "length": body.length, "rig": add_part_file("rig", write_rig(body.rig)),
     }  # fmt: skip
     if body.materials:
         document["materials"] = {material: list(colour) for material, colour in body.materials.items()}
@@ -66,7 +66,7 @@ def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
         ("groups", [(each.name, write_group(each)) for each in body.groups.values()]),
     ):
         if texts:
-            document[key] = [part(f"{key}/{_to_file_name(each)}", text) for each, text in texts]
+            document[key] = [add_part_file(f"{key}/{_to_file_name(each)}", text) for each, text in texts]
     if body.legs:
         document["legs"] = [asdict(leg) for leg in body.legs]
     if body.gaits:
@@ -78,7 +78,7 @@ def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
     if body.variation:
         document["variation"] = {"scale": dict(body.variation.scales), "materials": dict(body.variation.materials)}
     if body.metadata:
-        document["metadata"] = part("metadata", write_metadata(body.metadata))
+        document["metadata"] = add_part_file("metadata", write_metadata(body.metadata))
     return {f"{name}.json": format_json(document).encode()} | files
 
 
@@ -261,14 +261,14 @@ class _GltfParts:
         samplers: list[Entry] = []
         channels: list[Entry] = []
 
-        def key(node: int, path: str, values: NDArray[np.float32]) -> None:
+        def add_sampler(node: int, path: str, values: NDArray[np.float32]) -> None:
             channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
             samplers.append({"input": times, "output": self.writer.add_accessor(values), "interpolation": "LINEAR"})
 
         for number, joint in enumerate(clip.joints):
             if joint in self.nodes:
                 for path, part in (("translation", clip.translation), ("rotation", clip.rotation), ("scale", clip.scale)):
-                    key(self.nodes[joint], path, part[:, number])
+                    add_sampler(self.nodes[joint], path, part[:, number])
         if clip.shear is not None and np.abs(clip.shear).max() > 1e-6:
             self.omissions.append(f"the shear of the clip `{clip.name}` is left out: glTF has none")
         values = np.tile(self.body.rig.channel_defaults, (clip.sample_count, 1))
@@ -282,7 +282,7 @@ class _GltfParts:
         for node, parts in self._morph_shapes:
             assert parts.targets is not None and parts.shape.blend is not None
             if set(parts.shape.blend.channels) & set(clip.channels):
-                key(node, "weights", parts.targets.weights(values).reshape(-1))
+                add_sampler(node, "weights", parts.targets.weights(values).reshape(-1))
         if channels:
             self.writer.add_part(
                 "animations",

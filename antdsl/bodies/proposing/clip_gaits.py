@@ -63,7 +63,7 @@ def foot_paths(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats) -> Foot
         inner = np.array([point for _, point in leg.soles])
         worlds = motion.worlds[:, joints].astype(np.float64)
         place = (worlds[..., :3] @ inner[None, :, :, None])[..., 0] + worlds[..., 3]
-        if motion.closes:
+        if motion.repeats_first_pose:
             velocity = (np.roll(place, -1, axis=0) - np.roll(place, 1, axis=0)) / (2 * motion.step)
         else:
             velocity = np.gradient(place, motion.step, axis=0) if len(place) > 1 else np.zeros_like(place)
@@ -108,7 +108,7 @@ def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: 
     duties = stands.mean(axis=0)
     if not duties.all() or duties.min() >= 1:
         return None
-    cycles = _cycles(stands)
+    cycles = _count_cycles(stands)
     turns = np.exp(2j * np.pi * cycles * np.arange(len(stands)) / len(stands))
     centres = np.array([np.angle(turns[each].sum()) for each in stands.T]) / (2 * np.pi)
     phases = tuple(round(float(each), 2) % 1.0 for each in (centres[0] - centres) % 1.0)
@@ -116,7 +116,7 @@ def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: 
     return ClipGait(motion.name, speed, back, cycles, float(np.clip(duties.mean(), 0.05, 0.95)), lift, phases, motion.seconds)
 
 
-def _cycles(is_stance: NDArray[np.bool_]) -> int:
+def _count_cycles(is_stance: NDArray[np.bool_]) -> int:
     """Return the number of cycles of the feet, bool[F, L], in a clip: the least number in which stances occur at one phase."""
     samples = np.arange(len(is_stance)) / len(is_stance)
     for cycles in range(1, _MAX_CYCLES + 1):

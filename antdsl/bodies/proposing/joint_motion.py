@@ -33,13 +33,13 @@ class ClipMotion:
     """Joints over one cycle of a clip.
 
     `worlds` float32[F, J, 3, 4]: their world matrices. `step`: seconds between samples.
-    `closes`: the last pose of the clip repeats the first; it is left out here.
+    `repeats_first_pose`: the last pose of the clip repeats the first; it is left out here.
     `is_cyclic`: the last pose leads to the first, in a step about as long as the others."""
 
     name: str
     worlds: NDArray[np.float32]
     step: float
-    closes: bool
+    repeats_first_pose: bool
     is_cyclic: bool
 
     @property

@@ -64,8 +64,8 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
     reasons: list[str] = []
     for chain_start, every in groups.items():
         contacts = [each for each in every if positions[each] @ up < ground + _ANKLE_HEIGHT * height] or every[-1:]
-        soles = tuple(_sole(joint, points, low, worlds) for joint in contacts)
-        path = _path(rig, chain_start, contacts[0])
+        soles = tuple(_find_sole(joint, points, low, worlds) for joint in contacts)
+        path = _find_joint_path(rig, chain_start, contacts[0])
         name = rig.names[contacts[0]]
         feet.append(FoundLeg(path[0], path[0], contacts[0], tuple(path), soles))
         rise = float((positions[chain_start] - positions[contacts[0]]) @ up)
@@ -87,10 +87,10 @@ def _group_by_branch(rig: Rig, contact_joints: list[int]) -> dict[int, list[int]
     """Return joints that touch the ground by the joint where their chain leaves the rest, each group from the trunk outward.
 
     A chain begins below the nearest joint that has several branches to the ground."""
-    below = {joint: {each for each in contact_joints if joint in _ancestors(rig, each)} for joint in range(len(rig.names))}
+    below = {joint: {each for each in contact_joints if joint in _list_ancestors(rig, each)} for joint in range(len(rig.names))}
     groups: dict[int, list[int]] = {}
     for contact in contact_joints:
-        path = _ancestors(rig, contact)  # from the contact to the root
+        path = _list_ancestors(rig, contact)  # from the contact to the root
         start = path[0]
         for inner, outer in pairwise(path):
             own = below[inner]
@@ -100,17 +100,17 @@ def _group_by_branch(rig: Rig, contact_joints: list[int]) -> dict[int, list[int]
             start = outer
         groups.setdefault(start, []).append(contact)
     for contacts in groups.values():
-        contacts.sort(key=lambda joint: len(_ancestors(rig, joint)))
+        contacts.sort(key=lambda joint: len(_list_ancestors(rig, joint)))
     return groups
 
 
 def _is_one_chain(rig: Rig, joints: set[int]) -> bool:
     """Return whether one of the joints is above all others, such as an ankle above its toes."""
-    top = min(joints, key=lambda joint: len(_ancestors(rig, joint)))
-    return all(top in _ancestors(rig, joint) for joint in joints)
+    top = min(joints, key=lambda joint: len(_list_ancestors(rig, joint)))
+    return all(top in _list_ancestors(rig, joint) for joint in joints)
 
 
-def _ancestors(rig: Rig, joint: int) -> list[int]:
+def _list_ancestors(rig: Rig, joint: int) -> list[int]:
     """Return a joint and all joints above it, up to the root."""
     path = [joint]
     while rig.parents[path[-1]] >= 0:
@@ -120,12 +120,12 @@ def _ancestors(rig: Rig, joint: int) -> list[int]:
 
 def is_below(rig: Rig, joint: int, top: int) -> bool:
     """Return whether a joint is `top` or below it."""
-    return top in _ancestors(rig, joint)
+    return top in _list_ancestors(rig, joint)
 
 
-def _path(rig: Rig, start: int, end: int) -> list[int]:
+def _find_joint_path(rig: Rig, start: int, end: int) -> list[int]:
     """Return the joints from `start` down to `end`."""
-    path = _ancestors(rig, end)
+    path = _list_ancestors(rig, end)
     return path[: path.index(start) + 1][::-1]
 
 
@@ -142,16 +142,16 @@ def _hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
     line = foot - hip
     line /= max(float(np.linalg.norm(line)), 1e-12)
 
-    def usefulness(joint: int) -> float:
+    def rate_joint(joint: int) -> float:
         away = positions[joint] - hip
         off = float(np.linalg.norm(away - line * (away @ line)))
         shorter = min(float(np.linalg.norm(away)), float(np.linalg.norm(foot - positions[joint])))
         return shorter + off
 
-    return path[first], max(path[first + 1 : -1], key=usefulness)
+    return path[first], max(path[first + 1 : -1], key=rate_joint)
 
 
-def _sole(joint: int, points: BodyPoints, low: NDArray[np.bool_], worlds: NDArray[np.float32]) -> tuple[int, Floats]:
+def _find_sole(joint: int, points: BodyPoints, low: NDArray[np.bool_], worlds: NDArray[np.float32]) -> tuple[int, Floats]:
     """Return a joint and the mean of its points on the ground, in the space of the joint."""
     middle = points.place[low & (points.joint == joint)].mean(axis=0)
     matrix = worlds[joint].astype(np.float64)

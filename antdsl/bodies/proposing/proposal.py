@@ -59,7 +59,7 @@ def _value_text(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def propose(body: Definition, file: str) -> Proposal:
+def propose_definition(body: Definition, file: str) -> Proposal:
     """Return a proposal for a body that was read from `file`, a path relative to the definition file."""
     study = study_body(body)
     proposal = Proposal()
@@ -96,20 +96,20 @@ def _idle_reason(study: BodyStudy) -> str:
 def _add_axes(proposal: Proposal, study: BodyStudy) -> Floats:
     """Add `front` and `up`, and return the front."""
     body, up = study.body, study.up
-    word = format_axis(_triple(up))
+    word = format_axis(_round_axis(up))
     if word == format_axis(body.up):
         up_reason = "up: that of the file; feet are at its lower end" if study.search.feet else "up: that of the file"
     else:
         up_reason = (
             f"up: along the file's {format_axis(body.up)} no legs reach the ground, along {word} {len(study.search.legs)} do"
         )
-    front, front_reason = _front(study)
-    proposal.add("front", format_axis(_triple(front)), f"front: {front_reason}")
+    front, front_reason = _find_front(study)
+    proposal.add("front", format_axis(_round_axis(front)), f"front: {front_reason}")
     proposal.add("up", word, up_reason)
     return front
 
 
-def _front(study: BodyStudy) -> tuple[Floats, str]:
+def _find_front(study: BodyStudy) -> tuple[Floats, str]:
     """Return the front axis and the reason for it."""
     if study.gaits:
         gait = max(study.gaits.values(), key=lambda gait: gait.speed)
@@ -146,7 +146,7 @@ def _nearest_axis(direction: Floats, up: Floats) -> Floats:
     return max(axes, key=lambda axis: float(axis @ direction))
 
 
-def _triple(axis: Floats) -> tuple[float, float, float]:
+def _round_axis(axis: Floats) -> tuple[float, float, float]:
     x, y, z = np.round(axis).tolist()
     return x + 0.0, y + 0.0, z + 0.0
 
@@ -157,18 +157,18 @@ def _add_unit(proposal: Proposal, study: BodyStudy) -> float:
     own = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     height = study.search.height
     if low <= height * body.unit <= high or height <= 0:
-        proposal.add("units", own, f"units: as in the file; the body is {_metres(height * body.unit)} high")
+        proposal.add("units", own, f"units: as in the file; the body is {_format_metres(height * body.unit)} high")
         return body.unit
     fitting = [word for word in _UNIT_WORDS if low <= height * UNIT_MM[word] <= high]
     word = fitting[0] if fitting else own
     unit = UNIT_MM.get(word, body.unit)
-    high_words, fitting_words = _metres(height * body.unit), _metres(height * unit)
+    high_words, fitting_words = _format_metres(height * body.unit), _format_metres(height * unit)
     reason = f"units: in the file's {own} the body would be {high_words} high; so they are {fitting_words}"
     proposal.add("units", word, reason)
     return unit
 
 
-def _metres(millimetres: float) -> str:
+def _format_metres(millimetres: float) -> str:
     """Return a length in words."""
     return f"{millimetres / 1000:.3g} m" if millimetres >= 100 else f"{millimetres:.3g} mm"
 
@@ -255,7 +255,7 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
             proposal.reasons.setdefault("clips" if study.body.clips else "front", []).append(f"no legs: {reason}")
         return
     side = np.cross(front, study.up)
-    order, names = _ordered(search.legs, study, front, side)
+    order, names = _order_legs(search.legs, study, front, side)
     rig = study.body.rig
     legs = [
         {"name": name, "upper": rig.names[leg.upper], "lower": rig.names[leg.lower], "foot": rig.names[leg.foot]}
@@ -271,17 +271,17 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
             continue
         speeds.append(gait.speed)
         phases = [round((gait.phases[k] - gait.phases[feet[0]]) % 1.0, 2) % 1.0 for k in feet]
-        gaits.append(_gait(clip_names[name], gait.speed, gait.stride, gait.duty, gait.lift, phases))
+        gaits.append(_make_gait(clip_names[name], gait.speed, gait.stride, gait.duty, gait.lift, phases))
         gait_reasons.append(f"`{clip_names[name]}`: from the clip `{name}`, each foot stands {gait.duty:.0%} of a cycle")
     if not gaits:
         speed = (_WALK_FROUDE * _GRAVITY_MM * study.length * unit) ** 0.5 / unit
         leg = study.length
-        gaits.append(_gait("walk", speed, _WALK_STRIDE * leg, _WALK_DUTY, _WALK_LIFT * leg, _usual_phases(names, len(legs))))
-        gait_reasons.append(f"no clip walks: a typical walk for legs of {_metres(leg * unit)}")
+        gaits.append(_make_gait("walk", speed, _WALK_STRIDE * leg, _WALK_DUTY, _WALK_LIFT * leg, _usual_phases(names, len(legs))))
+        gait_reasons.append(f"no clip walks: a typical walk for legs of {_format_metres(leg * unit)}")
     proposal.add("gaits", gaits, *gait_reasons)
 
 
-def _ordered(legs: Sequence[FoundLeg], study: BodyStudy, front: Floats, side: Floats) -> tuple[list[int], list[str]]:
+def _order_legs(legs: Sequence[FoundLeg], study: BodyStudy, front: Floats, side: Floats) -> tuple[list[int], list[str]]:
     """Return the order of legs, pairs from front to back and left before right, and their names."""
     feet = np.array([study.worlds[leg.upper, :, 3].astype(np.float64) for leg in legs])
     ahead, right = feet @ front, feet @ side
@@ -312,7 +312,7 @@ def _usual_phases(names: Iterable[str], count: int) -> list[float]:
     return phases
 
 
-def _gait(name: str, speed: float, stride: float, duty: float, lift: float, phases: list[float]) -> dict[str, Any]:
+def _make_gait(name: str, speed: float, stride: float, duty: float, lift: float, phases: list[float]) -> dict[str, Any]:
     return {
         "name": name, "speed": _rounded(speed), "stride": _rounded(stride), "duty": round(duty, 2), "lift": _rounded(lift),
         "phases": phases,

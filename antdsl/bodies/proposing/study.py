@@ -37,7 +37,7 @@ class BodyStudy:
 def study_body(body: Definition) -> BodyStudy:
     """Measure a body: its standing pose, legs, and the gaits of its clips."""
     idle = _named_idle(body)
-    up, worlds, points, search = _stand(body, idle, np.array(body.up, np.float64))
+    up, worlds, points, search = _find_standing_pose(body, idle, np.array(body.up, np.float64))
     length = _leg_length(search, worlds)
     motions = {name: clip_motion(body, name, search.height) for name in body.clips}
     feet = search.feet
@@ -46,13 +46,13 @@ def study_body(body: Definition) -> BodyStudy:
     if not idle and feet:
         calm = [name for name, share in planted.items() if share > STILL_SHARE and motions[name].seconds > 0.2]
         if calm:
-            idle = min(calm, key=lambda name: _restlessness(motions[name]))
-            up, worlds, points, search = _stand(body, idle, up)
+            idle = min(calm, key=lambda name: _measure_motion(motions[name]))
+            up, worlds, points, search = _find_standing_pose(body, idle, up)
             length = _leg_length(search, worlds)
     return BodyStudy(body, up, idle, worlds, points, search, motions, gaits, planted, length)
 
 
-def _stand(body: Definition, idle: str, up: Floats) -> tuple[Floats, NDArray[np.float32], BodyPoints, LegSearch]:
+def _find_standing_pose(body: Definition, idle: str, up: Floats) -> tuple[Floats, NDArray[np.float32], BodyPoints, LegSearch]:
     """Return the up axis, joints, points and legs in the standing pose. Another up axis is used if only that axis gives legs."""
     worlds = sample_worlds(body, idle, np.zeros(1))[0]
     points = posed_points(body, worlds)
@@ -74,7 +74,7 @@ def _named_idle(body: Definition) -> str:
     return ""
 
 
-def _restlessness(motion: ClipMotion) -> float:
+def _measure_motion(motion: ClipMotion) -> float:
     """Return how much joints move in a clip, in units of length per second."""
     place = motion.worlds[:, :, :, 3].astype(np.float64)
     return float(np.linalg.norm(np.diff(place, axis=0), axis=2).mean()) / max(motion.step, 1e-9) if len(place) > 1 else 0.0
@@ -83,9 +83,11 @@ def _restlessness(motion: ClipMotion) -> float:
 def _leg_length(search: LegSearch, worlds: NDArray[np.float32]) -> float:
     """Return the mean length of legs; half of the height without legs."""
     place = worlds[:, :, 3].astype(np.float64)
-    lengths = [_distance(place, leg.upper, leg.lower) + _distance(place, leg.lower, leg.foot) for leg in search.legs]
+    lengths = [
+        _measure_distance(place, leg.upper, leg.lower) + _measure_distance(place, leg.lower, leg.foot) for leg in search.legs
+    ]
     return float(np.mean(lengths)) if lengths else max(0.5 * search.height, 1e-9)
 
 
-def _distance(place: Floats, a: int, b: int) -> float:
+def _measure_distance(place: Floats, a: int, b: int) -> float:
     return float(np.linalg.norm(place[b] - place[a]))

@@ -64,7 +64,7 @@ def body(
     if propose:
         print_report(report)
         if definition is not None and report.ok:
-            _propose(definition, file, to, quiet)
+            _print_or_write_proposal(definition, file, to, quiet)
     elif as_json:
         print_result(format_body_json(definition, report), newline=False)
     else:
@@ -80,16 +80,16 @@ def body(
         )
 
 
-def _propose(body: Definition, source: Path, target: Path | None, quiet: bool) -> None:
+def _print_or_write_proposal(body: Definition, source: Path, target: Path | None, quiet: bool) -> None:
     """Print a proposed definition file, or write it to `target`."""
     from antdsl.atomic_write import write_atomically
-    from antdsl.bodies.proposing.proposal import propose
+    from antdsl.bodies.proposing.proposal import propose_definition
     from antdsl.cli.destinations import protect_inputs, require_writable_file
 
     if source.suffix.lower() == ".json" or not source.is_file():
         raise typer.BadParameter(f"`{source.name}` is not a glTF or USD file", param_hint="FILE")
     if target is None:
-        print_result(propose(body, source.name).text(), newline=False)
+        print_result(propose_definition(body, source.name).text(), newline=False)
         return
     if target.suffix.lower() != ".json":
         raise typer.BadParameter(f"`{target.name}` must end in .json", param_hint="--to")
@@ -100,7 +100,7 @@ def _propose(body: Definition, source: Path, target: Path | None, quiet: bool) -
     require_writable_file(target, "--to")
     with protect_inputs({"--to": target}) as inputs:
         inputs.append(source)
-    write_atomically(target, propose(body, source.resolve().relative_to(folder).as_posix()).text().encode())
+    write_atomically(target, propose_definition(body, source.resolve().relative_to(folder).as_posix()).text().encode())
     if not quiet:
         print_note(f"{target}: read its reasons, correct mistakes, and name it in a scene: `body: {target.name}`")
 

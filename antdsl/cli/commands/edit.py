@@ -97,13 +97,13 @@ def _load_edits(folder: Path, edits: Path, settling: _Settling | None) -> Loaded
     exit_on_errors(report)
     assert loaded is not None, "it has no errors"
     if settling is not None:
-        loaded = _settle(loaded, *settling)
+        loaded = _resimulate_edits(loaded, *settling)
     for words in describe_side_effects(loaded.view):
         print_note(f"warning: {words}", to_stderr=True)
     return loaded
 
 
-def _settle(loaded: LoadedEdits, scene: Path | None, roots: tuple[str, ...]) -> LoadedEdits:
+def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str, ...]) -> LoadedEdits:
     """Simulate the agents that edits affect again, and report how many."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.printing.reports import exit_on_errors, print_report
@@ -126,7 +126,7 @@ def _settle(loaded: LoadedEdits, scene: Path | None, roots: tuple[str, ...]) -> 
         print_note("nothing to settle: edits make no agents overlap, and leave none without a neighbour")
         return loaded
     left = f"; {settlement.left_out:,} others have another body or species and stay" if settlement.left_out else ""
-    print_note(f"settled {settlement.frames.describe()}, from the checkpoint of frame {settlement.checkpoint}{left}")
+    print_note(f"settled {settlement.frames.describe_agents()}, from the checkpoint of frame {settlement.checkpoint}{left}")
     return loaded.add_settled(settlement.frames)
 
 

@@ -59,8 +59,8 @@ def _empty_report() -> Report:
 class _FormatCommand:
     """The results so far. `report`: the errors of files that were not changed. Their warnings are left to `antdsl check`."""
 
-    only_check: bool
-    print_diff: bool
+    is_check_only: bool
+    prints_diff: bool
     edition: int | None
     changed_names: list[str] = field(default_factory=list)
     skipped_count: int = 0  # files with mistakes, or files that cannot be read or written
@@ -85,7 +85,7 @@ class _FormatCommand:
             words = f"`{path}` is a link to a file outside the folder", "name that file directly to format it"
             self.report.error("cannot-write", words[0], None, words[1])
         unchanged_count = len(programs) - len(self.changed_names) - self.skipped_count
-        word = "would change" if self.only_check or self.print_diff else "changed"
+        word = "would change" if self.is_check_only or self.prints_diff else "changed"
         counts = ((len(self.changed_names), word), (unchanged_count, "laid out well"), (self.skipped_count, "left alone"))
         summary = [f"{count} file{'' if count == 1 else 's'} {label}" for count, label in counts if count]
         print_note(", ".join(summary) or "this folder has no .ant files", to_stderr=True)
@@ -101,7 +101,7 @@ class _FormatCommand:
             if text is None:
                 self.skipped_count += 1
             elif text.encode("utf-8") != data:
-                if not (self.only_check or self.print_diff):
+                if not (self.is_check_only or self.prints_diff):
                     syntax.write(path, text)
                 self.report_change(str(path), data.decode("utf-8", "replace"), text)
         except OSError as problem:
@@ -119,7 +119,7 @@ class _FormatCommand:
         text = self.format_source(*syntax.read_bytes("<stdin>", data))
         if text is None:
             return
-        if not (self.only_check or self.print_diff):
+        if not (self.is_check_only or self.prints_diff):
             sys.stdout.buffer.write(text.encode("utf-8"))
             sys.stdout.buffer.flush()
         elif text.encode("utf-8") != data:
@@ -149,7 +149,7 @@ class _FormatCommand:
     def report_change(self, name: str, old_text: str, new_text: str) -> None:
         """Record a file that differs from the standard layout. Print its name, or its difference with `--diff`."""
         self.changed_names.append(name)
-        if self.print_diff:
+        if self.prints_diff:
             lines = difflib.unified_diff(old_text.splitlines(), new_text.splitlines(), name, name, lineterm="")
             print_result("\n".join(lines) if old_text.splitlines() != new_text.splitlines() else f"{name}: only line ends differ")
         else:

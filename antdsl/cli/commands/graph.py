@@ -51,7 +51,7 @@ def graph(
     if not charts:
         words = f"error: `{file}` has no species with states"
         raise CommandError(ExitCode.FINDINGS, words, "`antdsl graph` draws states and transitions")
-    data, report = graphs.write(charts, chosen)
+    data, report = graphs.write_charts(charts, chosen)
     exit_on_errors(report)
     assert data is not None
     write_result(target, data, sys.stdout)

@@ -124,7 +124,7 @@ def _serve_preview(
     guard = RequestGuard(listening.host_names, returning_pages=returning)
     server = PreviewServer(live, guard, load_pages(), listening)
 
-    def tell() -> None:
+    def print_addresses() -> None:
         for address in listening.addresses:
             print_note(f"{address}#{guard.token}")
         if allows_others:
@@ -139,7 +139,7 @@ def _serve_preview(
 
     live.start()
     try:
-        run_server(server, tell)
+        run_server(server, print_addresses)
     except KeyboardInterrupt:
         pass  # the normal end of a preview
     finally:

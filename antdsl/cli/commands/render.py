@@ -295,7 +295,7 @@ def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: 
     from antdsl.reader.image_request import ImageError, read_image_file
     from antdsl.safe_read import read_size_limited
 
-    def images() -> Iterator[Any]:
+    def read_stills() -> Iterator[Any]:
         for each in paths:
             try:
                 image = read_image_file(read_size_limited(each, MAX_STILL_BYTES), "PNG", ("RGB",), pixels_per_picture)
@@ -305,7 +305,7 @@ def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: 
                 raise OSError(None, "is not the picture that was drawn", str(each))
             yield image.samples
 
-    exit_on_errors(write_film(images(), path, fps))
+    exit_on_errors(write_film(read_stills(), path, fps))
     for each in paths:
         each.unlink()
     print_note(str(path))

@@ -198,10 +198,10 @@ def _handle_stop_in_set_up(resume_command: str) -> Iterator[None]:
     """End the command with its exit code on SIGTERM during set-up, when there is no frame to store yet."""
     import signal
 
-    def stop(number: int, frame: object) -> None:
+    def raise_stop(number: int, frame: object) -> None:
         raise CommandError(ExitCode.TERMINATED, "stopped before the first frame", f"begin with: {resume_command}")
 
-    previous_handler = signal.signal(signal.SIGTERM, stop)
+    previous_handler = signal.signal(signal.SIGTERM, raise_stop)
     try:
         yield
     finally:

@@ -155,7 +155,7 @@ def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
 
     interrupts: list[int] = []
 
-    def stop(number: int, frame: object) -> None:
+    def note_interrupt(number: int, frame: object) -> None:
         if interrupts:
             raise KeyboardInterrupt
         interrupts.append(number)
@@ -164,7 +164,7 @@ def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
         if interrupts:
             raise KeyboardInterrupt
 
-    previous_handler = signal.signal(signal.SIGINT, stop)
+    previous_handler = signal.signal(signal.SIGINT, note_interrupt)
     try:
         yield check_interrupt
     finally:

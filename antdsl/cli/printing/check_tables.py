@@ -76,7 +76,7 @@ def _make_param_row(param: Param) -> tuple[str, ...]:
     source."""
     measure = find_unit_measure(param.unit) if param.unit else None
 
-    def cell(value: Constant | None) -> str:
+    def format_cell(value: Constant | None) -> str:
         if value is None:
             return "…"
         if param.type.kind is TypeKind.BOOL:
@@ -86,8 +86,8 @@ def _make_param_row(param: Param) -> tuple[str, ...]:
         return f"{value.number / measure.factor:.6g}"
 
     bounded = param.low is not None or param.high is not None
-    range = f"{cell(param.low)} .. {cell(param.high)}" if bounded else "any"
-    return param.name, cell(param.default), param.unit or "-", range, escape_text(param.help)
+    range = f"{format_cell(param.low)} .. {format_cell(param.high)}" if bounded else "any"
+    return param.name, format_cell(param.default), param.unit or "-", range, escape_text(param.help)
 
 
 # --- cost ------------------------------------------------------------------------------------------------------------

@@ -89,12 +89,16 @@ def _print_table(
         table.add_row(
             *map(
                 Text,
-                [*cells, *([_shorten(where, place)] if place else []), _shorten(text, max(text_width, _MIN_TEXT_CHARACTERS))],
+                [
+                    *cells,
+                    *([_shorten_text(where, place)] if place else []),
+                    _shorten_text(text, max(text_width, _MIN_TEXT_CHARACTERS)),
+                ],
             )
         )
     console.print()
     console.print(table)
 
 
-def _shorten(text: str, max_characters: int) -> str:
+def _shorten_text(text: str, max_characters: int) -> str:
     return text if len(text) <= max_characters else text[: max_characters - 1] + "…"

@@ -109,13 +109,13 @@ def show_set_up(is_quiet: bool) -> Iterator[None]:
 def _make_stage_printer() -> Callable[[str], None]:
     last_report = time.perf_counter()
 
-    def show(words: str) -> None:
+    def print_stage(words: str) -> None:
         nonlocal last_report
         if (seconds := time.perf_counter()) - last_report > _LINE_INTERVAL_SECONDS:
             last_report = seconds
             print_note(f"set up: {words}")
 
-    return show
+    return print_stage
 
 
 @contextmanager

@@ -306,7 +306,7 @@ class MeshGround:
     def _cast_steps(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
         """Return the part of the step at which each ray (3, k) hits (infinite for no hit), and the face over all meshes (-1)."""
         scene, live = self._get_ray_scene(None)
-        which, t, mesh, local = scene.find_hits_within(origin.T, step.T, threads)
+        which, t, mesh, local = scene.find_hits_along_step(origin.T, step.T, threads)
         part, face = np.full(origin.shape[1], np.inf), np.full(origin.shape[1], -1, np.int64)
         part[which] = t
         face[which] = self._to_ground_faces(mesh, local, live)

@@ -10,6 +10,6 @@ on.
 from __future__ import annotations
 
 from antdsl.ground.solid.volume import UnusableMesh, Volume
-from antdsl.ground.solid.walking import move
+from antdsl.ground.solid.walking import move_over_solid
 
-__all__ = ["UnusableMesh", "Volume", "move"]
+__all__ = ["UnusableMesh", "Volume", "move_over_solid"]

@@ -41,7 +41,7 @@ class Volume:
         A point is inside if its winding number is not 0, or is odd if the faces have inconsistent winding. `cap` is the maximum
         number of voxels in the mesh's bounding box. For a mesh that cannot be a solid (open, too many voxels), the result is
         `UnusableMesh`."""
-        bricks = voxelising.voxelise(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
+        bricks = voxelising.voxelise_mesh(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
         return bricks if isinstance(bricks, UnusableMesh) else Volume(bricks)
 
     @property

@@ -27,7 +27,7 @@ _BLOCK_VOXELS = 4.0  # voxels
 _BYTES_PER_NEAR_NODE = 24  # memory in bytes for each node near the surface during conversion
 
 
-def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGrid | UnusableMesh:
+def voxelise_mesh(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGrid | UnusableMesh:
     """Return the solid inside a closed mesh, as `Volume.from_mesh`."""
     if not (math.isfinite(voxel) and voxel > 0):
         return UnusableMesh("the voxel size must be greater than 0", "write a length, such as `voxel: 1 mm`")

@@ -43,7 +43,7 @@ MIN_SMOOTH_GRADIENT = 0.1  # length of that gradient; below it, the normal at th
 _PREFETCH_GROUP_SIZE = 16  # agents with cells prefetched together
 
 
-def move(
+def move_over_solid(
     volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float, number: int = 0
 ) -> GroundMove:
     """Walk agents on the zero level from `points` [n,3] by `steps` [n,3], which are rotated into the surface at the same length.

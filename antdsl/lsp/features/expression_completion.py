@@ -68,12 +68,12 @@ class CompletionRequest:
 def make_thing_proposer(*kinds: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
     """Return a function that proposes things of these kinds, or all things without a kind."""
 
-    def propose(request: CompletionRequest) -> Iterator[CompletionItem]:
+    def propose_things(request: CompletionRequest) -> Iterator[CompletionItem]:
         for name, item in request.names.things.items():
             if not kinds or item.kind.text in kinds:
                 yield CompletionItem(name, "thing", item.kind.text, find_help_text(item))
 
-    return propose
+    return propose_things
 
 
 def propose_fields(request: CompletionRequest) -> Iterator[CompletionItem]:

@@ -174,12 +174,12 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.begin(end)
         loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, slots, lanes, strict=True)])
 
-        def again(item: KernelItem) -> KernelItem:
+        def load_again(item: KernelItem) -> KernelItem:
             if isinstance(item, Array):
                 self.fail(node, "a condition cannot choose between arrays")
-            return rebuild_like(item, map(again, item)) if isinstance(item, tuple) else next(loaded)
+            return rebuild_like(item, map(load_again, item)) if isinstance(item, tuple) else next(loaded)
 
-        return again(first)
+        return load_again(first)
 
     def _common_kind(self, a: Number, b: Number) -> str:
         kinds = {a.kind, b.kind}
@@ -223,15 +223,15 @@ class ExpressionEmitter(ElementAccess, ABC):
         with self.restrict_lanes(self.invert(condition)):
             second = self.value(false_expr)
 
-        def chosen(a: KernelItem, b: KernelItem) -> KernelItem:
+        def select_lanes(a: KernelItem, b: KernelItem) -> KernelItem:
             if isinstance(a, tuple):
-                return rebuild_like(a, (chosen(x, y) for x, y in zip(a, b, strict=True)))
+                return rebuild_like(a, (select_lanes(x, y) for x, y in zip(a, b, strict=True)))
             if isinstance(a, Array):
                 self.fail(node, "a condition cannot choose between arrays")
             kind = a.kind if a.kind == b.kind else self._common_kind(a, b)
             return self.select(condition, self.convert(a, kind), self.convert(b, kind))
 
-        return chosen(first, second)
+        return select_lanes(first, second)
 
     def _emit_attribute(self, node: ast.expr, owner: ast.expr, attribute: str) -> KernelItem:
         """Return an attribute of a module, a field of a record, or the `shape` or `size` of an array."""

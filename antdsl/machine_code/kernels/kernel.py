@@ -61,11 +61,11 @@ class KernelPart:
 def _make_decorator(attribute: str) -> Callable[[F], F]:
     """Return a decorator that marks a function as a part of kernels with this attribute."""
 
-    def decorate(function: F) -> F:
+    def mark_function(function: F) -> F:
         function.part = KernelPart(function, attribute)  # type: ignore[attr-defined, arg-type]
         return function
 
-    return decorate
+    return mark_function
 
 
 inlined = _make_decorator("alwaysinline")
@@ -224,7 +224,7 @@ def kernel(function: PythonFunction) -> Kernel:
 def _read_argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> KernelItem:
     """Return the item of an argument. Its numbers are read from the next `words` of the table."""
 
-    def read(kind: str) -> Number:
+    def read_number(kind: str) -> Number:
         k = next(words)
         stored = "double" if kind == "float" else "i64" if kind == "i1" else kind if kind == "ptr" else LLVM_TYPE_BY_KIND[kind]
         body.append(f"  %p{k} = getelementptr i64, ptr %t, i64 {k}\n  %w{k} = load {stored}, ptr %p{k}")
@@ -239,11 +239,11 @@ def _read_argument(type: Any, words: Iterator[int], body: list[str], numbers: It
     if isinstance(type, tuple):
         return rebuild_like(type, (_read_argument(each, words, body, numbers) for each in type))
     if isinstance(type, ScalarType):
-        return read(type.kind)
+        return read_number(type.kind)
     if not isinstance(type, ArrayType):
         raise TypeError("annotate each argument of a kernel with a type of `kernels`")
     origin = next(numbers)
-    place = read("ptr")
-    lengths = tuple(read(INT) for _ in range(type.axes))
-    steps = tuple(read(INT) for _ in range(type.axes)) if type.is_strided else None
+    place = read_number("ptr")
+    lengths = tuple(read_number(INT) for _ in range(type.axes))
+    steps = tuple(read_number(INT) for _ in range(type.axes)) if type.is_strided else None
     return Array(type.of, place, lengths, steps, origin)

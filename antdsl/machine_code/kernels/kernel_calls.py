@@ -82,11 +82,11 @@ def make_parallel_caller(
     range_specs = [ArgumentSpec((len(types) + k,), words + k, INTEGER_KIND) for k in range(2)]
     kinds = [TRUTH_KIND if each == "i1" else _RESULT_KINDS[each] for each in description.result_kinds]
 
-    def alone(*arguments: Any) -> list[Any]:
+    def call_alone(*arguments: Any) -> list[Any]:
         return [single_call(*arguments[:-2])]
 
     run = workers_text.load_code().function_address("run")
-    function: Callable[..., Any] | None = direct.make_builtin(name, code, [*specs, *range_specs], words, kinds, alone, run)
+    function: Callable[..., Any] | None = direct.make_builtin(name, code, [*specs, *range_specs], words, kinds, call_alone, run)
     return function
 
 
@@ -133,7 +133,7 @@ def _make_python_caller(
     results = struct.Struct("=" + "".join(_CTYPES_FORMATS[each] for each in result_kinds))
     truths = [k for k, each in enumerate(result_kinds) if each == "i1"]
 
-    def run(*arguments: Any) -> Any:
+    def call_kernel(*arguments: Any) -> Any:
         buffer = ctypes.create_string_buffer(8 * words)
         table = memoryview(buffer).cast("B")
         integers, unsigned, real = table.cast("q"), table.cast("Q"), table.cast("d")
@@ -153,7 +153,7 @@ def _make_python_caller(
             values = tuple(bool(value) if k in truths else value for k, value in enumerate(values))
         return values if has_several_results else values[0]
 
-    return run
+    return call_kernel
 
 
 def flatten_arguments(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:

@@ -67,11 +67,11 @@ def bits_to_float(bits: Any) -> Any:
 def _make_intrinsic(stem: str) -> Callable[..., Number]:
     """Return the writer of an LLVM function of one number, such as `llvm.sqrt`."""
 
-    def write(w: StatementWriter, a: Number) -> Number:
+    def write_call(w: StatementWriter, a: Number) -> Number:
         a = w.to_float(a)
         return w.op(stem, a.kind, a)
 
-    return write
+    return write_call
 
 
 def _emit_absolute(w: StatementWriter, a: Number) -> Number:
@@ -132,10 +132,10 @@ def _emit_float_from_bits(w: StatementWriter, a: Number) -> Number:
 def _make_narrowing(bits: int, is_signed: bool) -> Callable[..., Number]:
     """Return a function that converts a number to an integer of fewer bits and back, as a cast does."""
 
-    def write(w: StatementWriter, a: Number) -> Number:
+    def write_conversion(w: StatementWriter, a: Number) -> Number:
         return w.op("sext" if is_signed else "zext", INT, w.op("trunc", f"i{bits}", w.convert(a, INT)))
 
-    return write
+    return write_conversion
 
 
 EMITTER_BY_FUNCTION: Mapping[Any, Callable[..., Number]] = {

@@ -82,14 +82,14 @@ def _remainder_truncating(a: Any, b: Any) -> Any:
 def _make_saturating_cast(is_signed: bool) -> Callable[[Any, Any], Any]:
     """Return the meaning of a cast from float to integer that truncates and saturates; NaN becomes 0."""
 
-    def cast(a: Any, dtype: Any) -> Any:
+    def cast_saturating(a: Any, dtype: Any) -> Any:
         bounds, number = np.iinfo(dtype if is_signed else f"u{np.dtype(dtype).itemsize}"), float(a)
         least, most = int(bounds.min), int(bounds.max)
         if math.isnan(number):
             return wrap_to_dtype(0, dtype)
         return wrap_to_dtype(most if number >= most else least if number <= least else int(number), dtype)
 
-    return cast
+    return cast_saturating
 
 
 def _truncate_bits(a: Any, dtype: Any) -> Any:

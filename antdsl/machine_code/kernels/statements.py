@@ -277,11 +277,11 @@ class StatementWriter(ExpressionEmitter):
             self.fail(node, "`for` iterates over `range`, `simd_range`, a tuple or an array with one axis")
         at = f"~{self.make_label('at')}"
 
-        def turn() -> None:
+        def write_iteration() -> None:
             self._assign_target(node, target, self._emit_index(iterable, items, ast.Name(id=at)))
             self.write_block(body)
 
-        self.write_range_loop(at, literal_number(0), items.lengths[0], 1, body, turn)
+        self.write_range_loop(at, literal_number(0), items.lengths[0], 1, body, write_iteration)
 
     def write_range_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None

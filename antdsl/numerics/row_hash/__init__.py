@@ -64,9 +64,10 @@ class RowHasher:
         self._split_columns: list[NDArray[Any]] = []
 
     def split_columns(self, arrays: Sequence[NDArray[Any]], has_several: Sequence[bool]) -> list[NDArray[Any]]:
-        """Return the columns of arrays. An array for which `has_several` is true has one column per row of its first axis.
+        """Return the columns of `arrays` in one list. `has_several`: by array, whether its first axis enumerates columns;
+        otherwise the array is one column.
 
-        As long as the arrays are the same, the result has the same objects."""
+        A call with the same array objects returns the same list."""
         if len(arrays) != len(self._split_arrays) or any(map(is_not, arrays, self._split_arrays)):
             self._split_arrays = list(arrays)
             self._split_columns = [
@@ -82,7 +83,7 @@ class RowHasher:
         if not count:  # arrays without rows have arbitrary strides
             return _to_digest((0, 0))
         table = self._table
-        if table is None or len(arrays) != len(self._arrays) or not table.rebind(arrays, self._arrays):
+        if table is None or len(arrays) != len(self._arrays) or not table.replace_arrays(arrays, self._arrays):
             self._table = table = HashTable(arrays, compute_word_keys, ids=ids is not None)
         self._arrays = arrays
         return _to_digest(table.compute_sums(count, threads))
@@ -165,9 +166,9 @@ class HashTable:
         self._table = np.array(table, np.int64)
         self._chunk_headers: Int64Array = np.zeros((0, TABLE_HEADER_WORDS), np.int64)  # one header per chunk
         self._chunks: Int64Array = np.zeros((0, 3), np.int64)
-        self.rebind(columns, [None] * len(columns))
+        self.replace_arrays(columns, [None] * len(columns))
 
-    def rebind(self, columns: Sequence[NDArray[Any]], previous_columns: Sequence[NDArray[Any] | None]) -> bool:
+    def replace_arrays(self, columns: Sequence[NDArray[Any]], previous_columns: Sequence[NDArray[Any] | None]) -> bool:
         """Replace the arrays of the columns if the new arrays have the same layout; return whether they have.
         `previous_columns`: the arrays to replace."""
         for k, (column, other) in enumerate(zip(columns, previous_columns, strict=True)):

@@ -89,7 +89,7 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
         w.append(f"call void @llvm.memset.p0.i64(ptr align 64 %lane{lane}, i8 0, i64 %bytes, i1 false)")
     w.append("br label %words.loop")
     _write_word_sums(w)
-    _mix_rows(w)
+    _write_row_mixing(w)
     w.begin_block("over")
     for lane in (0, 1):
         place = w.add_pointer("%t", "i64", str(lane))
@@ -259,7 +259,7 @@ def _write_row_numbers(w: _TextBuilder) -> None:
     w.append("br label %add")
 
 
-def _mix_rows(w: _TextBuilder) -> None:
+def _write_row_mixing(w: _TextBuilder) -> None:
     """Mix both lanes of each row of a block and add them to the sums.
 
     It works row by row, because few processors multiply 64-bit numbers in SIMD lanes."""

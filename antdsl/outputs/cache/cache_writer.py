@@ -305,10 +305,10 @@ class CacheWriter:
         measures = {"hash": state, "surface_error": self._greatest_error}
         scribe, frame = self._file_writer, world.frame
 
-        def write() -> Mapping[str, Any]:
+        def write_frame() -> Mapping[str, Any]:
             return {**measures, "made": spent, **scribe.frame(frame, file, line)}
 
-        self._worker.submit(write)
+        self._worker.submit(write_frame)
 
     def submit_checkpoint(self, world: World) -> None:
         """Pass everything needed to continue from the last frame to the writing thread."""

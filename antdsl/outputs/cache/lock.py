@@ -51,7 +51,7 @@ class FolderLock:
         try:
             self._wait_for_lock(handle)
             if not self._is_only_name(handle):
-                _unlock(handle)
+                _unlock_file(handle)
                 os.close(handle)
                 return None
             with name_path_in_errors(self.path):
@@ -59,7 +59,7 @@ class FolderLock:
                 os.lseek(handle, 0, os.SEEK_SET)
                 os.write(handle, f"{os.getpid()} {_find_host_name()}\n".encode())
         except BaseException:
-            _unlock(handle)
+            _unlock_file(handle)
             os.close(handle)
             raise
         return handle
@@ -100,7 +100,7 @@ class FolderLock:
             handle, self._handle = self._handle, None
             with suppress(OSError):  # the text in the file is for people only
                 os.ftruncate(handle, 0)
-            _unlock(handle)
+            _unlock_file(handle)
             os.close(handle)
 
 
@@ -148,7 +148,7 @@ def _try_lock(handle: int) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _unlock(handle: int) -> None:
+def _unlock_file(handle: int) -> None:
     """Unlock an open file for all processes that share it. Otherwise a forked process of another run would still hold the
     lock."""
     if os.name != "nt":

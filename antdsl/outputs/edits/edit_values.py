@@ -21,7 +21,7 @@ FrameOffset = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_F
 def parse_factor(low: float) -> Callable[[Any], float]:
     """Return a parser for a factor from `low` to MAX_FACTOR: `50 %` or `0.5`."""
 
-    def read(value: Any) -> float:
+    def read_factor(value: Any) -> float:
         try:
             quantity = parse_quantity(value) if isinstance(value, str) else Quantity(-1, Dimension(), "", "")
         except QuantityError as why:
@@ -30,7 +30,7 @@ def parse_factor(low: float) -> Callable[[Any], float]:
             raise make_error(f"`{str(value)[:60]}` is not a factor", f"write `{100 * low:g} %` to `{100 * MAX_FACTOR:g} %`")
         return quantity.number
 
-    return read
+    return read_factor
 
 
 Speed = Annotated[float, BeforeValidator(parse_factor(0.0))]

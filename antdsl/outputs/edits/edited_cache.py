@@ -153,7 +153,7 @@ def apply_edits(cache: Cache, edits: EditList, inputs: EditInputs) -> EditedCach
         layer = VERB_BY_WORD[edit.line.verb].layer.of(top, edit.line, inputs)
         top, inputs = layer, layer.pass_inputs()
     if settled is not None:
-        top, listed = SettledLayer.of(top, settled), {**listed, SETTLED_INPUT: settled.describe()}
+        top, listed = SettledLayer.of(top, settled), {**listed, SETTLED_INPUT: settled.describe_agents()}
     manifest = top.manifest.model_copy(update={"edits": None, "inputs": {**cache.manifest.inputs, **listed}})
     return EditedCache(cache.folder, manifest, top, _STORED_FRAMES, cache)
 

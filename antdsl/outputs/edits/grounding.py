@@ -12,7 +12,7 @@ from antdsl.bodies.agents.transforms import Floats, multiply_quaternions
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.frame_rows import FrameRows, match_rows
-from antdsl.outputs.edits.verbs.agent_moves import AgentMoves, find_axes, find_shortest_rotations, move_agents, rotate
+from antdsl.outputs.edits.verbs.agent_moves import AgentMoves, find_axes, find_shortest_rotations, move_agents, rotate_vectors
 from antdsl.outputs.edits.verbs.terrain import MirroredTerrain, Terrain
 
 _GROUND_REACH = 10.0  # body lengths in which ground is searched along an agent's up, in addition to the agent's displacement
@@ -39,15 +39,15 @@ def move_on_ground(arrays: Arrays, manifest: Manifest, moves: AgentMoves, ground
     distance = np.sqrt((displacement * displacement).sum(axis=1))
     old = grounds.old.find_along(start, up, lift, reach)
     height = ((start - old.position) * up).sum(axis=1)
-    turned_up = rotate(moves.rotation, up)
+    turned_up = rotate_vectors(moves.rotation, up)
     if grounds.down_direction is None:
         new = grounds.new.find_along(moves.position - turned_up * height[:, None], turned_up, lift, reach + distance)
     else:
         new = grounds.new.find_below(moves.position, np.broadcast_to(-grounds.down_direction, start.shape), lift)
-    aligned = find_shortest_rotations(rotate(moves.rotation, old.normal), new.normal)
+    aligned = find_shortest_rotations(rotate_vectors(moves.rotation, old.normal), new.normal)
     is_grounded = old.is_hit & new.is_hit
     rotation = np.where(is_grounded[:, None], multiply_quaternions(aligned, moves.rotation), moves.rotation)
-    new_up = rotate(rotation, up)
+    new_up = rotate_vectors(rotation, up)
     position = np.where(is_grounded[:, None], new.position + new_up * (height * moves.size)[:, None], moves.position)
     placed = AgentMoves(rows, position, rotation, moves.size, moves.speed)
     moved = move_agents(arrays, manifest, placed)

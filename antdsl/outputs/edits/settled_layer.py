@@ -34,7 +34,7 @@ class SettledFrames:
         keys = np.array(sorted(first_frames), np.int64)
         return SettledFrames(keys, np.array([first_frames[key] for key in keys.tolist()], np.int64), frames)
 
-    def describe(self) -> str:
+    def describe_agents(self) -> str:
         """Return how many agents and which frames these are, in words."""
         count = len(self.keys)
         return f"{count:,} agent{'' if count == 1 else 's'} in frames {min(self.frames)} to {max(self.frames)}"

@@ -62,15 +62,15 @@ def describe_side_effects(cache: EditedCache) -> list[str]:
         terrain = ground.at(number)
         for key in _find_gaps(old, new, changed, terrain) if terrain else ():
             gaps.setdefault(key, number)
-    return [*_describe(cache, overlaps), *_describe_gaps(cache, gaps)]
+    return [*_describe_overlaps(cache, overlaps), *_describe_gaps(cache, gaps)]
 
 
-def _describe(cache: Cache, overlaps: dict[tuple[int, int], int]) -> list[str]:
+def _describe_overlaps(cache: Cache, overlaps: dict[tuple[int, int], int]) -> list[str]:
     if not overlaps:
         return []
     (one, other), frame = next(iter(overlaps.items()))
     pairs = "1 pair of agents overlaps" if len(overlaps) == 1 else f"{len(overlaps):,} pairs of agents overlap"
-    return [f"{pairs} because of edits: `{_name(cache, one)}` and `{_name(cache, other)}` in frame {frame}"]
+    return [f"{pairs} because of edits: `{_name_agent(cache, one)}` and `{_name_agent(cache, other)}` in frame {frame}"]
 
 
 def _describe_gaps(cache: Cache, gaps: dict[int, int]) -> list[str]:
@@ -78,10 +78,10 @@ def _describe_gaps(cache: Cache, gaps: dict[int, int]) -> list[str]:
         return []
     key, frame = next(iter(gaps.items()))
     agents = "1 agent is" if len(gaps) == 1 else f"{len(gaps):,} agents are"
-    return [f"{agents} off the ground because of edits: `{_name(cache, key)}` in frame {frame}"]
+    return [f"{agents} off the ground because of edits: `{_name_agent(cache, key)}` in frame {frame}"]
 
 
-def _name(cache: Cache, key: int) -> str:
+def _name_agent(cache: Cache, key: int) -> str:
     return f"{cache.manifest.species[key % SPECIES_PER_KEY].name}.{key // SPECIES_PER_KEY}"
 
 

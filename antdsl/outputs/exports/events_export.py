@@ -130,10 +130,10 @@ def _compare_frames(gallery: Gallery, previous_arrays: Arrays, arrays: Arrays) -
         yield _make_events("state", arrays, changed, np.asarray(arrays["state"], np.int64)[changed])
     for number in range(len(gallery.manifest.species)):
         for which, key in enumerate(gallery.bodies.keys(number)):
-            yield from _footfalls(gallery, (number, which, key), previous_arrays, arrays)
+            yield from _find_footfalls(gallery, (number, which, key), previous_arrays, arrays)
 
 
-def _footfalls(gallery: Gallery, body: tuple[int, int, str], previous_arrays: Arrays, arrays: Arrays) -> Iterator[EventRows]:
+def _find_footfalls(gallery: Gallery, body: tuple[int, int, str], previous_arrays: Arrays, arrays: Arrays) -> Iterator[EventRows]:
     """Yield the feet that land between two frames, of agents with a body: its species, its index there, and its key."""
     number, which, key = body
     down = [each.get(f"feet.{key}.down") for each in (previous_arrays, arrays)]

@@ -235,7 +235,9 @@ class _AgentWriter:
         """Write the nodes of an agent and its joints, with their keys, and return their numbers."""
         stage, name = self._stage, f"{self._species}_{agent_id}"
         nodes = [
-            stage.add_agent(name, {"id": agent_id, "species": self._species, **self._states.describe(self._species, agent_id)})
+            stage.add_agent(
+                name, {"id": agent_id, "species": self._species, **self._states.describe_agent(self._species, agent_id)}
+            )
         ]
         rig = self._definition.rig
         for joint, parent in zip(rig.names, rig.parents.tolist(), strict=True):

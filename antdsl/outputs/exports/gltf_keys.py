@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.transforms import slerp
+from antdsl.bodies.agents.transforms import slerp_quaternions
 
 Floats = NDArray[np.float64]
 PATHS = ("translation", "rotation", "scale")
@@ -81,7 +81,7 @@ class AgentRows:
         lower = first + lower
         share = (self.frames[rows] - self.frames[lower]) / (self.frames[upper] - self.frames[lower])
         a, b = (values[each].astype(np.float64) for each in (lower, upper))
-        expected = slerp(a, b, share) if values.shape[1] == 4 else a + share[:, None] * (b - a)
+        expected = slerp_quaternions(a, b, share) if values.shape[1] == 4 else a + share[:, None] * (b - a)
         starts = np.flatnonzero(np.diff(first, prepend=-1))
         return np.asarray(np.maximum.reduceat(_measure_distances(values[rows], expected), starts))
 
@@ -100,18 +100,20 @@ class NodeTracks:
     """The tracks of N nodes, parents before children. The first is the agent itself, with transforms in lengths of its size.
 
     `parents` int64[N], -1 for the first.
-    `values`: by node, translations (r, 3), rotations (r, 4) and scales (r, 3).
+    `transforms_by_node`: by node, translations (r, 3), rotations (r, 4) and scales (r, 3).
     `radii` float64[N]: largest distance of mesh points that follow the node, in its own space."""
 
     parents: Sequence[int]
-    values: Sequence[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]]
+    transforms_by_node: Sequence[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]]
     radii: Floats
 
-    def compute_levers(self) -> Floats:
+    def compute_max_displacements_per_unit(self) -> Floats:
         """Return float64[N, 3]: by how much a translation, a quaternion and a scale that differ by 1 move a joint or point, at
         most."""
-        lengths = [float(np.sqrt((move.astype(np.float64) ** 2).sum(axis=1)).max(initial=0.0)) for move, _, _ in self.values]
-        scales = [float(np.abs(size).max(initial=0.0)) for _, _, size in self.values]
+        lengths = [
+            float(np.sqrt((move.astype(np.float64) ** 2).sum(axis=1)).max(initial=0.0)) for move, _, _ in self.transforms_by_node
+        ]
+        scales = [float(np.abs(size).max(initial=0.0)) for _, _, size in self.transforms_by_node]
         reaches, growth = self.radii.copy(), np.ones(len(self.parents))
         for node in range(len(self.parents) - 1, 0, -1):
             above = self.parents[node]
@@ -143,7 +145,7 @@ class KeyPlan:
 
 def plan_keys(rows: AgentRows, tracks: NodeTracks, tolerance: float) -> KeyPlan:
     """Choose keys so that no joint or point is farther than `tolerance` from its pose, in lengths of the body."""
-    levers = np.maximum(tracks.compute_levers(), 1e-12)
+    levers = np.maximum(tracks.compute_max_displacements_per_unit(), 1e-12)
     rounding = float(tracks.sum_along_chains(levers[:, 1] / 2).max()) * _SHORT_ROTATION_ERROR
     has_short_rotations = 1.5 * rounding <= tolerance
     left = tolerance - rounding if has_short_rotations else tolerance
@@ -151,12 +153,12 @@ def plan_keys(rows: AgentRows, tracks: NodeTracks, tolerance: float) -> KeyPlan:
     steps = np.zeros((len(levers), 3, agents), np.int64)
     is_thinned = np.zeros(steps.shape, np.bool_)  # tracks with errors
     for node, path in np.ndindex(levers.shape):
-        values, lever = tracks.values[node][path], levers[node, path]
+        values, lever = tracks.transforms_by_node[node][path], levers[node, path]
         if (rows.measure_constant_errors(values) * lever > min(tolerance, _NEGLIGIBLE_SHARE)).any():
             steps[node, path] = rows.choose_steps(values, np.full(agents, left / lever))
             is_thinned[node, path] = steps[node, path] != 1
     shares = left / np.maximum(tracks.sum_along_chains(is_thinned.sum(axis=1)), 1)
     for node, path in np.argwhere(is_thinned.any(axis=2)):
-        chosen = rows.choose_steps(tracks.values[node][path], shares[node] / levers[node, path])
+        chosen = rows.choose_steps(tracks.transforms_by_node[node][path], shares[node] / levers[node, path])
         steps[node, path] = np.where(is_thinned[node, path], chosen, 1)
     return KeyPlan(steps, has_short_rotations)

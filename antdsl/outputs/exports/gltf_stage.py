@@ -218,7 +218,9 @@ class GltfStage:
         """Write a mesh and return its number. `kind`: a kind of surface; None for one in the colours of its points."""
         attributes = {
             "POSITION": self.writer.add_accessor(points, "f4", VERTEX_BUFFER_TARGET, bounds=True),
-            "NORMAL": self.writer.add_accessor(_normalise(compute_vertex_normals(points, faces)), "f4", VERTEX_BUFFER_TARGET),
+            "NORMAL": self.writer.add_accessor(
+                _normalise_normals(compute_vertex_normals(points, faces)), "f4", VERTEX_BUFFER_TARGET
+            ),
         }
         if colours is not None and kind is None:
             attributes["COLOR_0"] = self.writer.add_accessor(colours, "f4", VERTEX_BUFFER_TARGET)
@@ -289,7 +291,7 @@ def _fit_rigid(first: Floats, second: Floats) -> tuple[Floats, Floats, float]:
     return matrix_to_quaternion(turn), move, float(np.abs(first @ turn.T + move - second).max(initial=0.0))
 
 
-def _normalise(normals: NDArray[np.float32]) -> Floats:
+def _normalise_normals(normals: NDArray[np.float32]) -> Floats:
     wide = normals.astype(np.float64)
     unit_normals: Floats = wide / np.maximum(np.linalg.norm(wide, axis=1, keepdims=True), 1e-12)
     return unit_normals

@@ -39,7 +39,7 @@ class StateChanges:
                 last[species.name] = current
         return output
 
-    def describe(self, species: str, agent_id: int) -> dict[str, Any]:
+    def describe_agent(self, species: str, agent_id: int) -> dict[str, Any]:
         """Return the `extras` about the states of an agent; empty if they are unknown."""
         changes = self.changes.get((species, agent_id))
         return {} if changes is None else {"states": changes}

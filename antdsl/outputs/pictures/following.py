@@ -76,7 +76,7 @@ class StableTrack:
     def of(cls, track: AgentTrack, reach: float, upright: Array) -> StableTrack:
         """Return the smoothed motion."""
         up = normalise(
-            _smooth(rotate_vectors(track.orient, np.tile([0.0, 1.0, 0.0], (len(track.frames), 1))), track.frames, reach)
+            _smooth_values(rotate_vectors(track.orient, np.tile([0.0, 1.0, 0.0], (len(track.frames), 1))), track.frames, reach)
         )
         ahead = np.empty_like(up)
         ahead[0] = rotate_vectors(track.orient[:1], np.array([[1.0, 0.0, 0.0]]))[0]
@@ -86,13 +86,19 @@ class StableTrack:
         low, high = _LEVEL_COSINES
         share = np.clip((dot(up, upright) - low) / (high - low), 0.0, 1.0)
         share = (share * share * (3 - 2 * share))[:, None]
-        level = normalise(_smooth(share * upright + (1 - share) * up, track.frames, reach))
+        level = normalise(_smooth_values(share * upright + (1 - share) * up, track.frames, reach))
         return cls(
-            track.frames, reach, track.position, _smooth(track.position, track.frames, reach, has_trend=True), up, ahead, level
+            track.frames,
+            reach,
+            track.position,
+            _smooth_values(track.position, track.frames, reach, has_trend=True),
+            up,
+            ahead,
+            level,
         )
 
 
-def _smooth(values: Array, frames: NDArray[np.int64], reach: float, has_trend: bool = False) -> Array:
+def _smooth_values(values: Array, frames: NDArray[np.int64], reach: float, has_trend: bool = False) -> Array:
     """Return values (n, 3) averaged over `reach` frames before and after each. With `has_trend`, ends do not lag behind a steady
     motion."""
     smooth = np.empty_like(values)
@@ -146,7 +152,7 @@ class FollowingCamera:
         most = _MAX_OFF_CENTRE * float(np.linalg.norm(np.subtract(first.at, first.look_at)))
         away = track.position - track.place
         shift = away * np.maximum(0.0, 1 - most / np.maximum(np.linalg.norm(away, axis=1), 1e-12))[:, None]
-        return replace(camera, centre=_smooth(track.place + shift, track.frames, track.reach / 2, has_trend=True))
+        return replace(camera, centre=_smooth_values(track.place + shift, track.frames, track.reach / 2, has_trend=True))
 
     def make_camera(self, frame: int) -> Camera:
         """Return the camera at a frame. Before and after the track, its first and last camera hold."""
@@ -177,7 +183,7 @@ class FollowingCamera:
         highest, nearest = (
             np.array([pick(values[span]) for span in spans])[:, None] for values, pick in ((heights, np.max), (shares, np.min))
         )
-        return replace(self, rise=_smooth(highest, frames, reach), nearness=_smooth(nearest, frames, reach))
+        return replace(self, rise=_smooth_values(highest, frames, reach), nearness=_smooth_values(nearest, frames, reach))
 
     def _find_close_distance(self) -> float:
         """Return the distance at which the body fills the picture, however it turns."""

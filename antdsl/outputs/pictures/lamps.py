@@ -37,7 +37,7 @@ class Lamp(LightSphere):
     ) -> NDArray[np.bool_]:
         """Return whether something hides one of `count` points of the lamp from each point (n,)."""
         start = points + normal * np.float32(offset)
-        aim = self.aim(start, np.full(len(start), number), count)
+        aim = self.aim_rays(start, np.full(len(start), number), count)
         hidden = np.zeros(len(start), np.bool_)
         for rays in occluders:
             left = np.flatnonzero(~hidden)

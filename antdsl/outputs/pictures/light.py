@@ -38,7 +38,7 @@ class SunLight:
         """Return the light (3,) of the sun."""
         return SUN_LIGHT * np.float32(self.settings.sun)
 
-    def aim(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
+    def aim_rays(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
         """Return directions (n, 3) to points of the sun's disc, those with `numbers` (n,) of `count`."""
         return np.asarray(self.sample_disc(count)[numbers])
 

@@ -230,12 +230,12 @@ def _find_covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[
     is_ahead = (ahead > 0).any(axis=1)
     few = is_ahead & ((high_ - low).max(axis=1) < _TINY_BODY_PIXELS)
 
-    def covered(rows: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
+    def mark_covered(rows: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
         first = np.clip(np.floor(low[rows] - margin), 0, (wide, high)).astype(np.int64)
         last = np.clip(np.ceil(high_[rows] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
         return _fill_rectangles(first, last, wide, high).reshape(-1)
 
-    return covered(np.asarray(is_ahead), 2.0), covered(np.asarray(few), 0.0)
+    return mark_covered(np.asarray(is_ahead), 2.0), mark_covered(np.asarray(few), 0.0)
 
 
 def _fill_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], column_count: int, row_count: int) -> NDArray[np.bool_]:

@@ -66,12 +66,12 @@ def sample_centres(static_stage: StaticStage, lighting: PictureLighting, dyes: F
 
     lamp_light = _compute_lamp_light(static_stage, lighting)
 
-    def fill(chunk: slice) -> None:
+    def fill_pixels(chunk: slice) -> None:
         lamps = None if lamp_light is None else lamp_light[chunk]
         lit = compute_static_light(lighting, samples, chunk, albedo[chunk], visible[chunk], opened[chunk], lamps)
         behind[chunk] = apply_tone_curve(lit)
 
-    run_each(fill, split_rows(len(samples)), threads)
+    run_each(fill_pixels, split_rows(len(samples)), threads)
     light = behind.copy()
     front, swept = np.zeros(len(samples), np.bool_), cast.tiny_body_pixels.copy()
     near = np.flatnonzero(cast.near_pixels)

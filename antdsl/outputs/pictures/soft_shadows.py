@@ -66,7 +66,7 @@ def _make_half_view(view: CameraView) -> CameraView:
 class LightSource(Protocol):
     """A light with an extent, so that its shadows have soft edges."""
 
-    def aim(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
+    def aim_rays(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
         """Return vectors (n, 3) from `points` towards points of the light, those with `numbers` (n,) of `count`."""
         ...
 
@@ -84,7 +84,7 @@ def compute_visible_share(
 
     `facing` (h · w,): cosine of the angle to the light; surfaces face away where it is ≤ 0.
     `occluders`: ray scenes of the occluders at several times; pixels are distributed over them.
-    `max_distance`: the greatest distance of occluders, in lengths of what `source.aim` returns.
+    `max_distance`: the greatest distance of occluders, in lengths of what `source.aim_rays` returns.
     `candidates` (h · w,): the pixels that may be occluded; None for all."""
     high, wide = grid.view.height, grid.view.width
     lit = grid.hits_surface & (facing > 0)
@@ -97,7 +97,7 @@ def compute_visible_share(
     number = (row % 4) * 4 + column % 4
     for turn, cast in enumerate(occluders):
         own = slice(None) if len(occluders) == 1 else np.flatnonzero(_PIXEL_ORDER[number] % len(occluders) == turn)
-        aim = source.aim(grid.point[pixels[own]], _PIXEL_ORDER[number[own]], 16)
+        aim = source.aim_rays(grid.point[pixels[own]], _PIXEL_ORDER[number[own]], 16)
         hidden[pixels[own]] = _find_occluded(grid, pixels[own], aim, cast, max_distance, threads)
     share[hidden] = 0
     mixed = pixels[_find_partly_hidden(hidden.reshape(high, wide)).reshape(-1)[pixels]]
@@ -108,7 +108,7 @@ def compute_visible_share(
     total = 4 * _RAYS_PER_EDGE_PIXEL
     occlusion = np.zeros(len(mixed), np.float32)
     for k in range(_RAYS_PER_EDGE_PIXEL):
-        aim = source.aim(grid.point[mixed], 4 * k + (block + k) % 4, total)
+        aim = source.aim_rays(grid.point[mixed], 4 * k + (block + k) % 4, total)
         occlusion += _find_occluded(grid, mixed, aim, occluders[k % len(occluders)], max_distance, threads)
     share[mixed] = 1 - occlusion / _RAYS_PER_EDGE_PIXEL
     share[mixed] = _filter_values(share.reshape(high, wide), mixed, grid, _NARROW_TAPS, facing > 0)
@@ -120,12 +120,12 @@ def _find_occluded(
 ) -> NDArray[np.bool_]:
     occluded = np.zeros(len(pixels), np.bool_)
 
-    def fill(chunk: slice) -> None:
+    def fill_pixels(chunk: slice) -> None:
         own_pixels = pixels[chunk]
         start = grid.point[own_pixels] + grid.normal[own_pixels] * np.float32(grid.ray_offset)
         occluded[chunk] = occluder.find_occluded(start, directions[chunk], max_distance, threads)
 
-    run_each(fill, split_rows(len(pixels)), threads)
+    run_each(fill_pixels, split_rows(len(pixels)), threads)
     return occluded
 
 
@@ -224,7 +224,7 @@ def _sample_open_share(
     directions = _make_hemisphere_directions(count)
     opened = np.empty(len(pixels), np.float32)
 
-    def fill(chunk: slice) -> None:
+    def fill_pixels(chunk: slice) -> None:
         own_pixels = pixels[chunk]
         normal = grid.normal[own_pixels]
         start = grid.point[own_pixels] + normal * np.float32(grid.ray_offset)
@@ -237,7 +237,7 @@ def _sample_open_share(
             occlusion += rays.find_occluded(start, towards, length, threads)
         opened[chunk] = 1 - occlusion / count
 
-    run_each(fill, split_rows(len(pixels)), threads)
+    run_each(fill_pixels, split_rows(len(pixels)), threads)
     return opened
 
 
@@ -259,7 +259,7 @@ def _fill_open_share(
     targets = targets[grid.is_near_edge(targets, 2)]
     lonely: list[NDArray[np.int64]] = []
 
-    def fill(chunk: slice) -> None:
+    def fill_pixels(chunk: slice) -> None:
         pixels = targets[chunk]
         row, column = np.divmod(pixels, wide)
         point, normal = grid.point[pixels], grid.normal[pixels]
@@ -278,7 +278,7 @@ def _fill_open_share(
         full[pixels] = total / np.maximum(weight, 1e-9)
         lonely.append(pixels[weight == 0])
 
-    run_each(fill, split_rows(len(targets)), threads)
+    run_each(fill_pixels, split_rows(len(targets)), threads)
     alone = np.sort(np.concatenate(lonely)) if lonely else np.zeros(0, np.int64)
     if len(alone):
         full[alone] = _sample_open_share(grid, alone, np.zeros(len(alone), np.int64), rays, reach, 16, threads)

@@ -139,7 +139,7 @@ def _sample_position(
     far, light, upness, facing = (np.zeros(n, np.float32) for _ in range(4))
     kind = np.zeros(n, np.uint8)
 
-    def fill(chunk: slice) -> None:
+    def fill_pixels(chunk: slice) -> None:
         start, towards = view.make_rays(pixels[chunk], *pixel_position)
         hits = setting.rays.find_first_hits(start, towards, threads)
         direction[chunk], far[chunk] = towards, hits.t
@@ -156,7 +156,7 @@ def _sample_position(
         grazing = np.clip((smooth @ sun.direction) * 7, 0, 1)
         light[first] = np.clip(look.normal @ sun.direction, 0, 1) * grazing
 
-    run_each(fill, split_rows(n), threads)
+    run_each(fill_pixels, split_rows(n), threads)
     return SurfaceSamples(pixels, direction, far, point, normal, albedo, light, upness, facing, kind, glow)
 
 

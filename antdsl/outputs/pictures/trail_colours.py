@@ -30,7 +30,7 @@ class TrailVoxels:
         self.shape = tuple(int(v) for v in np.ceil((high - low) / self.cell) + 4)
         self._trail_cells: Array | None = None
 
-    def spread_trail(self, trail: Trail) -> None:
+    def add_trail(self, trail: Trail) -> None:
         """Distribute a trail over the voxels. Cells are not on a lattice, so each is distributed over the eight voxels around
         it."""
         if self._trail_cells is not trail.position:
@@ -47,11 +47,11 @@ class TrailVoxels:
         cell = corner.astype(np.int32)
         _, b, c = self.shape
         first = (cell[:, 0] * b + cell[:, 1]) * c + cell[:, 2]
-        return self._interpolate(self._cover_sums, first, part) / np.maximum(
-            self._interpolate(self._weight_sums, first, part), 1e-6
+        return self._interpolate_voxels(self._cover_sums, first, part) / np.maximum(
+            self._interpolate_voxels(self._weight_sums, first, part), 1e-6
         )
 
-    def _interpolate(self, voxels: Floats, lowest_voxels: NDArray[np.int32], fractions: Floats) -> Floats:
+    def _interpolate_voxels(self, voxels: Floats, lowest_voxels: NDArray[np.int32], fractions: Floats) -> Floats:
         """Return trilinear values of voxels. `lowest_voxels`: the lowest voxel around each point; `fractions` (n, 3): the
         position between voxels."""
         _, b, c = self.shape
@@ -82,7 +82,7 @@ class FieldColours:
         ]
         for trail in self._trails:
             cloth = self._voxels_by_trail.setdefault((trail.name, trail.cell), TrailVoxels(self._low, self._high, trail.cell))
-            cloth.spread_trail(trail)
+            cloth.add_trail(trail)
 
     def colour_samples(self, samples: SurfaceSamples) -> Floats:
         """Return the colours (n, 3) of samples with the trails on them."""

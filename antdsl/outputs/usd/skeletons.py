@@ -82,7 +82,7 @@ class SkeletonWriter:
         if self._file_number != self._out.file_number:  # a new file of values first hides all agents that may appear in it later
             self._file_number, self._hideable_agents = self._out.file_number, set(self._agents)
         for hidden_key in sorted(self._hideable_agents - visible_keys):
-            self._agents[hidden_key].hide(time_sample.time)
+            self._agents[hidden_key].write_hidden(time_sample.time)
         self._hideable_agents = visible_keys
 
     def _find_or_add_agent(self, name: int, body: SkelDefinition, time: float) -> _AgentPrim:
@@ -254,6 +254,6 @@ class _AgentPrim:
                 )
         self._numbers[name].set(time, np.reshape(value, 1))
 
-    def hide(self, time: float) -> None:
+    def write_hidden(self, time: float) -> None:
         """Hide the agent from a time on."""
         self._visibility.set(time, False)

@@ -77,12 +77,12 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
     frames = list(frames)
     most = _count_max_agents(gallery, frames)
 
-    def kind(number: int) -> Callable[..., CrowdWriter]:
+    def choose_writer(number: int) -> Callable[..., CrowdWriter]:
         if most[number] > options.skeletons:
             return partial(InstancerWriter, close=options.close)
         return partial(SkeletonWriter, copies=options.copies, close=options.close)
 
-    return _export_stage(gallery, frames, path, options, kind)
+    return _export_stage(gallery, frames, path, options, choose_writer)
 
 
 def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: XformOptions = _DEFAULT_OPTIONS) -> list[str]:

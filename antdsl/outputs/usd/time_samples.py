@@ -77,7 +77,7 @@ class TimeSample:
         agents = self.species[number]
         if not self.share:
             return agents
-        return _interpolate(agents, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
+        return _interpolate_agents(agents, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
 
 
 @dataclass(slots=True)
@@ -222,7 +222,7 @@ def rotate_orientations(orient: Floats, rotation_vectors: Floats) -> Floats:
     return unit_quaternions
 
 
-def _interpolate(agents: SpeciesSample, next_agents: SpeciesSample | None, share: float, dt: float) -> SpeciesSample:
+def _interpolate_agents(agents: SpeciesSample, next_agents: SpeciesSample | None, share: float, dt: float) -> SpeciesSample:
     """Return agents at the fraction `share` of the time to the next frame."""
     scale = agents.scale
     if next_agents is not None:

@@ -42,7 +42,7 @@ class XformWriter:
         if self._file_number != self._out.file_number:  # a new file of values first hides all agents that may appear in it later
             self._file_number, self._hideable_agents = self._out.file_number, np.array(sorted(self._agents), np.int64)
         for hidden_id in np.setdiff1d(self._hideable_agents, visible_ids).tolist():
-            self._agents[hidden_id].hide(time)
+            self._agents[hidden_id].write_hidden(time)
         for row, name in enumerate(agents.ids.tolist()):
             if not agents.is_visible[row]:
                 continue
@@ -85,6 +85,6 @@ class _AgentPrim:
             self._state.set(time, state)
         self._visibility.set(time, True)
 
-    def hide(self, time: float) -> None:
+    def write_hidden(self, time: float) -> None:
         """Hide the agent from a time on."""
         self._visibility.set(time, False)

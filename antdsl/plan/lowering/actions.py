@@ -46,7 +46,7 @@ def _scale_by_step(w: PlanWriter, amount: PlanNode, is_rate: bool) -> PlanNode:
 
 def _lower_steer(w: PlanWriter, s: model.Steer, site: str) -> None:
     for axis in AXES:
-        w.declare(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
+        w.declare_register(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
     push = lower_vector(w, s.push)
     w.note_steering(s, site, push)
     w.store_vector(STEER_TEMP, values.add(w.b, w.read_vector(STEER_TEMP), push), s.span)
@@ -61,7 +61,7 @@ def _lower_face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
 def store_face_direction(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
     """Store a direction to face in a temp, unless an earlier line has set one."""
     for axis in AXES:
-        w.declare(f"{register}.{axis}", ValueKind.F32, "temp")
+        w.declare_register(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
     w.store_vector(
         register, values.choose_vector(w.b, w.b("gt", values.length(w.b, previous), w.b.number(0)), previous, direction), span

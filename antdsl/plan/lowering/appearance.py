@@ -44,15 +44,15 @@ def declare_registers(w: PlanWriter) -> None:
     """Declare the registers of a species."""
     for role, sign in (("memory", ""), ("temp", "~")):
         for layer in list_worn_layers(w.species):
-            w.declare(f"{sign}wear#{layer}", ValueKind.BOOL, role)
+            w.declare_register(f"{sign}wear#{layer}", ValueKind.BOOL, role)
         for name in list_channels(w.species):
-            w.declare(f"{sign}channel#{name}", ValueKind.F32, role)
-            w.declare(f"{sign}channel#{name}.said", ValueKind.BOOL, role)
+            w.declare_register(f"{sign}channel#{name}", ValueKind.F32, role)
+            w.declare_register(f"{sign}channel#{name}.said", ValueKind.BOOL, role)
         for group in list_look_groups(w.species):
             for axis, ahead in zip(AXES, _LOOK_AHEAD, strict=True):
-                w.declare(f"{sign}look#{group}.{axis}", ValueKind.F32, role, ahead)
+                w.declare_register(f"{sign}look#{group}.{axis}", ValueKind.F32, role, ahead)
     for group in list_look_groups(w.species):
-        w.declare(f"~look#{group}.over", ValueKind.F32, "temp", DEFAULT_LOOK_SECONDS)
+        w.declare_register(f"~look#{group}.over", ValueKind.F32, "temp", DEFAULT_LOOK_SECONDS)
 
 
 def write_state_appearance(w: PlanWriter, state: model.State) -> None:

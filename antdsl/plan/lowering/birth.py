@@ -41,14 +41,14 @@ def declare_registers(w: PlanWriter) -> None:
     """Declare the registers that every agent has, then those of the author's attributes."""
     for name in VECTOR_ATTRIBUTES:
         for axis in "xyz":
-            w.declare(f"{name}.{axis}", ValueKind.F32, "attribute")
+            w.declare_register(f"{name}.{axis}", ValueKind.F32, "attribute")
     for name in (*_birth_attributes(w.species), "group"):
-        w.declare(name, ValueKind.F32, "attribute")
+        w.declare_register(name, ValueKind.F32, "attribute")
     if w.has_moved_register:
-        w.declare("moved", ValueKind.F32, "attribute")
+        w.declare_register("moved", ValueKind.F32, "attribute")
     if w.species.clears_body:
         for name in CLEARANCE_REGISTERS:
-            w.declare(name, ValueKind.F32, "attribute")
+            w.declare_register(name, ValueKind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.pair_species:
             pair_values.declare_registers(w, attribute)
@@ -125,7 +125,7 @@ def _prefer_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> Lowe
     """Return the scene's value of an attribute if there is one, else the default. Attributes computed later use this value."""
     if name not in w.scene_attributes or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
         return default
-    w.declare(birth_register(name), ValueKind.F32, "temp", inf)
+    w.declare_register(birth_register(name), ValueKind.F32, "temp", inf)
     b, scene_value = w.b, w.read(birth_register(name))
     value = scene_value if default.kind is ValueKind.F32 else b("ne", scene_value, b.number(0))
     return b("where", b("lt", scene_value, b.number(inf)), value, default)

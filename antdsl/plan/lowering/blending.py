@@ -22,7 +22,7 @@ def blend_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan,
     mode = w.species.layers.mode
     every = order_layers(w, order)
     layers = [layer for layer in every if not layer.faces]
-    w.declare(BUDGET_LEFT_REGISTER, ValueKind.F32, "temp", 1.0)
+    w.declare_register(BUDGET_LEFT_REGISTER, ValueKind.F32, "temp", 1.0)
     if not layers:
         _spend_budget(w, _read_state_push(w), w.species.span, is_last=True)
     for number, layer in enumerate(layers):
@@ -149,4 +149,4 @@ def _is_named(layer: model.Layer, name: str) -> bool:
 def declare_push(w: PlanWriter) -> None:
     """Declare the temp register `push`."""
     for axis in AXES:
-        w.declare(f"{PUSH_REGISTER}.{axis}", ValueKind.F32, "temp")
+        w.declare_register(f"{PUSH_REGISTER}.{axis}", ValueKind.F32, "temp")

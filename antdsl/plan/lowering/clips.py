@@ -69,12 +69,12 @@ def declare_registers(w: PlanWriter, machine: model.Machine) -> None:
     """Declare the registers of a machine that plays clips."""
     name = machine.name
     for part in ("clip", "clip_before", "clip_earlier"):
-        w.declare(f"{name}.{part}", ValueKind.I32, "memory", NO_CLIP)
+        w.declare_register(f"{name}.{part}", ValueKind.I32, "memory", NO_CLIP)
     for part in _CLIP_NUMBER_REGISTERS:
-        w.declare(f"{name}.{part}", ValueKind.F32, "memory")
+        w.declare_register(f"{name}.{part}", ValueKind.F32, "memory")
     for part in ("clip_over", "clip_fading", "clip_earlier_fading"):
-        w.declare(f"{name}.{part}", ValueKind.F32, "memory", DEFAULT_FADE_SECONDS)
-    w.declare(f"{name}.clip_waits", ValueKind.BOOL, "memory")
+        w.declare_register(f"{name}.{part}", ValueKind.F32, "memory", DEFAULT_FADE_SECONDS)
+    w.declare_register(f"{name}.clip_waits", ValueKind.BOOL, "memory")
 
 
 def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
@@ -137,7 +137,7 @@ def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNod
         (_START_REGISTER, ValueKind.F32, first[0]), (_LAST_REGISTER, ValueKind.F32, first[1]),
     )  # fmt: skip
     for name, kind, node in held:
-        w.declare(name, kind, "temp")
+        w.declare_register(name, kind, "temp")
         w.store(name, node, span)
     begins, waits = w.read(_BEGINS_REGISTER), w.read(_WAITS_REGISTER)
     pace = b("mul", _compute_turn_rate(w, now), b("where", waits, b.number(1), own))
@@ -244,7 +244,7 @@ def declare_lean_registers(w: PlanWriter) -> None:
     """Declare the registers for turning and climbing."""
     if has_lean_clips(w):
         for name in ("turn", "slope", *(f"was.{axis}" for axis in AXES)):
-            w.declare(f"lean#{name}", ValueKind.F32, "memory")
+            w.declare_register(f"lean#{name}", ValueKind.F32, "memory")
 
 
 def store_start_heading(w: PlanWriter) -> None:

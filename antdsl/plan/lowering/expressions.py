@@ -96,7 +96,7 @@ def lower_presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> Plan
 
 def _lower_constant(w: PlanWriter, e: model.Constant) -> LoweredValue:
     if e.type.kind is model.TypeKind.BOOL:
-        return w.b.boolean(bool(e.number))
+        return w.b.add_boolean(bool(e.number))
     node = w.b.number(e.number)
     for name, exponent in (("u", e.unit_power), ("dt", e.step)):
         if exponent:
@@ -160,7 +160,7 @@ def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     """Lower a `let` once and return its value. Each use advances the memories in it.
 
     A snapshot is valid for the whole step. Other lets, and all lets at birth, are valid until the next store."""
-    lasting = binding.snapshot and not w.is_birth
+    lasting = binding.is_snapshot and not w.is_birth
     known = w.snapshot_lets if lasting else w.current_lets
     for each in _order_needed_lets(w, binding, known):
         assert each.value is not None
@@ -193,7 +193,7 @@ def _order_needed_lets(w: PlanWriter, binding: model.Binding, known_lets: Contai
         stack.append((each, True))
         assert each.value is not None
         for used in (e.binding for e in iterate_expressions(each.value) if isinstance(e, model.BindingRef)):
-            if used.role == "let" and used not in w.environment and used.snapshot == binding.snapshot:
+            if used.role == "let" and used not in w.environment and used.is_snapshot == binding.is_snapshot:
                 stack.append((used, False))
     return order
 
@@ -219,7 +219,7 @@ def _lower_keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     assert binding.value is not None and binding.next_value is not None
     on = f"{binding.key}.on"
     w.declare_typed(binding.key, binding.type, "memory")
-    w.declare(on, ValueKind.BOOL, "memory")
+    w.declare_register(on, ValueKind.BOOL, "memory")
     first = lower_expression(w, binding.value)
     w.environment[binding] = _read_previous(w, binding)
     following = lower_expression(w, binding.next_value)

@@ -94,7 +94,7 @@ def _lower_species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan
     blending.declare_push(w)
     declare_touch_registers(w)
     for latch in species.latches:
-        w.declare(latch.key or latch.name, ValueKind.BOOL, "memory")
+        w.declare_register(latch.key or latch.name, ValueKind.BOOL, "memory")
     appearance.declare_registers(w)
     clips.declare_lean_registers(w)
     machines = [MachineWriter(w, machine) for machine in species.machines]
@@ -208,7 +208,7 @@ def _lower_run_constant(builder: PlanBuilder, program: model.Program, e: model.E
 
 
 def _lower_field(builder: PlanBuilder, program: model.Program, declared_field: model.Field, report: Report) -> ir.FieldPlan:
-    def node(e: model.Expr | None) -> PlanNode | None:
+    def lower_optional(e: model.Expr | None) -> PlanNode | None:
         return None if e is None else _lower_run_constant(builder, program, e, report)
 
     for surface in declared_field.surfaces:
@@ -216,12 +216,12 @@ def _lower_field(builder: PlanBuilder, program: model.Program, declared_field: m
         if thing is not None and not KIND_BY_WORD[thing.kind].is_ground:
             message = f"a field on the {thing.kind} `{surface}` is not supported yet"
             report.error("not-yet", message, declared_field.span, "name surfaces or solids")
-    cell = node(declared_field.cell)
+    cell = lower_optional(declared_field.cell)
     assert cell is not None
     keep, diffuse, limit = (
-        _compute_decay_factor(builder, declared_field, node),
-        node(declared_field.diffuse),
-        node(declared_field.limit),
+        _compute_decay_factor(builder, declared_field, lower_optional),
+        lower_optional(declared_field.diffuse),
+        lower_optional(declared_field.limit),
     )
     return ir.FieldPlan(
         declared_field.name,
@@ -263,7 +263,7 @@ def write_resting_push(w: PlanWriter, machines: Sequence[MachineWriter]) -> None
         if machine.name in rest.resting_states:
             silent = w.b("and", silent, machine.is_in_any_state(rest.resting_states[machine.name]))
     for axis in AXES:
-        w.declare(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
+        w.declare_register(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
     with w.open_region(silent, rest.span):
         push = lower_vector(w, rest.push)
         w.note_rest(rest, push)
@@ -274,7 +274,7 @@ def declare_touch_registers(w: PlanWriter) -> None:
     """Declare registers for the ids of the agents that an agent touches, for each species with a collision handler."""
     for of in _find_collision_handlers(w.species):
         for name in _name_touch_registers(w.species, of):
-            w.declare(name, ValueKind.I64, "memory", -1, of)
+            w.declare_register(name, ValueKind.I64, "memory", -1, of)
 
 
 def detect_new_contacts(w: PlanWriter) -> dict[str, PlanNode]:

@@ -42,15 +42,15 @@ class MachineWriter:
         self.changes = [_StateChange(n, s, t) for n, (s, t) in enumerate(pairs, 1)]
         self.key_counts = Counter(t.key for _, t in pairs)
         for part in ("state", "previous", "next"):
-            w.declare(f"{self.name}.{part}", ValueKind.I32, "memory")
-        w.declare(f"{self.name}.time_in_state", ValueKind.F32, "memory")
+            w.declare_register(f"{self.name}.{part}", ValueKind.I32, "memory")
+        w.declare_register(f"{self.name}.time_in_state", ValueKind.F32, "memory")
         if clips.plays_clips(machine):
             clips.declare_registers(w, machine)
-        w.declare(self.pending_register, ValueKind.I32, "temp")
-        w.declare(self.won_register, ValueKind.BOOL, "temp")
+        w.declare_register(self.pending_register, ValueKind.I32, "temp")
+        w.declare_register(self.won_register, ValueKind.BOOL, "temp")
         for change in self.changes:
             if change.transition.hold_time is not None:
-                w.declare(_name_counter(change.transition), ValueKind.F32, "memory")
+                w.declare_register(_name_counter(change.transition), ValueKind.F32, "memory")
 
     @property
     def pending_register(self) -> str:
@@ -99,7 +99,7 @@ class MachineWriter:
         b = self.w.b
         first = b.row(self.machine.start)
         if self._scene_key in self.w.scene_attributes:
-            self.w.declare(ir.birth_register(self._scene_key), ValueKind.F32, "temp", inf)
+            self.w.declare_register(ir.birth_register(self._scene_key), ValueKind.F32, "temp", inf)
             scene_value = self.w.read(ir.birth_register(self._scene_key))
             for state in self.machine.states:
                 first = b("where", b("eq", scene_value, b.number(state.index)), b.row(state.index), first)

@@ -23,9 +23,9 @@ def declare_registers(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """Declare the registers of a pair value, and a temp with its name, through which all stored values pass."""
     holds = (attribute.type.kind.value, *attribute.type.dimension, attribute.pair_species)
     for who, value in name_slot_registers(attribute.name, attribute.slot_count):
-        w.declare(who, ValueKind.I64, "pair", -1, attribute.pair_species, holds)
-        w.declare(value, ValueKind.F32, "pair", language_type=holds)
-    w.declare(attribute.name, ValueKind.F32, "temp")
+        w.declare_register(who, ValueKind.I64, "pair", -1, attribute.pair_species, holds)
+        w.declare_register(value, ValueKind.F32, "pair", language_type=holds)
+    w.declare_register(attribute.name, ValueKind.F32, "temp")
 
 
 def find_declaration(w: PlanWriter, name: str) -> model.AttributeDecl | None:
@@ -33,7 +33,7 @@ def find_declaration(w: PlanWriter, name: str) -> model.AttributeDecl | None:
     return next((a for a in w.species.attributes if a.name == name and a.pair_species), None)
 
 
-def read(w: PlanWriter, attribute: model.AttributeDecl, other: model.Expr) -> PlanNode:
+def read_pair_attribute(w: PlanWriter, attribute: model.AttributeDecl, other: model.Expr) -> PlanNode:
     """Return the value of `likes[other]`."""
     other_id = _lower_agent_id(w, lower_expression(w, other))
     result = lower_rest_value(w, attribute)
@@ -69,7 +69,7 @@ def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeD
     if s.pair_agent is None:
         raise PlanError(f"a value per pair without another agent: {s.span.text!r}")
     other_id = _lower_agent_id(w, lower_expression(w, s.pair_agent))
-    value = _compute_changed_value(w, s, read(w, attribute, s.pair_agent), lower_scalar(w, s.value))
+    value = _compute_changed_value(w, s, read_pair_attribute(w, attribute, s.pair_agent), lower_scalar(w, s.value))
     with w.open_region(w.b("ne", other_id, w.b.agent_id(-1)), s.span):
         held = _freeze_value(w, f"~{attribute.name}.id", other_id, s)
         _store_in_slot(w, attribute, held, value, s, has_slot=True)
@@ -106,11 +106,11 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
     new = b.all(holds, b("gt", strength, b.number(REST_TOLERANCE)), *(b("ne", other, who) for who, _ in slots))
     coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.slot_count)]
     for names in coming:
-        w.declare(names[0], ValueKind.I64, "temp", -1)
-        w.declare(names[1], ValueKind.F32, "temp")
+        w.declare_register(names[0], ValueKind.I64, "temp", -1)
+        w.declare_register(names[1], ValueKind.F32, "temp")
         w.store(names[0], b.agent_id(-1), s.span)
 
-    def find(new: PlanNode, left: int) -> None:
+    def find_strongest(new: PlanNode, left: int) -> None:
         """Find the strongest of the agents that have no slot yet, then recursively the next one."""
         other_id = b("reduce.agent", over.nodes, new, b("neg", strength))
         with w.open_region(b("ne", other_id, b.agent_id(-1)), s.span):
@@ -119,7 +119,7 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
             w.store(who, other_id, s.span)
             w.store(value, matched_amount if s.op == "=" else b("add", rest, matched_amount), s.span)
             if left > 1:
-                find(b("and", new, b("ne", other, other_id)), left - 1)
+                find_strongest(b("and", new, b("ne", other, other_id)), left - 1)
 
     def come_in(left: int) -> None:
         who, value = coming[-left]
@@ -128,7 +128,7 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
             if left > 1:
                 come_in(left - 1)
 
-    find(new, attribute.slot_count)
+    find_strongest(new, attribute.slot_count)
     for names, value in zip(name_slot_registers(attribute.name, attribute.slot_count), changed_values, strict=True):
         w.store(names[1], value, s.span)
     come_in(attribute.slot_count)
@@ -136,7 +136,7 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
 
 def _freeze_value(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) -> PlanNode:
     """Store a value in a temp, so that later stores do not change it."""
-    w.declare(name, value.kind, "temp", -1 if value.kind is ValueKind.I64 else 0)
+    w.declare_register(name, value.kind, "temp", -1 if value.kind is ValueKind.I64 else 0)
     w.store(name, value, s.span)
     return w.read(name)
 

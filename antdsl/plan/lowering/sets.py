@@ -248,7 +248,7 @@ def _reduce_hit_numbers(w: PlanWriter, reducer: str, elements: RayHits, bodies: 
     b = w.b
     nothing = {"min": inf, "max": -inf}.get(reducer, 0.0)
 
-    def column(parts: list[PlanNode]) -> PlanNode:
+    def reduce_component(parts: list[PlanNode]) -> PlanNode:
         terms = [b("where", hit.hit, part, b.number(nothing)) for hit, part in zip(elements.hits, parts, strict=True)]
         if reducer in ("min", "max"):
             return _fold_nodes(w, reducer, terms[1:], terms[0])
@@ -259,8 +259,8 @@ def _reduce_hit_numbers(w: PlanWriter, reducer: str, elements: RayHits, bodies: 
         return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
 
     if isinstance(bodies[0], VectorNodes):
-        return values.zip_with(lambda *parts: column(list(parts)), *bodies)  # type: ignore[arg-type]
-    return column(bodies)  # type: ignore[arg-type]
+        return values.zip_with(lambda *parts: reduce_component(list(parts)), *bodies)  # type: ignore[arg-type]
+    return reduce_component(bodies)  # type: ignore[arg-type]
 
 
 def _select_least_hit(w: PlanWriter, elements: RayHits, keys: list[PlanNode]) -> RayHit:

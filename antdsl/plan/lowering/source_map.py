@@ -228,7 +228,7 @@ class NotingWriter(PlanWriter):
         named: set[str] = set()
         for inner, written in _iterate_inner_parts(e, units):
             outer = self.is_snapshot
-            self.is_snapshot = outer or (isinstance(e, model.BindingRef) and e.binding.snapshot and not self.is_birth)
+            self.is_snapshot = outer or (isinstance(e, model.BindingRef) and e.binding.is_snapshot and not self.is_birth)
             try:
                 part = self._make_part_note(inner, written, depth)
             finally:

@@ -89,7 +89,7 @@ class JudgementPlan:
     condition: PlanNode | str
     time: PlanNode | None
     readings: tuple[ReadingPlan, ...]
-    at_end: bool
+    is_at_end: bool
     span: Span
     hold_time: PlanNode | None = None
     start_condition: PlanNode | str | None = None
@@ -293,7 +293,9 @@ class _SpecLowering:
         except UnsupportedConstruct as missing:
             report_unsupported(w, missing)
             return None
-        return JudgementPlan(e.kind, e.block_number, e.species, condition, time, tuple(readings), e.at_end, e.span, held, since)
+        return JudgementPlan(
+            e.kind, e.block_number, e.species, condition, time, tuple(readings), e.is_at_end, e.span, held, since
+        )
 
     def _lower_reading(self, w: _SpecWriter, reading: expectations.ExpectationReading, name: str) -> ReadingPlan:
         e, value = reading.expr, lower_expression(w, reading.expr)

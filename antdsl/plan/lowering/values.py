@@ -120,10 +120,12 @@ def dot(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> PlanNode:
 
 
 def cross(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
-    def part(p: PlanNode, q: PlanNode, r: PlanNode, s: PlanNode) -> PlanNode:
+    def cross_component(p: PlanNode, q: PlanNode, r: PlanNode, s: PlanNode) -> PlanNode:
         return b("sub", b("mul", p, q), b("mul", r, s))
 
-    return VectorNodes(part(u.y, v.z, u.z, v.y), part(u.z, v.x, u.x, v.z), part(u.x, v.y, u.y, v.x))
+    return VectorNodes(
+        cross_component(u.y, v.z, u.z, v.y), cross_component(u.z, v.x, u.x, v.z), cross_component(u.x, v.y, u.y, v.x)
+    )
 
 
 def length(b: PlanBuilder, v: VectorNodes) -> PlanNode:

@@ -87,7 +87,7 @@ class PlanWriter:
 
     # --- registers ---------------------------------------------------------------------------------------------------
 
-    def declare(
+    def declare_register(
         self,
         name: str,
         kind: ValueKind,
@@ -108,10 +108,10 @@ class PlanWriter:
         holds = (type.kind.value, *type.dimension, type.referent)
         if type.kind is model.TypeKind.VECTOR:
             for axis in AXES:
-                self.declare(f"{name}.{axis}", ValueKind.F32, role, language_type=holds)
+                self.declare_register(f"{name}.{axis}", ValueKind.F32, role, language_type=holds)
         elif type.kind in KIND_BY_TYPE_KIND:
             of = type.referent if type.kind is model.TypeKind.AGENT else None
-            self.declare(name, KIND_BY_TYPE_KIND[type.kind], role, NONE_BY_KIND.get(type.kind, 0), of, holds)
+            self.declare_register(name, KIND_BY_TYPE_KIND[type.kind], role, NONE_BY_KIND.get(type.kind, 0), of, holds)
         else:
             raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
 
@@ -211,7 +211,7 @@ class PlanWriter:
         parts = list(value)
         if any(self._has_load(part, set(names[:place])) for place, part in enumerate(parts)):
             for axis, part in zip(AXES, parts, strict=True):
-                self.declare(f"{HELD_VECTOR_TEMP}.{axis}", ValueKind.F32, "temp")
+                self.declare_register(f"{HELD_VECTOR_TEMP}.{axis}", ValueKind.F32, "temp")
                 self.store(f"{HELD_VECTOR_TEMP}.{axis}", part, span)
             parts = list(self.read_vector(HELD_VECTOR_TEMP))
         for register, part in zip(names, parts, strict=True):

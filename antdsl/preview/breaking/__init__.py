@@ -69,7 +69,7 @@ class Breakpoints:
             requests = [*requests, candidate]
         known = {each.request: each for each in self.breakpoints}
         self.breakpoints = [known.get(ask) or Breakpoint(ask) for ask in requests]
-        self.specs.require([ask.spec for ask in requests if isinstance(ask, SpecBreak)])
+        self.specs.require_specs([ask.spec for ask in requests if isinstance(ask, SpecBreak)])
         self._make_watchers(session)
 
     def make_message(self) -> dict[str, Any]:

@@ -66,7 +66,7 @@ class EditedRun:
         self._view: EditedCache | None = None
         self._view_key: _ViewKey | None = None
 
-    def draft(self, form: VerbForm, agents: str, values: Mapping[str, str]) -> tuple[LineDraft, bool]:
+    def check_line(self, form: VerbForm, agents: str, values: Mapping[str, str]) -> tuple[LineDraft, bool]:
         """Return a line with these texts, checked against the simulated frames, and whether it is free of errors."""
         draft = write_draft(form, agents, values)
         manifest = self._read_frames().manifest
@@ -92,7 +92,7 @@ class EditedRun:
         """Replace the edits. Return why they cannot be applied to a frame; then nothing changes."""
         if any(each.is_on for each in edits):
             try:
-                self._apply(edits).frame(frame)
+                self._apply_edits(edits).frame(frame)
             except (NotEditable, BodyError, CacheError) as why:
                 return str(why)
         self.edits = edits
@@ -119,7 +119,7 @@ class EditedRun:
         key = _ViewKey(self.session.shot, (timeline, timeline.version), self.edits, self._find_next_ids())
         if self._view is None or key != self._view_key:
             self._switch_off_failed()
-            self._view = self._apply(self.edits) if any(each.is_on for each in self.edits) else None
+            self._view = self._apply_edits(self.edits) if any(each.is_on for each in self.edits) else None
             self._view_key = key._replace(edits=self.edits)
             self.version += 1
         return self._view
@@ -131,7 +131,7 @@ class EditedRun:
             problem = ""
             if edit.is_on:
                 try:
-                    self._apply((*passed, edit))
+                    self._apply_edits((*passed, edit))
                 except (NotEditable, BodyError) as why:
                     problem = str(why)
             passed.append(replace(edit, is_on=False, problem=problem) if problem else edit)
@@ -142,7 +142,7 @@ class EditedRun:
             self._recorded = RecordedFrames.of(self.session)
         return self._recorded
 
-    def _apply(self, edits: Iterable[HandEdit]) -> EditedCache:
+    def _apply_edits(self, edits: Iterable[HandEdit]) -> EditedCache:
         """Return the frames with edits. Raises NotEditable or BodyError with the reason."""
         frames = self._read_frames()
         placed: list[PlacedEdit] = []

@@ -83,10 +83,10 @@ class RecordedFrames(Cache):
         elif session.frame == number:
             store.put_frame(number, self._make_frame(session.shot, session.world))
         else:
-            self._simulate(number)
+            self._simulate_to(number)
         return select_arrays(store.frames[number], names)
 
-    def _simulate(self, number: int) -> None:
+    def _simulate_to(self, number: int) -> None:
         """Simulate up to a frame in a separate world, and store the frames on the way."""
         session, store = self.session, self._store
         stretch = session.timeline.at(number)

@@ -152,7 +152,7 @@ def _make_form(verb: str, model: type[ScenePart]) -> VerbForm:
     keys.sort(
         key=lambda k: (k.is_selector, not k.is_required, k.name not in _FIRST_KEYS, k.name in _LAST_KEYS, k.name not in own)
     )
-    return VerbForm(verb, _shorten(_HELP_PATTERN.sub("", model.__doc__ or "")), tuple(keys))
+    return VerbForm(verb, _shorten_text(_HELP_PATTERN.sub("", model.__doc__ or "")), tuple(keys))
 
 
 def _make_key(
@@ -188,11 +188,11 @@ def _iterate_helps(model: type[ScenePart]) -> Iterator[tuple[str, str]]:
     """Yield the names of keys with their helps in the docstrings of a model and its bases, bases first."""
     for each in reversed(model.__mro__):
         for first, second, text in _HELP_PATTERN.findall(each.__dict__.get("__doc__") or ""):
-            yield first, _shorten(text)
+            yield first, _shorten_text(text)
             if second:
-                yield second, _shorten(text)
+                yield second, _shorten_text(text)
 
 
-def _shorten(text: str) -> str:
+def _shorten_text(text: str) -> str:
     """Return a text on one line, without a full stop at its end."""
     return " ".join(text.split()).rstrip(".")

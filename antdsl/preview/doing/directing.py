@@ -53,7 +53,7 @@ def _draft_note(live: Live, request: requests.DraftLine, form: VerbForm) -> _Dra
 
 def _draft_edit(live: Live, request: requests.DraftLine, form: VerbForm) -> _Drafted:
     edits = live.screen.edited.edits
-    draft, is_valid = live.screen.edited.draft(form, request.agents, request.values)
+    draft, is_valid = live.screen.edited.check_line(form, request.agents, request.values)
     if not request.apply or not is_valid:
         return draft, is_valid, draft.report.diagnostics, False
     _check_new(edits, draft.text, "edit")
@@ -79,17 +79,17 @@ def _find_free_key(lines: Iterable[HandNote] | Iterable[HandEdit]) -> int:
 def switch_line(live: Live, request: requests.SwitchLine, client: Client) -> None:
     """Switch a line on or off, or remove it, and send the outcome to all pages."""
     if request.list == "notes":
-        notes, did = _switch(live.session.notes, request)
+        notes, did = _switch_line(live.session.notes, request)
         result = _change_notes(live, notes, did)
         problem, help = ("", "") if result.ok else (result.report.errors[0].message, result.report.errors[0].help or "")
     else:
-        edits, did = _switch(live.screen.edited.edits, request)
+        edits, did = _switch_line(live.screen.edited.edits, request)
         problem, help = _change_edits(live, edits, did), ""
     if problem:
         raise RequestRefused(live.screen.names.shorten_paths(problem), help)
 
 
-def _switch(lines: tuple[Line, ...], request: requests.SwitchLine) -> tuple[tuple[Line, ...], str]:
+def _switch_line(lines: tuple[Line, ...], request: requests.SwitchLine) -> tuple[tuple[Line, ...], str]:
     """Return the lines after a request, and what it did."""
     what = _WORD_BY_LIST[request.list]
     line = next((each for each in lines if each.key == request.key), None)

@@ -83,7 +83,7 @@ class SpecObserver:
         """Return the message with the status of all specs."""
         return {"op": "specs", "specs": [each.as_json() for each in self.statuses]}
 
-    def require(self, names: Collection[str]) -> None:
+    def require_specs(self, names: Collection[str]) -> None:
         """Judge these specs at any cost. A spec with stopped judging is judged again from the next step on."""
         self.wanted = frozenset(names)
 
@@ -194,7 +194,7 @@ def _find_obstacle(spec: Spec, shot: Shot, scene: Path) -> str:
         return "it compares with another run, as `antdsl test` does"
     if spec.changes:
         return f"it sets `{spec.changes[0].name}`, as `antdsl test` does"
-    if shot.scene.model.preroll and any(each.at_end for each in spec.expectations):
+    if shot.scene.model.preroll and any(each.is_at_end for each in spec.expectations):
         return "it uses `motion`, which includes the preroll here; `antdsl test` leaves the preroll out"
     return ""
 

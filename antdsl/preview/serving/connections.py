@@ -28,7 +28,7 @@ class ConnectionGate:
         """Return a new connection, for `serve` to create connections with."""
         return GatedConnection(self, *args, **options)
 
-    def admit(self, connection: ServerConnection, *, is_invited: bool) -> None:
+    def admit_connection(self, connection: ServerConnection, *, is_invited: bool) -> None:
         """Admit a connection. `is_invited`: whether it used a code that is valid once."""
         assert isinstance(connection, GatedConnection)
         self._unadmitted.pop(connection, None)

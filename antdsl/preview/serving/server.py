@@ -165,7 +165,7 @@ class PreviewServer:
             if verdict is ConnectionVerdict.STRANGER:
                 return _make_response(HTTPStatus.FORBIDDEN)
             if verdict in (ConnectionVerdict.IN, ConnectionVerdict.INVITED):
-                self._gate.admit(connection, is_invited=verdict is ConnectionVerdict.INVITED)
+                self._gate.admit_connection(connection, is_invited=verdict is ConnectionVerdict.INVITED)
             return None
         route = self._pages.routes.get(request.path)
         return _make_response(HTTPStatus.NOT_FOUND) if route is None else _make_response(HTTPStatus.OK, *route)
@@ -174,7 +174,7 @@ class PreviewServer:
 
     async def _serve_client(self, connection: ServerConnection) -> None:
         if not self._gate.is_admitted(connection) and await self._is_returning(connection):
-            self._gate.admit(connection, is_invited=True)
+            self._gate.admit_connection(connection, is_invited=True)
         if not self._gate.is_admitted(connection):
             # only a page can read the reason: a browser hides the content of a response that is not a socket
             await _close_connection(connection, CloseCode.POLICY_VIOLATION, "wrong token")

@@ -33,7 +33,7 @@ from antdsl.outputs.cache.pose_arrays import (
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import SpeciesPoses
-from antdsl.preview.viewing.body_packets import BodyOutfit, BodyTraits, build_posed_body, find_traits, outfits
+from antdsl.preview.viewing.body_packets import BodyOutfit, BodyTraits, build_posed_body, find_traits, list_outfits
 from antdsl.runtime import Population, World
 from antdsl.runtime.body_rows import numbers_by_row
 
@@ -61,7 +61,7 @@ def read_stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
     arrays_by_species = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
         population = session.world.populations.get(name)
-        if population is not None and outfits(session.world, session.shot, population) == then.outfit:
+        if population is not None and list_outfits(session.world, session.shot, population) == then.outfit:
             arrays_by_species[name] = then.arrays
     return arrays_by_species
 
@@ -93,7 +93,8 @@ class SpeciesActions:
     light: Arrays
 
     def select(self, rows: NDArray[np.intp]) -> SpeciesActions:
-        """Return the actions of some agents. Feet are those of all: they are by body."""
+        """Return the actions of the agents in `rows`. The arrays of feet are not limited to them: their rows are bodies, not
+        agents."""
         stored = {name: array if name.startswith("feet.") else array[rows] for name, array in self.stored.items()}
         light = {name: array[rows] for name, array in self.light.items()}
         return replace(self, stored=stored, light=light, numbers=self.numbers[rows])
@@ -111,7 +112,7 @@ def gather_actions(world: World, shot: Shot, population: Population, light: Arra
         population.plan.channels,
         world.setting.seed,
         world.frame * world.dt,
-        outfits(world, shot, population),
+        list_outfits(world, shot, population),
         numbers_by_row(population, world.setting)[population.rows_by_id()],
         stored,
         light,
@@ -258,16 +259,16 @@ def make_stance_arrays(legs: LegSolver, feet: PlacedFeet, light: Arrays, foot_we
     tilt[:, 3] += 1 - foot_weights
     tilt /= np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-20)
     stance = np.empty((len(foot_weights), 6), np.int16)
-    stance[:, 0] = _quantise(rise, _STEPS_PER_BODY_LENGTH)
-    stance[:, 1:4] = _quantise(tilt[:, :3], _UNIT_INT16)  # by less than half a turn, so that w is above 0
-    stance[:, 4] = _quantise(foot_weights, _UNIT_INT16)
+    stance[:, 0] = _quantise_values(rise, _STEPS_PER_BODY_LENGTH)
+    stance[:, 1:4] = _quantise_values(tilt[:, :3], _UNIT_INT16)  # by less than half a turn, so that w is above 0
+    stance[:, 4] = _quantise_values(foot_weights, _UNIT_INT16)
     is_down = feet.is_on_ground[:, :_MAX_FEET_BITS].astype(np.int64)
     stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
     away = np.moveaxis(feet.P - light["position"][:, None], 2, 0) / size[None, :, None]
     place = _rotate_back(_compute_body_axes(light), away)
     place[1] += legs.sole_heights[None] - rise[:, None]
     goals = _rotate_back(_make_rotations(tilt), place)
-    return {"feet": _quantise(goals.transpose(1, 2, 0), _STEPS_PER_BODY_LENGTH), "stance": stance}
+    return {"feet": _quantise_values(goals.transpose(1, 2, 0), _STEPS_PER_BODY_LENGTH), "stance": stance}
 
 
 def _compute_body_axes(light: Arrays) -> Floats:
@@ -296,6 +297,6 @@ def _rotate_back(matrices: Floats, points: Floats) -> Floats:
     return np.stack([(m[0][:, None] * x + m[1][:, None] * y) + m[2][:, None] * z for m in matrices.transpose(1, 0, 2)])
 
 
-def _quantise(values: NDArray[Any], full_scale: int) -> NDArray[np.int16]:
+def _quantise_values(values: NDArray[Any], full_scale: int) -> NDArray[np.int16]:
     steps: NDArray[np.int16] = np.clip(np.rint(np.nan_to_num(values) * np.float32(full_scale)), -32767, 32767).astype(np.int16)
     return steps

@@ -57,21 +57,29 @@ class BodyOutfit:
     blends_lean: bool = False
 
 
-def outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
+def list_outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
     """Return the outfits of a species, by the keys of its bodies. Layers beyond the limit of pages are dropped."""
     keys = world.setting.list_body_keys(population.name)
-    return {key: _outfit(world, population, body_of_key(shot, key)) for key in keys}
+    return {key: _make_outfit(world, population, body_of_key(shot, key)) for key in keys}
 
 
-def _outfit(world: World, population: Population, definition: Definition) -> BodyOutfit:
-    """Return the outfit of agents of a species that have a body."""
+def _make_outfit(world: World, population: Population, definition: Definition) -> BodyOutfit:
+    """Return the clips, layers and material groups that agents of a species can show with one body."""
     plan = population.plan
     layers = tuple(name for name in list_wearable_layers(population, world.setting) if name in definition.layers)[
         :MAX_PAGE_LAYERS
     ]
     looks = tuple(name for name in plan.look_groups if name in definition.groups)
     plays = tuple(
-        PlayedClip(each.name, each.on, each.is_additive, each.left_clip, each.right_clip, each.up_clip, each.down_clip)
+        PlayedClip(
+            each.name,
+            each.on,
+            each.is_additive,
+            each.left_turn_clip,
+            each.right_turn_clip,
+            each.climbing_clip,
+            each.descending_clip,
+        )
         for each in plan.clips
     )
     return BodyOutfit(definition, plays, layers, looks, "lean#turn" in plan.registers)

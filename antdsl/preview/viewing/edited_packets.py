@@ -19,7 +19,7 @@ from antdsl.outputs.edits.frame_rows import match_rows
 from antdsl.outputs.edits.verbs.agent_moves import find_axes
 from antdsl.pipeline import Shot
 from antdsl.preview.viewing.action_arrays import SpeciesActions, make_action_arrays
-from antdsl.preview.viewing.body_packets import MAX_PAGE_LAYERS, BodyOutfit, outfits
+from antdsl.preview.viewing.body_packets import MAX_PAGE_LAYERS, BodyOutfit, list_outfits
 from antdsl.runtime import World
 from antdsl.scene.thing_models import UNIT_MM
 
@@ -136,7 +136,7 @@ def find_edited_outfits(view: EditedCache, world: World, shot: Shot) -> Mapping[
             _list_looks(originals[entry.name]),
             view.original.manifest.bodies,
         )
-        edited[entry.name] = outfits(world, shot, world.populations[entry.name]) if is_same else _make_outfits(view, number)
+        edited[entry.name] = list_outfits(world, shot, world.populations[entry.name]) if is_same else _make_outfits(view, number)
     return edited
 
 

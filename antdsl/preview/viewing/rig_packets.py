@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.outputs.cache.pose_arrays import list_playing_machines
-from antdsl.preview.viewing.body_packets import BodyOutfit, make_rig_packet, outfits
+from antdsl.preview.viewing.body_packets import BodyOutfit, list_outfits, make_rig_packet
 from antdsl.preview.viewing.edited_packets import find_edited_outfits
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 
@@ -19,7 +19,7 @@ class RigPackets:
         world, shot, view = view_state.world, view_state.shot, view_state.edited.find_view()
         edited = {} if view is None else find_edited_outfits(view, world, shot)
         for name, population in world.populations.items():
-            for key, worn in (edited[name] if edited else outfits(world, shot, population)).items():
+            for key, worn in (edited[name] if edited else list_outfits(world, shot, population)).items():
                 rig_key = worn, tuple(list_playing_machines(population))
                 if self._sent_rigs.get(key) != rig_key:
                     self._sent_rigs[key] = rig_key

@@ -120,7 +120,7 @@ def _check_speeds(
 
 def default_text(name: str, species: SpeciesNames) -> str | None:
     """Return the default of a setting of a species, as in the source. None if it has none."""
-    if species.stands and name in STANDING_DEFAULTS:
+    if species.has_standing_bodies and name in STANDING_DEFAULTS:
         return STANDING_DEFAULTS[name]
     row = DEFAULT_BY_SETTING.get(name)
     return BUILTIN_ATTRIBUTE_BY_NAME[name].default if row is None else row.in_edition(species.edition) or None
@@ -128,10 +128,10 @@ def default_text(name: str, species: SpeciesNames) -> str | None:
 
 def has_usual_value(name: str, species: SpeciesNames) -> bool:
     """Return whether the default of an attribute equals its value in species without a register for it."""
-    return name in OPTIONAL_ATTRIBUTES and not (species.stands and name in STANDING_DEFAULTS)
+    return name in OPTIONAL_ATTRIBUTES and not (species.has_standing_bodies and name in STANDING_DEFAULTS)
 
 
-def switches(scope: NameScope, node: nodes.Species) -> dict[str, bool]:
+def find_switches(scope: NameScope, node: nodes.Species) -> dict[str, bool]:
     """Return the switches of a species by name: those in the text, and the defaults of its edition for the others."""
     assert scope.species is not None
     values = {name: default_text(name, scope.species) == "true" for name in SWITCH_HELP}

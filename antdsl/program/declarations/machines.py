@@ -129,7 +129,7 @@ def _check_lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr
         expr = scope.with_changes(local_names=local, keys=keys, no_keep_reason="a `let` only names a value").type_expression(
             line.value
         )
-        local[name.text] = Binding(name.text, "let", expr.type, expr.rate, name.span, expr, snapshot=True)
+        local[name.text] = Binding(name.text, "let", expr.type, expr.rate, name.span, expr, is_snapshot=True)
     return local
 
 
@@ -201,10 +201,10 @@ def _check_change(scope: NameScope, names: MachineNames, node: nodes.Change, pat
     choices = _type_choices(scope, names, node.target)
     target = _find_target_index(scope, names, node.target)
     actions = check_statements(scope, node.actions, ACTION_CONTEXT)
-    if target is None and not choices and not node.target.previous:
+    if target is None and not choices and not node.target.is_previous:
         return None
     return model.Transition(
-        key, node.interrupt, test, delay, held, claim, target, node.target.previous, choices, actions, node.span,
+        key, node.interrupt, test, delay, held, claim, target, node.target.is_previous, choices, actions, node.span,
         _type_duration(scope, node.over, "`over`"),
     )  # fmt: skip
 
@@ -243,13 +243,13 @@ def _find_leftmost(node: nodes.Expr | None) -> nodes.Expr | None:
 
 
 def _format_target(target: nodes.Target) -> str:
-    if target.previous:
+    if target.is_previous:
         return "previous"
     return target.name.text if target.name is not None else "choose"
 
 
 def _find_target_index(scope: NameScope, names: MachineNames, target: nodes.Target) -> int | None:
-    if target.name is None or target.previous:
+    if target.name is None or target.is_previous:
         return None
     return _find_state_index(scope, names, target.name)
 
@@ -271,7 +271,7 @@ def _type_choices(scope: NameScope, names: MachineNames, target: nodes.Target) -
     if choices and all(w is not None and w.number == 0 for w in weights):
         words = "all weights of `choose` are 0"
         scope.report.error("out-of-range", words, target.span, "give at least one state a weight above 0")
-    if target.name is None and not target.previous and not target.choices:
+    if target.name is None and not target.is_previous and not target.choices:
         advice = "write `choose { rest: 2; roam: 1 }` with states of this machine"
         scope.report.error("missing-target", "`choose` has no states", target.span, advice)
     return tuple(choices)

@@ -130,16 +130,16 @@ def _suggest_number(param_numbers: Sequence[_ParamNumber], odd_index: int) -> st
     It is the number with another unit, or else the nearer of the other two numbers."""
     others = [each for each in param_numbers if each is not param_numbers[odd_index]]
 
-    def fit(const: Constant) -> bool:
+    def is_consistent_with(const: Constant) -> bool:
         return _is_consistent([const if each is param_numbers[odd_index] else each.constant for each in param_numbers])
 
     by_unit = _compute_values_by_unit(param_numbers[odd_index].node, others)
     for unit, const in by_unit.items():
-        if fit(const):
+        if is_consistent_with(const):
             return f"{_get_number_text(param_numbers[odd_index].node)} {unit}".strip()
     approximate_value = next((const.number for const in by_unit.values()), 0.0)
     near = sorted(others, key=lambda param: abs(param.constant.number - approximate_value))
-    return next((" ".join(each.node.span.text.split()) for each in near if fit(each.constant)), None)
+    return next((" ".join(each.node.span.text.split()) for each in near if is_consistent_with(each.constant)), None)
 
 
 def _compute_values_by_unit(node: nodes.Expr, others: Sequence[_ParamNumber]) -> dict[str, Constant]:

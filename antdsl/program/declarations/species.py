@@ -10,7 +10,7 @@ from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION_CONTEXT, HANDLER_CONTEXT
 from antdsl.program.declarations.attributes import check_attributes as attributes_in
-from antdsl.program.declarations.attributes import is_state_name, switches
+from antdsl.program.declarations.attributes import find_switches, is_state_name
 from antdsl.program.declarations.fuzzy import type_fuzzy_mean
 from antdsl.program.declarations.machines import check_machine
 from antdsl.program.declarations.params import check_param
@@ -144,7 +144,7 @@ def _check_members(species_draft: SpeciesDraft) -> model.Species:
     layers = get_or_compute_part(
         scope.declared, ("layers", node.name, blocks, known), lambda: _check_layers(scope.with_changes(no_keep_reason=None), node)
     )
-    switched = switches(scope, node)
+    switched = find_switches(scope, node)
     return model.Species(
         names.name, node.help.text if node.help else "", tuple(attributes), tuple(species_draft.params),
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
@@ -212,11 +212,11 @@ def _check_bindings(scope: NameScope, node: nodes.Species) -> list[Binding]:
         inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"))
         if name in circular:
             binding = Binding(
-                name, "let", BAD_TYPE, ChangeRate.CONST, each.name.span, make_bad_expression(each.name.span), snapshot=True
+                name, "let", BAD_TYPE, ChangeRate.CONST, each.name.span, make_bad_expression(each.name.span), is_snapshot=True
             )
         elif isinstance(each, (nodes.Let, nodes.Fuzzy)):
             expr = type_fuzzy_mean(inner, each) if isinstance(each, nodes.Fuzzy) else inner.type_expression(each.value)
-            binding = Binding(name, "let", expr.type, expr.rate, each.name.span, expr, snapshot=True)
+            binding = Binding(name, "let", expr.type, expr.rate, each.name.span, expr, is_snapshot=True)
         else:
             on, until = type_condition(inner, each.on, "`latch`"), type_condition(inner, each.until, "`until`")
             binding = Binding(name, "latch", BOOL_TYPE, ChangeRate.AGENT, each.name.span, on, until, f"{names.name}.{name}")
@@ -298,7 +298,7 @@ def _find_partner_species(scope: NameScope, node: nodes.On) -> str:
         return name.text
     if thing is not None:
         advice = f"test it in a state: `when touching({name.text}) -> …`"
-        scope.report.error("wrong-kind", f"`{name.text}` is not a species, but a collision is with an agent", name.span, advice)
+        scope.report.error("wrong-kind", f"`{name.text}` is not a species; `on collision` needs a species", name.span, advice)
     else:
         advice = suggest_name(name.text, known, f"declare it: `world {{ species {name.text} }}`")
         scope.report.error("unknown-species", f"no species `{name.text}`", name.span, advice)

@@ -213,7 +213,7 @@ def _check_single_decay(report: Report, settings: dict[str, nodes.Setting]) -> N
 def _make_setting_rule(
     type: ValueType, min_value: float | None = None, is_exclusive: bool = False
 ) -> Callable[[NameScope, nodes.Setting], Expr | None]:
-    def check(scope: NameScope, node: nodes.Setting) -> Expr | None:
+    def check_setting(scope: NameScope, node: nodes.Setting) -> Expr | None:
         expr = type_value_as(scope, node.value, type, f"`{node.name.text}`")
         if expr.type.kind is TypeKind.BAD:
             return None
@@ -231,7 +231,7 @@ def _make_setting_rule(
             return None
         return expr
 
-    return check
+    return check_setting
 
 
 def is_run_constant(report: Report, expr: Expr, subject: str) -> bool:

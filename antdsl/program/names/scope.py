@@ -56,10 +56,10 @@ class SpeciesNames:
     def builtins(self) -> Mapping[str, BuiltinAttribute]:
         """Return the built-in attributes of agents of the species."""
         rows = builtin_attributes(self.edition)
-        return rows if self.stands else {name: row for name, row in rows.items() if not row.is_for_standing}
+        return rows if self.has_standing_bodies else {name: row for name, row in rows.items() if not row.is_for_standing}
 
     @property
-    def stands(self) -> bool:
+    def has_standing_bodies(self) -> bool:
         """Return whether the species has standing bodies, because it sets their height."""
         members = () if self.node is None else self.node.members
         return any(isinstance(each, nodes.AnimalProperty) and each.name.text == STANDING_SETTING for each in members)

@@ -82,7 +82,7 @@ class Column:
         """Return the shape of one row as numbers. `sizes`: the values of named sizes."""
         return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
 
-    def compute_frame_factor(self, scale: float) -> float:
+    def compute_unit_factor(self, scale: float) -> float:
         """Return the factor from values in the world to values in frames. `scale`: scene units per millimetre."""
         return scale if self.unit.startswith("mm") else 1.0
 

@@ -159,11 +159,11 @@ def list_feeding_effects(kind: str) -> frozenset[str]:
 def fill_template(template: str, values: Mapping[str, str | None]) -> str:
     """Return a template filled with values. A part in square brackets is left out if one of its values is None."""
 
-    def part(match: re.Match[str]) -> str:
+    def fill_part(match: re.Match[str]) -> str:
         inner = match.group(1)
         return "" if any(values[name] is None for name in _PLACEHOLDER_PATTERN.findall(inner)) else inner
 
-    return _OPTIONAL_PART_PATTERN.sub(part, template).format_map(values)
+    return _OPTIONAL_PART_PATTERN.sub(fill_part, template).format_map(values)
 
 
 _OPTIONAL_PART_PATTERN = re.compile(r"\[([^\]]*)\]")

@@ -73,9 +73,9 @@ def find_call_replacement(node: nodes.Call, word: str) -> tuple[str, bool] | Non
         return _LETTER_PATTERN.sub(lambda match: match[1].lower(), form), False
     texts = {letter: each for letter, each in zip(letters, positional, strict=True)}
 
-    def written(match: re.Match[str]) -> str:
+    def find_argument_text(match: re.Match[str]) -> str:
         each = texts[match[1].lower()]
         text = " ".join(each.span.text.split())
         return f"({text})" if match[1].isupper() and not isinstance(each.value, _UNBRACKETED_NODES) else text
 
-    return _LETTER_PATTERN.sub(written, form), True
+    return _LETTER_PATTERN.sub(find_argument_text, form), True

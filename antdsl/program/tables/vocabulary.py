@@ -92,7 +92,7 @@ class BuiltinAttribute:
     limits: bool = False  # whether `none` says that there is no limit
     is_for_standing: bool = False  # whether only species with standing bodies, which set it, have it
     max_value: float = inf  # the greatest value, in base units
-    may_be_zero: bool = False
+    can_be_zero: bool = False
 
 
 BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
@@ -119,15 +119,15 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         is_for_standing=True,
     ),
     "mass": BuiltinAttribute("mass", True, "1 g", "inertia"),
-    "radius": BuiltinAttribute("length", True, "size / 2", "how much room it takes", may_be_zero=True),
-    "clearance": BuiltinAttribute("length", True, "0 mm", "height of the body over the surface", may_be_zero=True),
+    "radius": BuiltinAttribute("length", True, "size / 2", "how much room it takes", can_be_zero=True),
+    "clearance": BuiltinAttribute("length", True, "0 mm", "height of the body over the surface", can_be_zero=True),
     "max_speed": BuiltinAttribute("speed", True, "30 mm/s", "fastest"),
     "min_speed": BuiltinAttribute(
         "speed",
         True,
         None,
         "its lowest speed, along its velocity or else its heading; may stand still if not set",
-        may_be_zero=True,
+        can_be_zero=True,
     ),
     "max_force": BuiltinAttribute("force", True, "mass * max_speed / response", "force of a push of 1"),
     "max_turn": BuiltinAttribute("angle / time", True, None, "fastest turn of the heading; `none`: no limit", limits=True),
@@ -138,7 +138,7 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         "how its body stands: 0 % along the normal of the ground, 100 % vertical",
         edition=2,
         max_value=1,
-        may_be_zero=True,
+        can_be_zero=True,
     ),
     "max_slope": BuiltinAttribute(
         "angle",
@@ -147,7 +147,7 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         "steepest ground that it walks on; steeper ground is a wall; `none`: no limit",
         edition=2,
         limits=True,
-        may_be_zero=True,
+        can_be_zero=True,
     ),
     "response": BuiltinAttribute("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
 }
@@ -169,8 +169,8 @@ def explain_range(name: str, number: float) -> str | None:
         return None
     if number > row.max_value:
         return f"write {100 * row.max_value:g} % or less"
-    if number < 0 or (number == 0 and not row.may_be_zero):
-        return "write 0 or more" if row.may_be_zero else "write more than 0"
+    if number < 0 or (number == 0 and not row.can_be_zero):
+        return "write 0 or more" if row.can_be_zero else "write more than 0"
     return None
 
 

@@ -206,7 +206,7 @@ class SpecRules:
     def _report_argument_count(scope: NameScope, node: nodes.Call, name: str) -> Expr:
         call_sample = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
         sample = "share(state == carry)" if name == "share" else call_sample
-        scope.report.error("wrong-argument", f"`{name}` needs exactly one value of all", node.span, f"write `{sample}`")
+        scope.report.error("wrong-argument", f"`{name}` needs exactly one argument", node.span, f"write `{sample}`")
         type_arguments(scope, node)
         return make_bad_expression(node.span)
 
@@ -364,7 +364,7 @@ def _find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Va
         advice = f"name the species: `{node.function.span.text}({name}.{text})`"
     else:  # a sense is not an attribute, so it has no owner
         advice = f"name the species: `count(a in {name}: {text})`, or test it in `each {name} {{ … }}`"
-    scope.report.error("wrong-argument", f"{quote_source(node.span)} does not name the agents", node.span, advice)
+    scope.report.error("wrong-argument", f"{quote_source(node.span)} does not say of which species", node.span, advice)
     return None
 
 

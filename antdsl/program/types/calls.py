@@ -79,7 +79,7 @@ def _report_unknown(scope: NameScope, node: nodes.Call, name: nodes.Name, expect
             scope.file.missing_uses.add(home)
             advice = f"write `use {home}` below the first line"
             fix = _make_use_fix(scope.file.node, home)
-            scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
+            scope.report.error("unknown-behaviour", f"`{name.text}` needs the library `{home}`", name.span, advice, fix=fix)
         return
     known = (
         set(vocabulary.BUILTINS_BY_NAME)
@@ -371,7 +371,9 @@ def _check_normal(scope: NameScope, node: nodes.Call, operation: OperationExpr) 
     deviation = find_constant(operation.args[1]) if operation.args[1] is not None else None
     if deviation is not None and deviation.number < 0:
         span = node.arguments[-1].span
-        scope.report.error("out-of-range", "a deviation below 0", span, "write a width above 0, as in `normal(0 deg, 20 deg)`")
+        scope.report.error(
+            "out-of-range", "the deviation of `normal` is below 0", span, "write 0 or more, as in `normal(0 deg, 20 deg)`"
+        )
 
 
 _EXTRA_CHECKS: dict[str, Callable[[NameScope, nodes.Call, OperationExpr], None]] = {

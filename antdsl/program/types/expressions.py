@@ -143,7 +143,7 @@ def _type_local_name(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 def make_binding_ref(scope: NameScope, binding: Binding, span: Span) -> Expr:
     """Return an expression that uses a named value."""
-    if binding.role == "let" and binding.snapshot and scope.no_let_reason:
+    if binding.role == "let" and binding.is_snapshot and scope.no_let_reason:
         _report_early_use(scope, binding.name, span)
     if binding.type.kind is TypeKind.SET and isinstance(binding.value, SetExpr):
         return binding.value

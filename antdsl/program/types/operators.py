@@ -141,7 +141,7 @@ def _make_none_test(scope: NameScope, node: nodes.Expr, expr: Expr, span: Span, 
 def type_is_none(scope: NameScope, node: nodes.IsNone, expected_type: ValueType | None) -> Expr:
     expr = scope.type_expression(node.operand)
     test = _make_none_test(scope, node.operand, expr, node.span, "is none")
-    return make_operation("not", BOOL_TYPE, node.span, test) if node.negated and isinstance(test, OperationExpr) else test
+    return make_operation("not", BOOL_TYPE, node.span, test) if node.is_negated and isinstance(test, OperationExpr) else test
 
 
 def _type_chance(scope: NameScope, node: nodes.Unary) -> Expr:

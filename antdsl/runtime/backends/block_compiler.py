@@ -128,7 +128,7 @@ class BlockCompiler:
     def _new_scope(self, parent: RowScope | None) -> RowScope:
         return RowScope(parent, self.allocate_slot(), self.allocate_slot(), self.allocate_slot())
 
-    def _emit(
+    def _emit_instruction(
         self,
         scope: RowScope,
         kind: InstructionKind,
@@ -180,9 +180,9 @@ class BlockCompiler:
                 self._compile_block(inner, statement.body, (*path, k))
                 self._layer_number = layer
                 if inner.code:
-                    self._emit(scope, InstructionKind.REGION, statement, -1, (inputs[0],), inner=inner)
+                    self._emit_instruction(scope, InstructionKind.REGION, statement, -1, (inputs[0],), inner=inner)
                 continue
-            self._emit(scope, InstructionKind.STATEMENT, statement, -1, inputs)
+            self._emit_instruction(scope, InstructionKind.STATEMENT, statement, -1, inputs)
 
     def _find_statement_layers(self, block: ir.Block) -> list[int]:
         """Return the layer that contains the line of each statement.
@@ -251,7 +251,7 @@ class BlockCompiler:
         for inner in reversed(holders[:-1]):
             assert inner.parent is not None
             inner.slot_by_node[node] = slot = self.allocate_slot()
-            self._emit(inner, InstructionKind.GATHER, node, slot, (inner.parent.slot_by_node[node],))
+            self._emit_instruction(inner, InstructionKind.GATHER, node, slot, (inner.parent.slot_by_node[node],))
         return scope.slot_by_node[node]
 
     def _emit_node(self, scope: RowScope, node: ir.PlanNode) -> None:
@@ -261,7 +261,7 @@ class BlockCompiler:
         else:
             does, inputs = InstructionKind.VALUE, tuple(self._known_slot(scope, a) for a in node.args)
         slot = self.allocate_slot()
-        self._emit(scope, does, node, slot, inputs, DTYPE_BY_KIND[node.kind] if node.op in UFUNC_BY_NAME else None)
+        self._emit_instruction(scope, does, node, slot, inputs, DTYPE_BY_KIND[node.kind] if node.op in UFUNC_BY_NAME else None)
         scope.slot_by_node[node] = slot
 
     def _emit_lazy(self, scope: RowScope, node: ir.PlanNode) -> None:
@@ -269,7 +269,7 @@ class BlockCompiler:
         inner = self._new_scope(scope)
         result = self.value(inner, node, recompute=True)
         slot = scope.slot_by_node[node] = self.allocate_slot()
-        self._emit(scope, InstructionKind.CACHED_SENSE, node, slot, (), inner=inner, result=result)
+        self._emit_instruction(scope, InstructionKind.CACHED_SENSE, node, slot, (), inner=inner, result=result)
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
@@ -291,7 +291,7 @@ class BlockCompiler:
             pairs = scope.pairs[node] = PairScope(self.allocate_slot())
             if self.name != "born" and all(part.op != "load" for part in collect_required_nodes((node,))):
                 self.region_count_by_set[node] = self.region_count_by_set.get(node, 0) + 1
-            self._emit(scope, InstructionKind.PAIRS, node, pairs.slot, inputs)
+            self._emit_instruction(scope, InstructionKind.PAIRS, node, pairs.slot, inputs)
         return scope.pairs[node]
 
     def _pair_slot(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> int:
@@ -301,14 +301,16 @@ class BlockCompiler:
         if node in pairs.slot_by_node:
             return pairs.slot_by_node[node]
         slot = pairs.slot_by_node[node] = self.allocate_slot()
-        self._emit(scope, InstructionKind.SPREAD, node, slot, (self._known_slot(scope, node), pairs.slot))
+        self._emit_instruction(scope, InstructionKind.SPREAD, node, slot, (self._known_slot(scope, node), pairs.slot))
         return slot
 
     def _emit_pair_value(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> None:
         inputs = tuple(self._pair_slot(scope, pairs, a) for a in node.args)
         does = InstructionKind.PAIR_OPERATION if node.op in FUNCTION_BY_NAME else InstructionKind.PAIR_LEAF
         slot = pairs.slot_by_node[node] = self.allocate_slot()
-        self._emit(scope, does, node, slot, inputs if does is InstructionKind.PAIR_OPERATION else (pairs.slot, *inputs))
+        self._emit_instruction(
+            scope, does, node, slot, inputs if does is InstructionKind.PAIR_OPERATION else (pairs.slot, *inputs)
+        )
 
 
 # --- buffers ---------------------------------------------------------------------------------------------------------

@@ -69,7 +69,7 @@ def _iterate_scopes(root: RowScope) -> Iterator[RowScope]:
 def _time_call(call: SlotFunction, number: int) -> SlotFunction:
     """Return a call that adds its time, without that of inner calls, to counter `number`."""
 
-    def run(v: SlotValues) -> None:
+    def run_timed(v: SlotValues) -> None:
         spent = v[SPENT_SECONDS_SLOT]
         around, spent[-1] = spent[-1], 0.0
         began = perf_counter()
@@ -78,4 +78,4 @@ def _time_call(call: SlotFunction, number: int) -> SlotFunction:
         spent[number] += took - spent[-1]
         spent[-1] = around + took
 
-    return run
+    return run_timed

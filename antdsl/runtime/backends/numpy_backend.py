@@ -143,11 +143,11 @@ class NumpyBackend:
             self._pool = self._pool or ThreadPoolExecutor(world.options.threads, "chunks", set_standard_floats)
             lanes = [range(k, len(chunks), threads) for k in range(threads)]
 
-            def lane(number: int) -> None:
+            def run_lane(number: int) -> None:
                 for k in lanes[number]:
                     self._run_chunk(world, population, compiler, chunks[k], effects[k], spent[k], number, False)
 
-            list(self._pool.map(lane, range(threads)))
+            list(self._pool.map(run_lane, range(threads)))
         if metered is not None:
             metered.add_counters([times for times in spent if times is not None], perf_counter() - began)
         for each in effects:

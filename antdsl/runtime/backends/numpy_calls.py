@@ -81,10 +81,10 @@ def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, parent_rows
 def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
     """Return the call of an `If`: it runs the inner scope for the rows for which the condition holds."""
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make_region(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
-        def run(v: SlotValues) -> None:
+        def run_region(v: SlotValues) -> None:
             condition = v[a]
             if condition.ndim == 0:
                 if condition:
@@ -94,19 +94,19 @@ def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
             if len(picked):
                 run_inner_scope(v, scope, inner, None if len(picked) == len(condition) else picked)
 
-        return run
+        return run_region
 
-    return make
+    return make_region
 
 
 def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
     """Return the call that takes a value of the enclosing scope for the rows of this scope."""
     picked = scope.parent_indices
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make_gather(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
-        def run(v: SlotValues) -> None:
+        def gather_value(v: SlotValues) -> None:
             p = v[picked]
             if p is None:
                 v[result_slot] = v[a]
@@ -115,16 +115,16 @@ def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
             else:
                 v[result_slot] = v[a].take(p)
 
-        return run
+        return gather_value
 
-    return make
+    return make_gather
 
 
 def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> SlotFunctionMaker:
     """Return the call for a sense that is cached for the step. It is computed only for rows without a value."""
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-        def run(v: SlotValues) -> None:
+    def make_sense(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def read_cached_sense(v: SlotValues) -> None:
             has, arrays = v[LAZY_VALUES_SLOT][node]
             rows = v[scope.rows]
             missing = (~has[rows]).nonzero()[0]
@@ -136,9 +136,9 @@ def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, 
                     array[new] = part
             v[result_slot] = tuple(array[rows] for array in arrays) if node.kind is ir.ValueKind.TUPLE else arrays[0][rows]
 
-        return run
+        return read_cached_sense
 
-    return make
+    return make_sense
 
 
 def make_elementwise_call(node: ir.PlanNode) -> SlotFunctionMaker | None:
@@ -148,34 +148,34 @@ def make_elementwise_call(node: ir.PlanNode) -> SlotFunctionMaker | None:
         return None
     buffered = node.op in UFUNC_BY_NAME
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make_operation(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         a = inputs[0]
         b = inputs[1] if len(inputs) > 1 else -1
         if len(inputs) == 3:
             c = inputs[2]
 
-            def run(v: SlotValues) -> None:
+            def compute_operation(v: SlotValues) -> None:
                 v[result_slot] = f(v[a], v[b], v[c])
         elif len(inputs) == 2 and buffered and buffer is not None:
 
-            def run(v: SlotValues) -> None:
+            def compute_operation(v: SlotValues) -> None:
                 v[result_slot] = f(v[a], v[b], v[buffer])
         elif len(inputs) == 2:
 
-            def run(v: SlotValues) -> None:
+            def compute_operation(v: SlotValues) -> None:
                 v[result_slot] = f(v[a], v[b])
         elif buffered and buffer is not None:
 
-            def run(v: SlotValues) -> None:
+            def compute_operation(v: SlotValues) -> None:
                 v[result_slot] = f(v[a], v[buffer])
         else:
 
-            def run(v: SlotValues) -> None:
+            def compute_operation(v: SlotValues) -> None:
                 v[result_slot] = f(v[a])
 
-        return run
+        return compute_operation
 
-    return make
+    return make_operation
 
 
 def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
@@ -187,26 +187,26 @@ def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) 
     if node.op in ("snap", "load"):
         name, copied = node.attrs[0], node.op == "load" and node.attrs[0] in compiler.stored_registers
 
-        def read(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-            def run(v: SlotValues) -> None:
+        def make_register_read(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+            def compute_leaf(v: SlotValues) -> None:
                 population = v[POPULATION_SLOT]
                 value = (population.now if node.op == "load" else population.start)[name][v[rows]]
                 v[result_slot] = value.copy() if copied and isinstance(v[rows], slice) else value
 
-            return run
+            return compute_leaf
 
-        return read
+        return make_register_read
     if node.op == "draw":
         return _make_draw_call(node, compiler, scope)
     sense = SENSE_FUNCTIONS[node.op]
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-        def run(v: SlotValues) -> None:
+    def make_sense(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def compute_leaf(v: SlotValues) -> None:
             v[result_slot] = sense(v[WORLD_SLOT], v[POPULATION_SLOT], node, v[rows], *[v[a] for a in inputs])
 
-        return run
+        return compute_leaf
 
-    return make
+    return make_sense
 
 
 def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
@@ -216,17 +216,17 @@ def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
     fresh = key not in scope.draw_slots
     words = scope.draw_slots.setdefault(key, compiler.allocate_slot()) if fresh else scope.draw_slots[key]
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-        def run(v: SlotValues) -> None:
+    def make_draw(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def draw_numbers(v: SlotValues) -> None:
             if fresh:
                 world, population = v[WORLD_SLOT], v[POPULATION_SLOT]
                 ids = population.ids[v[scope.rows]]
                 v[words] = randomness.draw_four_words(world.setting.seed, world.frame, population.name, site, index >> 2, ids)
             v[result_slot] = randomness.to_unit_floats(v[words][index & 3])
 
-        return run
+        return draw_numbers
 
-    return make
+    return make_draw
 
 
 def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
@@ -235,8 +235,8 @@ def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
     A set that several regions use is cached for the step after it was computed for a complete chunk."""
     shared, root, rows = compiler.region_count_by_set, compiler.root_scope.rows, scope.rows
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-        def run(v: SlotValues) -> None:
+    def make_pairs(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def find_set_pairs(v: SlotValues) -> None:
             stored_pairs, chunk, mine = v[PAIRS_SLOT], v[root], v[rows]
             known = stored_pairs.get((node, chunk.start)) if isinstance(chunk, slice) else None
             if known is not None:
@@ -248,19 +248,19 @@ def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
             if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
                 stored_pairs[node, chunk.start] = v[result_slot]
 
-        return run
+        return find_set_pairs
 
-    return make
+    return make_pairs
 
 
 def make_spread_call(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
     """Return the call that repeats an agent's value for each of its pairs."""
     value, pair = inputs
 
-    def run(v: SlotValues) -> None:
+    def spread_value(v: SlotValues) -> None:
         v[result_slot] = v[value].take(v[pair].i)
 
-    return run
+    return spread_value
 
 
 def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
@@ -269,8 +269,8 @@ def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker
     A sense is evaluated at the position of the requesting agent."""
     sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-        def run(v: SlotValues) -> None:
+    def make_pair_leaf(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def read_pair_leaf(v: SlotValues) -> None:
             pair_set = v[inputs[0]]
             if sense is None:
                 v[result_slot] = sets.read_pair_value(pair_set, node)
@@ -279,19 +279,19 @@ def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker
                     v[WORLD_SLOT], v[POPULATION_SLOT], node, as_row_array(v[rows]).take(pair_set.i), *[v[a] for a in inputs[1:]]
                 )
 
-        return run
+        return read_pair_leaf
 
-    return make
+    return make_pair_leaf
 
 
 def make_reduction_call(node: ir.PlanNode) -> SlotFunctionMaker:
     """Return the call for a reduction over the pairs of a set."""
     f = sets.REDUCTION_FUNCTIONS[node.op]
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-        def run(v: SlotValues) -> None:
+    def make_reduction(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def reduce_pairs(v: SlotValues) -> None:
             v[result_slot] = f(v[inputs[0]], node, *[v[a] for a in inputs[1:]])
 
-        return run
+        return reduce_pairs
 
-    return make
+    return make_reduction

@@ -49,10 +49,10 @@ def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFu
     name, infinite, span = statement.register, statement.allows_infinity, statement.span
     number = statement.value.kind is ir.ValueKind.F32
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make_store(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
-        def run(v: SlotValues) -> None:
+        def store_rows(v: SlotValues) -> None:
             value, rows = v[a], v[scope.rows]
             target = v[POPULATION_SLOT].now[name]
             good = is_storable(value, infinite) if number else None
@@ -66,9 +66,9 @@ def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFu
             target[rows[good]] = value[good]
             _record_fault(v, block, name, span, rows[~good])
 
-        return run
+        return store_rows
 
-    return make
+    return make_store
 
 
 def _select_finite_amounts(
@@ -87,12 +87,12 @@ def _select_finite_amounts(
 def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
     """Return the call that adds claims to the effects of the step."""
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make_claim(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
         which, much = (None if node is None else next(slots) for node in (statement.item, statement.amount))
         what = f"take {statement.attribute or statement.target}"
 
-        def run(v: SlotValues) -> None:
+        def add_claims(v: SlotValues) -> None:
             if much is None:
                 rows = as_row_array(v[scope.rows])
                 amount, good = np.full(len(rows), np.inf, np.float32), ALL_ROWS
@@ -104,16 +104,16 @@ def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: in
                 item = _row_values(v, scope, v[which])[good]
             v[EFFECTS_SLOT].claims.append(ClaimEntry(statement, order, rows, item, amount))
 
-        return run
+        return add_claims
 
-    return make
+    return make_claim
 
 
 def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
     """Return the call that subtracts gifts from registers and adds them to the effects of the step."""
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-        def run(v: SlotValues) -> None:
+    def make_gift(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def add_gifts(v: SlotValues) -> None:
             own = v[POPULATION_SLOT].now[statement.register]
             item = _row_values(v, scope, v[inputs[0]])
             if statement.amount is None:
@@ -131,9 +131,9 @@ def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunc
             own[rows] = left
             v[EFFECTS_SLOT].gifts.append(GiftEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
 
-        return run
+        return add_gifts
 
-    return make
+    return make_gift
 
 
 def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
@@ -141,11 +141,11 @@ def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order
     row = effects.EFFECT_BY_OPERATION[statement.op]
     refused = row.fault_name.format(of=statement.target)
 
-    def make(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+    def make_request(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
         which = [None if node is None else next(slots) for node in statement.args]
 
-        def run(v: SlotValues) -> None:
+        def add_requests(v: SlotValues) -> None:
             rows = as_row_array(v[scope.rows])
             args = [None if slot is None else _row_values(v, scope, v[slot]) for slot in which]
             good = np.ones(len(rows), np.bool_)
@@ -161,9 +161,9 @@ def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order
                 finite_args = tuple(None if arg is None else arg[good] for arg in args)
                 v[EFFECTS_SLOT].add_request(RequestEntry(statement, order, rows[good], finite_args))
 
-        return run
+        return add_requests
 
-    return make
+    return make_request
 
 
 def make_statement_call(instruction: BlockInstruction) -> SlotFunctionMaker:

@@ -282,7 +282,7 @@ _INFINITY = np.float32(np.inf)
 
 def _reduce_sum(agent: AgentRun, node: ir.PlanNode, set_node: ir.PlanNode, matches: MemberMatches) -> Any:
     quantum = int(node.attrs[0])
-    terms = [float(exact_sums.quantise(body, quantum)) for _, body in matches]
+    terms = [float(exact_sums.quantise_terms(body, quantum)) for _, body in matches]
     if any(term != term for term in terms):
         return np.float32(np.nan)
     return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # integer multiples of the quantum
@@ -341,11 +341,11 @@ def find_fault_operands(
             now[name][0] = register.initial_value
     agent = AgentRun(world, population, row, now, 0, EffectRequests(), number_statements(population.plan))
 
-    def watch(register: str, operand_span: Span | None, node: ir.PlanNode) -> None:
+    def check_stored_value(register: str, operand_span: Span | None, node: ir.PlanNode) -> None:
         if agent.block == block and register == value_name and operand_span == span:
             raise NodeFault(node)
 
-    agent.on_fault = watch
+    agent.on_fault = check_stored_value
     with np.errstate(all="ignore"):
         try:
             for name in ("born",) if block == "born" else STEP_BLOCKS:
@@ -373,12 +373,12 @@ def apply_claims(agent: AgentRun, population: Population) -> None:
 def _find_fault_origin(agent: AgentRun, node: ir.PlanNode) -> tuple[tuple[str, str], ...]:
     """Return the first operation, in evaluation order, that has finite operands and a result that is not finite."""
 
-    def sound(n: ir.PlanNode) -> bool:
+    def is_valid(n: ir.PlanNode) -> bool:
         value = agent.values.get(n)
         return n.kind is not ir.ValueKind.F32 or value is None or bool(np.isfinite(value))
 
     while True:
-        worse = [a for a in node.args if a.op != "const" and not sound(a)]  # a constant has the span of its first use
+        worse = [a for a in node.args if a.op != "const" and not is_valid(a)]  # a constant has the span of its first use
         if not worse:
             break
         node = worse[0]

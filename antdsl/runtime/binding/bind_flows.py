@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.casting.curves import resample
+from antdsl.casting.curves import resample_curve
 from antdsl.diagnostics import Report
 from antdsl.fields.face_points import FaceLattice, LatticeTooFine, choose_cell_size, count_edge_pieces, weld_points
 from antdsl.fields.flow import (
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
 _CLEARANCE_COST_FACTOR = 8.0  # cost of a mm next to an obstacle, relative to open ground
-_MAX_BURIED_VOXELS = 0.05  # ground buried deeper in a solid cannot be crossed
+_MAX_BURIED_SHARE_OF_VOXEL = 0.05  # ground buried deeper in a solid cannot be crossed
 _RAY_HEIGHT_PER_EDGE = 0.25  # height of obstacle rays above the ground, as a share of the edge
 
 
@@ -257,7 +257,7 @@ def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
     changes = bool(flow.crowding or world.setting.motion)
     looked = [_solid_versions(world)]
 
-    def due(current_world: World) -> bool:
+    def is_update_due(current_world: World) -> bool:
         """Return whether a new solution is due and has changed inputs."""
         if (current_world.frame - current_world.setting.first_frame) % every:
             return False
@@ -267,7 +267,7 @@ def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
     solved_flow = PathFlow(
         lattice, np.zeros(0), np.zeros(0), None,
         crossable_ground=grounds, cost=_triangle_costs(world, flow, grounds), start=start, first=first, target_gap=gap,
-        strength=flow.strength, crowding=flow.crowding, interval=every, is_due=due,
+        strength=flow.strength, crowding=flow.crowding, interval=every, is_due=is_update_due,
         crowd=np.zeros(len(grounds.surface.points), np.int64) if flow.crowding else None,
         stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
     )  # fmt: skip
@@ -298,7 +298,7 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags,
     areas = np.sqrt((across * across).sum(axis=1)) / 2
     open_ = is_chosen[owner] & (areas > 0) & ~_find_blocked_triangles(world, triangles, points, table.normal.T[owner])
     for volume in world.solids.values():
-        open_ &= ~(volume.sample(points) < -_MAX_BURIED_VOXELS * volume.voxel)[triangles].any(axis=1)
+        open_ &= ~(volume.sample(points) < -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
     land = WalkableSurface(points, triangles, open_, _find_links(points, of, np.unique(triangles[open_]), areas))
@@ -317,8 +317,8 @@ def _find_blocked_triangles(world: World, triangles: Index, points: Floats, norm
             start, end = points[triangles[:, k]], points[triangles[:, (k + 1) % 3]]
             step = end - start
             lift = _RAY_HEIGHT_PER_EDGE * np.sqrt((step * step).sum(axis=1))[:, None] * normal
-            cut[scene.find_hits_within(start + lift, step)[0]] = True
-            cut[scene.find_hits_within(end + lift, -step)[0]] = True
+            cut[scene.find_hits_along_step(start + lift, step)[0]] = True
+            cut[scene.find_hits_along_step(end + lift, -step)[0]] = True
     return cut
 
 
@@ -353,7 +353,7 @@ def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGrou
     positions, radii = target.positions, target.radii
     side = float(np.sqrt(np.median(grounds.triangle_areas[land.is_open])))
     if target.line:
-        positions = resample(positions, side)
+        positions = resample_curve(positions, side)
         radii = np.zeros(len(positions))
     tree = cKDTree(land.points[used])
     distance, away_by = np.full(len(used), np.inf), np.inf if len(positions) else 0.0

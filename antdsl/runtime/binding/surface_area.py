@@ -13,7 +13,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import World
 from antdsl.scene.setting import PointMm
 
-_MAX_BURIED_VOXELS = 0.05  # deeper below a solid's surface, there is no ground to stand on
+_MAX_BURIED_SHARE_OF_VOXEL = 0.05  # deeper below a solid's surface, there is no ground to stand on
 _EDGE_BISECTIONS = 24  # bisections of face edges that extend beyond a ball
 _THIN_TRIANGLE_RATIO = 64.0  # a triangle is thin above this ratio: longest edge squared / twice the area
 _CORNER_WEIGHTS = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
@@ -94,7 +94,7 @@ class FaceArea:
                 can_stand[rows] &= landed.mesh == first + k
                 up[rows] = ground.normal(landed)
             on_meshes = on_mesh.mesh < first
-            can_stand[on_meshes] &= volume.sample(place[on_meshes]) >= -_MAX_BURIED_VOXELS * volume.voxel
+            can_stand[on_meshes] &= volume.sample(place[on_meshes]) >= -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel
         return footing, up, can_stand
 
 

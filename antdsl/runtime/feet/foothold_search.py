@@ -80,7 +80,7 @@ class FootGround:
         self.meshes = {name: mesh for name, mesh in meshes.items() if name in self.names}
         self.moving_numbers = [k for k, name in enumerate(self.names) if name in setting.motion.meshes]
         self._still_bounds = {
-            k: _bounds(self.meshes[name].vertices - world.origin)
+            k: _compute_bounds(self.meshes[name].vertices - world.origin)
             for k, name in enumerate(self.names)
             if name in self.meshes and k not in self.moving_numbers and len(self.meshes[name].vertices)
         }
@@ -196,7 +196,7 @@ class FootGround:
         if isinstance(obstacle, SolidFeelers):
             return obstacle.volume.low, obstacle.volume.high
         if k in self.moving_numbers:
-            return _bounds(compute_vertices(world, self.names[k], world.display_frame))
+            return _compute_bounds(compute_vertices(world, self.names[k], world.display_frame))
         return self._still_bounds.get(k)
 
     def _cast_on_mesh(
@@ -211,7 +211,7 @@ class FootGround:
     ) -> None:
         a, w = (each[:, near_rows] for each in rays)
         begin, step = np.ascontiguousarray(a.T), np.ascontiguousarray(w.T)
-        which, part, _, face = obstacle.find_hits_within(begin, step, world.options.threads, most_hit)
+        which, part, _, face = obstacle.find_hits_along_step(begin, step, world.options.threads, most_hit)
         nearer = part < hits.ray_part[near_rows[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
         hits.replace_rows(near_rows[which], self._make_hits(world, k, part, a[:, which] + w[:, which] * part, face))
@@ -385,7 +385,7 @@ def _normalise_rows(v: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(v / np.maximum(size, 1e-12)[:, None])
 
 
-def _bounds(vertices: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
+def _compute_bounds(vertices: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
     return vertices.min(axis=0), vertices.max(axis=0)
 
 

@@ -86,10 +86,10 @@ class ContactFaces(NamedTuple):
 class FaceSearch(NamedTuple):
     """Tables for a search of faces: `piece` and the cuts of the topology, a tree of boxes, and buffers.
 
-    `several_pieces`: whether a path may meet another piece, or a face that cuts its own piece. `clearances`: the distances to
+    `has_several_pieces`: whether a path may meet another piece, or a face that cuts its own piece. `clearances`: the distances to
     those."""
 
-    several_pieces: BOOL
+    has_several_pieces: BOOL
     clearances: ClearanceTables
     pieces: Array1[I32]
     cuts: Array1[I64]

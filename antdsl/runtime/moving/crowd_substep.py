@@ -47,12 +47,12 @@ from antdsl.runtime.moving.velocities import (
     AgentAbilities,
     AgentDrives,
     ArrivalArrays,
-    ArrivalBodies,
-    ArrivalLimits,
-    ArrivalTimes,
+    BodiesAfterWalk,
     GazeDirections,
+    LimitsAfterWalk,
     MotionRegisters,
     PushTimes,
+    TurnTimes,
     WalkedPoses,
     heading_share,
     update_arrived_rows,
@@ -126,14 +126,14 @@ class _CrowdSubstep:
     """The substep of one crowd, for `dt` of the `frame_time` seconds of a frame.
 
     `registers`: position, velocity, heading and up. The other arrays are results of the kernels in `substep_kernels`.
-    `align_all`: whether the bodies of all agents must be aligned with their feet after the walk.
+    `must_align_all`: whether the bodies of all agents must be aligned with their feet after the walk.
     `previous_axes`: buffers for the previous up and heading of agents with bodies that must be aligned."""
 
     world: World
     population: Population
     dt: np.float32
     frame_time: np.float32
-    align_all: bool
+    must_align_all: bool
     registers: tuple[VectorArrays, VectorArrays, VectorArrays, VectorArrays]
     velocity: VectorArrays
     step: VectorArrays
@@ -223,14 +223,17 @@ class _CrowdSubstep:
     def walk(self, ground: Ground) -> ArrivalArrays:
         """Walk all agents over a ground to their new positions, and update their registers. Return what it read and wrote."""
         now = self.population.now
-        limits = ArrivalLimits(now["max_speed"], now["max_turn"], now["response"])
-        times = ArrivalTimes(self.frame_time * KINEMATIC_STEPS, self.dt, heading_share(self.dt))
+        limits = LimitsAfterWalk(now["max_speed"], now["max_turn"], now["response"])
+        times = TurnTimes(self.frame_time * KINEMATIC_STEPS, self.dt, heading_share(self.dt))
         facing = GazeDirections(
             FACE_REGISTER in now,
             vec.get_vector_registers(now, "~face") if FACE_REGISTER in now else self.registers[1],
-            self.align_all,
+            self.must_align_all,
         )
-        bodies, registers = ArrivalBodies(self.max_tilts, self.state, *self.previous_axes), MotionRegisters._make(self.registers)
+        bodies, registers = (
+            BodiesAfterWalk(self.max_tilts, self.state, *self.previous_axes),
+            MotionRegisters._make(self.registers),
+        )
         normals, old = np.empty((len(self.population), 3), np.float32), self.population.position
         arrival = ArrivalArrays(old, self.step, self.velocity, limits, bodies, times, facing, registers, normals)
         if isinstance(ground, PlaneGround):

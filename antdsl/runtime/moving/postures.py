@@ -81,7 +81,7 @@ def read_vector(vectors: VectorColumns, i: I64) -> Vec3:
 
 
 @inlined
-def perpendicular(v: Vec3, up: Vec3) -> Vec3:
+def compute_perpendicular_direction(v: Vec3, up: Vec3) -> Vec3:
     """Return the unit vector perpendicular to `up` that is nearest to v, or an arbitrary one if v has no direction."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
@@ -109,7 +109,7 @@ def turn_heading(heading: Vec3, first_normal: Vec3, second_normal: Vec3) -> Vec3
     """Return a heading after the rotation from the normal `first_normal` to the normal `second_normal`; it is perpendicular to
     `second_normal`."""
     axis, cosine, sine = turn_axis(first_normal, second_normal, heading)
-    return perpendicular(rotate_about_axis(heading, axis, cosine, sine), second_normal)
+    return compute_perpendicular_direction(rotate_about_axis(heading, axis, cosine, sine), second_normal)
 
 
 @kernel_helper
@@ -124,7 +124,7 @@ def tilt_within(body_up: Vec3, look: Vec3, goal: Vec3, max_angle: F32) -> tuple[
         c32, s32 = compute_cos_and_sin(max_angle)
         tilt, c, s = max_angle, np.float64(c32), np.float64(s32)
         up = normalise_vector(rotate_about_axis(body_up, axis, c, s))
-    return up, perpendicular(rotate_about_axis(look, axis, c, s), up), (tilt, full_tilt)
+    return up, compute_perpendicular_direction(rotate_about_axis(look, axis, c, s), up), (tilt, full_tilt)
 
 
 @kernel_helper

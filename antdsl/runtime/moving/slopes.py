@@ -47,17 +47,17 @@ class SlopeStart:
         up, limit = np.asarray(world.up, np.float64), steepest_cosines(population, rows)
         position, smooth = pose
         displacement = position - self.position[rows]
-        distance = np.sqrt(_dot(displacement, displacement))
-        which = np.flatnonzero((_dot(face_normals(world, footing, smooth), up) < limit) & (distance > 0))
-        is_rising = _dot(displacement, up)[which] > _MIN_RISE_SHARE * distance[which]
+        distance = np.sqrt(_dot_vectors(displacement, displacement))
+        which = np.flatnonzero((_dot_vectors(face_normals(world, footing, smooth), up) < limit) & (distance > 0))
+        is_rising = _dot_vectors(displacement, up)[which] > _MIN_RISE_SHARE * distance[which]
         start = self.footing.take_rows(rows[which])
         normal = face_normals(world, start, self.normal[rows[which]].astype(np.float64))
-        was_steep = _dot(normal, up) < limit[which]
+        was_steep = _dot_vectors(normal, up) < limit[which]
         steep: Rows = which[is_rising | ~was_steep]
         return steep
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
+def _dot_vectors(a: Floats, b: Floats) -> Floats:
     """Return the scalar products of vectors (k, 3) with vectors (k, 3) or one vector (3), summed in one order."""
     product: Floats = (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
     return product
@@ -67,7 +67,7 @@ def face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
     """Return the unit normals (k, 3) of the faces below agents, on the side of the smooth normals. Agents without a footing get
     the smooth normals."""
     normal = world.ground.normal(footing)
-    side = _dot(normal, smooth)[:, None]
+    side = _dot_vectors(normal, smooth)[:, None]
     facing: Floats = np.where(side != 0, normal * np.sign(side), smooth)
     return facing
 
@@ -90,13 +90,13 @@ def lay_pushes(world: World, population: Population) -> None:
     The part of a push across the ground turns into a push up or down along it."""
     up, every = np.asarray(world.up, np.float64), np.arange(len(population))
     normal = face_normals(world, population.footing, population.normal.astype(np.float64))
-    rows = np.flatnonzero(_dot(normal, up) < steepest_cosines(population, every))
+    rows = np.flatnonzero(_dot_vectors(normal, up) < steepest_cosines(population, every))
     if not len(rows):
         return
     normal, push = normal[rows], population.read_vector("push")[rows].astype(np.float64)
-    across = _dot(push, normal)[:, None]
-    uphill = up - normal * _dot(normal, up)[:, None]
-    uphill = uphill / np.maximum(np.sqrt(_dot(uphill, uphill))[:, None], 1e-12)
+    across = _dot_vectors(push, normal)[:, None]
+    uphill = up - normal * _dot_vectors(normal, up)[:, None]
+    uphill = uphill / np.maximum(np.sqrt(_dot_vectors(uphill, uphill))[:, None], 1e-12)
     laid = push - normal * across - uphill * across
     for k, axis in enumerate(AXES):
         population.now[f"push.{axis}"][rows] = laid[:, k]
@@ -121,10 +121,10 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
     high = (now["height"] if "height" in population.plan.settings else now["size"])[rows].astype(np.float64)
     tread = (_STEP_PER_HEIGHT * np.where(np.isfinite(high) & (high > 0), high, 0.0))[:, None]
     heading = start.heading[rows].astype(np.float64)
-    ahead = heading - _dot(heading, up)[:, None] * up
+    ahead = heading - _dot_vectors(heading, up)[:, None] * up
     step = population.position[rows] - start.position[rows]
-    lead = np.sqrt(_dot(step, step))[:, None] + _LEAD_PER_HEIGHT / _STEP_PER_HEIGHT * tread
-    ahead = ahead / np.maximum(np.sqrt(_dot(ahead, ahead))[:, None], 1e-12) * lead
+    lead = np.sqrt(_dot_vectors(step, step))[:, None] + _LEAD_PER_HEIGHT / _STEP_PER_HEIGHT * tread
+    ahead = ahead / np.maximum(np.sqrt(_dot_vectors(ahead, ahead))[:, None], 1e-12) * lead
     origin = start.position[rows] + up * tread * (1 + _CLEARANCE_PER_STEP)
     hit, _, _ = meshes.find_hit_normals(origin, ahead, threads)
     is_free = np.ones(len(rows), np.bool_)
@@ -132,7 +132,7 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
     down = -up * tread * (2 + 2 * _CLEARANCE_PER_STEP)
     hit, _, normal = meshes.find_hit_normals(origin + ahead, down, threads)
     limit = steepest_cosines(population, rows)
-    crosses[hit] = np.abs(_dot(normal.T, up)) >= limit[hit]
+    crosses[hit] = np.abs(_dot_vectors(normal.T, up)) >= limit[hit]
     return crosses & is_free
 
 
@@ -142,22 +142,22 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
     `step` (k, 3) mm: the steps that were too steep. Agents that would meet steep ground again do not move."""
     up = np.asarray(world.up, np.float64)
     wall = face_normals(world, population.footing.take_rows(rows), population.normal[rows].astype(np.float64))
-    wall = wall - _dot(wall, up)[:, None] * up
-    wall = wall / np.maximum(np.sqrt(_dot(wall, wall))[:, None], 1e-12)
-    into = _dot(step, wall)[:, None]
+    wall = wall - _dot_vectors(wall, up)[:, None] * up
+    wall = wall / np.maximum(np.sqrt(_dot_vectors(wall, wall))[:, None], 1e-12)
+    into = _dot_vectors(step, wall)[:, None]
     along = step - wall * into
-    away = along - wall * (np.sign(into) * _NUDGE * np.sqrt(_dot(step, step))[:, None])
-    result, moved = along.copy(), _move(world, population, start, rows, along)
+    away = along - wall * (np.sign(into) * _NUDGE * np.sqrt(_dot_vectors(step, step))[:, None])
+    result, moved = along.copy(), _move_along_ground(world, population, start, rows, along)
     for other in (away, np.zeros_like(step)):
         again = start.find_steep(world, population, rows, moved.footing, (moved.position, moved.up))
         if not len(again):
             break
         result[again] = other[again]
-        moved.put_rows(again, _move(world, population, start, rows[again], other[again]))
+        moved.put_rows(again, _move_along_ground(world, population, start, rows[again], other[again]))
     return result, moved
 
 
-def _move(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> GroundMove:
+def _move_along_ground(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> GroundMove:
     """Return where the ground moves agents from their start by steps (k, 3) mm."""
     normal, heading = start.normal[rows].astype(np.float64), population.read_vector("heading")[rows].astype(np.float64)
     size = population.now["size"][rows].astype(np.float64)

@@ -7,7 +7,7 @@ from antdsl.machine_code.kernels.types import BOOL, F64, I64, Array1, Array2
 from antdsl.numerics.kernel_vectors import dot, get_column, minus, store_column, times
 from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.moving.contacts.impacts import NEVER, PathArrays, PathPairs, find_impact
-from antdsl.runtime.moving.contacts.step_clamping import ClampBuffers, bend_along, compute_heavier_share, negate
+from antdsl.runtime.moving.contacts.step_clamping import ClampBuffers, bend_along, compute_heavier_share, negate_vector
 
 _STOP_OVERLAP_SHARE = 2e-3  # share of both radii; bodies with smaller overlaps slide along each other
 _PRESSING_SHARE = 0.5  # share of both radii; how far a heavy body enters a light one and then pushes it
@@ -39,7 +39,7 @@ def bend_paths(
             far += compute_heavier_share(paths.mass, own, other) * min(max(towards - far, 0.0), pressed)
             buffers.free_gaps[side, pair] = far
             over = 1 if towards - far > 0 else over
-            direction = negate(direction)
+            direction = negate_vector(direction)
         buffers.pairs[pair] = over
     return bend_along(pairs.i, pairs.j, pairs.direction, paths.displacement, magic, buffers, cut, stopped_rows, changed)
 
@@ -91,7 +91,7 @@ def shorten_paths(
             is_first = (first[own] == time) & (first[other] == time)
             if stops_rows or ((is_first | (not only_first)) and -dot(direction, get_column(paths.displacement, own)) > 0):
                 factor[own] = min(factor[own], 0.0 if stops_rows else time)
-            direction = negate(direction)
+            direction = negate_vector(direction)
     for k in simd_range(0, factor.size):
         latest[k] = factor[k] < 1.0
         is_touched[k] |= latest[k]

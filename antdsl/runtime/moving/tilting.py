@@ -33,7 +33,7 @@ from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.clearance.walls_ahead import find_walls, write_wall_reach
 from antdsl.runtime.moving.postures import (
     Posture,
-    perpendicular,
+    compute_perpendicular_direction,
     posture_of,
     read_vector,
     stand_up,
@@ -338,7 +338,7 @@ def follow_ground(
         i = rows[k]
         j = state[i]
         stands = read_vector(before_up, i)
-        look = perpendicular(read_vector(before_heading, i), stands)
+        look = compute_perpendicular_direction(read_vector(before_heading, i), stands)
         normal, looking = read_vector(now_up, i), read_vector(now_heading, i)
         displacement = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
         target_up = normal

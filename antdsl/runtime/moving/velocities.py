@@ -64,14 +64,14 @@ class PushTimes(NamedTuple):
     """Durations (s) of a push in a substep.
 
     `instant_response`: agents with a response of at most this receive the push of the complete step in the first substep.
-    `first`: the duration of their push in this substep, 0 in later ones. `dt`: the duration for all other agents."""
+    `first_push_time`: the duration of their push in this substep, 0 in later ones. `dt`: the duration for all other agents."""
 
     instant_response: F32
-    first: F32
+    first_push_time: F32
     dt: F32
 
 
-class ArrivalLimits(NamedTuple):
+class LimitsAfterWalk(NamedTuple):
     """Abilities of agents that limit their velocity and turn after a walk."""
 
     max_speed: Array1[F32]
@@ -79,16 +79,17 @@ class ArrivalLimits(NamedTuple):
     response: Array1[F32]
 
 
-class ArrivalBodies(NamedTuple):
-    """Bodies after a walk: tilt limits `max_tilt` (radians), states, and buffers for the previous `up` and `heading`."""
+class BodiesAfterWalk(NamedTuple):
+    """Bodies after a walk: tilt limits `max_tilt` (radians), states, and buffers for the previous `previous_up` and
+    `previous_heading`."""
 
     max_tilt: Array1[F32]
     state: Array1[I32]
-    up: VectorColumns
-    heading: VectorColumns
+    previous_up: VectorColumns
+    previous_heading: VectorColumns
 
 
-class ArrivalTimes(NamedTuple):
+class TurnTimes(NamedTuple):
     """Times of a turn after a walk.
 
     `instant_response`: agents with a response (s) of at most this face their movement at once.
@@ -101,11 +102,11 @@ class ArrivalTimes(NamedTuple):
 
 class GazeDirections(NamedTuple):
     """Directions to face. `is_set`: whether there are any. `direction`: the directions.
-    `align_all`: whether all bodies must be aligned with their feet."""
+    `must_align_all`: whether all bodies must be aligned with their feet."""
 
     is_set: BOOL
     direction: VectorColumns
-    align_all: BOOL
+    must_align_all: BOOL
 
 
 class MotionRegisters(NamedTuple):
@@ -126,9 +127,9 @@ class ArrivalArrays(NamedTuple):
     start: Strided2[F64]
     step: VectorColumns
     velocity: VectorColumns
-    limits: ArrivalLimits
-    bodies: ArrivalBodies
-    times: ArrivalTimes
+    limits: LimitsAfterWalk
+    bodies: BodiesAfterWalk
+    times: TurnTimes
     gaze: GazeDirections
     registers: MotionRegisters
     normals: Array2[F32]

@@ -48,12 +48,12 @@ class NoteAgents:
     def ids(self) -> NDArray[np.int64]:
         return self.population.ids[self.rows]
 
-    def recall(self, name: str, default: NDArray[Any]) -> NDArray[Any]:
+    def read_memory(self, name: str, default: NDArray[Any]) -> NDArray[Any]:
         """Return an array that the note remembers for this species; `default` if there is none."""
         assert self.world.notes is not None
         return self.world.notes.memory.get(f"{self.active.key}.{self.population.name}.{name}", default)
 
-    def remember(self, name: str, array: NDArray[Any]) -> None:
+    def store_memory(self, name: str, array: NDArray[Any]) -> None:
         """Remember an array for the next step."""
         assert self.world.notes is not None
         self.world.notes.memory[f"{self.active.key}.{self.population.name}.{name}"] = array

@@ -97,13 +97,13 @@ def _record_departures(agents: NoteAgents, leaves: NDArray[np.bool_]) -> NDArray
     """Return the frame in which each agent left for its target; `_NOT_LEFT` for agents that have not.
 
     `leaves`: those that leave now, if they have not left before."""
-    known = agents.recall("departures", np.empty((0, 2), np.int64))
+    known = agents.read_memory("departures", np.empty((0, 2), np.int64))
     at, has_left = match_ids(agents.ids, known[:, 0])
     frames = np.where(leaves, agents.world.display_frame, _NOT_LEFT)
     frames[has_left] = known[at[has_left], 1]
     walkers = np.flatnonzero(frames != _NOT_LEFT)
     walkers = walkers[np.argsort(agents.ids[walkers])]
-    agents.remember("departures", np.stack([agents.ids[walkers], frames[walkers]], axis=1))
+    agents.store_memory("departures", np.stack([agents.ids[walkers], frames[walkers]], axis=1))
     return frames
 
 

@@ -96,7 +96,8 @@ def find_target(world: World, target: PointValue | AgentName) -> TargetPoints:
 
 
 def find_camera(world: World, target: PointValue | AgentName) -> SensedCamera | None:
-    """Return the camera that a target names; None if it names none, or agents or items as well."""
+    """Return the camera of the setting that a target names. None if the target is a point, or if an agent or item has the same
+    name."""
     name = _find_other_name(world, target)
     return SensedCamera(world.setting.cameras[name], world.origin) if name in world.setting.cameras else None
 

@@ -10,7 +10,7 @@ from antdsl.scene.notes.notes_model import SetNote
 
 
 def set_attributes(agents: NoteAgents) -> None:
-    """Set the attributes of a `set`, after the program has set its own."""
+    """Set the attributes that a `set` note lists to its values, after the layers of the program have set theirs."""
     note, p, rows, setting = agents.active.note, agents.population, agents.rows, agents.world.setting
     assert isinstance(note, SetNote)
     weight, previous = agents.weight, compute_weight(note, agents.world.display_frame - 1)

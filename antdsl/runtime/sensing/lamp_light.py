@@ -64,7 +64,7 @@ def _find_hidden_share(world: World, lamp: LightSphere, start: Floats) -> Floats
     if not len(start) or not world.obstacles:
         return np.zeros(len(start))
     origin = np.repeat(start, count, axis=0)
-    ray = lamp.aim(origin, np.tile(np.arange(count), len(start)), count)
+    ray = lamp.aim_rays(origin, np.tile(np.arange(count), len(start)), count)
     reach = np.sqrt(dot(ray, ray))
     sound = np.flatnonzero(reach > MIN_VECTOR_LENGTH)
     for name in world.obstacles:

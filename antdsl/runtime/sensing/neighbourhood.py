@@ -80,17 +80,17 @@ class _CrowdGrid(CellGrid):
         self.first_rows = _first_rows(populations, list(populations))
         named = _first_rows(populations, sorted(populations))
 
-        def join(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        def join_arrays(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
             return np.concatenate(arrays) if len(arrays) > 1 else np.ascontiguousarray(arrays[0])
 
         def join_vectors(name: str) -> VectorArrays:
             x, y, z = zip(*[vec.get_vector_registers(each.start, name) for each in populations.values()], strict=True)
-            return join(x), join(y), join(z)
+            return join_arrays(x), join_arrays(y), join_arrays(z)
 
         x, y, z = join_vectors("position")
         super().__init__(x, y, z, np.arange(x.size), cell, threads)
-        numbers = join([each.id_ranks() + self.first_rows[name] for name, each in populations.items()])
-        radius = join([each.start["radius"] for each in populations.values()])
+        numbers = join_arrays([each.id_ranks() + self.first_rows[name] for name, each in populations.items()])
+        radius = join_arrays([each.start["radius"] for each in populations.values()])
         up, motion = np.empty((2, 4 * (x.size + LANE_COUNT)), np.float32)
         sensed = join_vectors("up"), join_vectors("velocity"), radius, numbers
         parallel.run_in_parts(
@@ -98,7 +98,7 @@ class _CrowdGrid(CellGrid):
         )
         by_name = np.empty(0, np.int32)
         if len(populations) > 1:
-            by_name = join([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])
+            by_name = join_arrays([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])
         self.crowd = CrowdTables(self.table(), up, motion, by_name)
 
 
@@ -111,11 +111,11 @@ def _first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> 
 def find_species_grid(world: World, other: Population, max_radius: float) -> CellGrid:
     """Return the agents of a population in cells that suit the radius `max_radius` (mm)."""
 
-    def sort(cell: float) -> CellGrid:
+    def sort_agents(cell: float) -> CellGrid:
         x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
         return CellGrid(x, y, z, other.ids, cell, world.options.threads)
 
-    return _find_grid(world, other.name, max_radius, sort)
+    return _find_grid(world, other.name, max_radius, sort_agents)
 
 
 def _find_grid(world: World, name: str, max_radius: float, sort: Callable[[float], CellGrid]) -> CellGrid:

@@ -36,12 +36,12 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
         words = f"a `{line.species}` walks up to {step:,.0f} mm in a step, {step / length:.2g} times the length of its body"
         has_own_line = "substeps" in scene.document.entries
         place = scene.span("substeps") if has_own_line else scene.span("crowd", number, "species")
-        slower = f"write a `max_speed` below {_limit(length, scene)}"
+        slower = f"write a `max_speed` below {_format_limit(length, scene)}"
         advice = f"write `substeps: {substeps}`" if substeps <= limits.MAX_SUBSTEPS else slower
         report.warning("long-step", words, place, advice, labels=(Label(attributes["max_speed"].span, "its speed"),))
 
 
-def _limit(length: float, scene: Scene) -> str:
+def _format_limit(length: float, scene: Scene) -> str:
     """Return the speed (text) at which a step is `length` mm long with the scene's maximum number of substeps."""
     return f"{length * float(scene.model.fps) * limits.MAX_SUBSTEPS / 1000:.3g} m/s"
 

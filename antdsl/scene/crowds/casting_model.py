@@ -72,25 +72,25 @@ def _parse_seconds(value: Any) -> Seconds:
 SecondsValue = Annotated[Seconds, BeforeValidator(_parse_seconds)]
 
 
-class UniformDraw(ScenePart):
+class UniformRandomValue(ScenePart):
     """A number between two bounds; all are equally likely."""
 
     uniform: tuple[AnyQuantity, AnyQuantity]
 
 
-class NormalDraw(ScenePart):
+class NormalRandomValue(ScenePart):
     """A number around a mean with a standard deviation. Draws farther than three deviations from the mean are cut off there."""
 
     normal: tuple[AnyQuantity, AnyQuantity]
 
 
-class ChoiceDraw(ScenePart):
+class WeightedChoice(ScenePart):
     """One of several values, with their weights: `{choice: {0: 3, 5: 1}}`."""
 
     choice: Annotated[dict[str, Weight], Field(min_length=1, max_length=64)]
 
 
-class PaintedDraw(ScenePart):
+class PaintedMapValue(ScenePart):
     """The number of a map at the position: `from` where it is 0, `to` where it is 1."""
 
     painted: SceneName
@@ -98,16 +98,16 @@ class PaintedDraw(ScenePart):
     high: AnyQuantity | None = Field(None, alias="to")
 
 
-DRAW_MODELS: dict[str, type[ScenePart]] = {
-    "uniform": UniformDraw, "normal": NormalDraw, "choice": ChoiceDraw, "painted": PaintedDraw,
+RANDOM_VALUE_MODELS: dict[str, type[ScenePart]] = {
+    "uniform": UniformRandomValue, "normal": NormalRandomValue, "choice": WeightedChoice, "painted": PaintedMapValue,
 }  # fmt: skip
 
 
 def _find_draw_tag(value: Any) -> str:
     if not isinstance(value, dict):
         return "one-value"
-    known = next((key for key in DRAW_MODELS if key in value), None)
-    meant = (find_nearest_name(str(key), DRAW_MODELS) for key in value)
+    known = next((key for key in RANDOM_VALUE_MODELS if key in value), None)
+    meant = (find_nearest_name(str(key), RANDOM_VALUE_MODELS) for key in value)
     return f"{known or next((key for key in meant if key), 'uniform')}-draw"
 
 
@@ -124,10 +124,10 @@ def _check_key(value: Any) -> str:
 
 EachValue = Annotated[
     Annotated[str, BeforeValidator(_check_value), Tag("one-value")]
-    | Annotated[UniformDraw, Tag("uniform-draw")]
-    | Annotated[NormalDraw, Tag("normal-draw")]
-    | Annotated[ChoiceDraw, Tag("choice-draw")]
-    | Annotated[PaintedDraw, Tag("painted-draw")],
+    | Annotated[UniformRandomValue, Tag("uniform-draw")]
+    | Annotated[NormalRandomValue, Tag("normal-draw")]
+    | Annotated[WeightedChoice, Tag("choice-draw")]
+    | Annotated[PaintedMapValue, Tag("painted-draw")],
     Discriminator(_find_draw_tag),
 ]
 EachValues = dict[Annotated[str, BeforeValidator(_check_key)], EachValue]

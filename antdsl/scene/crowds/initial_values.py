@@ -9,7 +9,7 @@ from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import AttributeDecl, Dimension, Machine, Program, Species, TypeKind
 from antdsl.scene.checks.entry_checks import check_dimension, check_map_name, check_value, report_unknown
-from antdsl.scene.crowds.casting_model import ChoiceDraw, NormalDraw, PaintedDraw, UniformDraw
+from antdsl.scene.crowds.casting_model import NormalRandomValue, PaintedMapValue, UniformRandomValue, WeightedChoice
 from antdsl.scene.crowds.crowd_data import MAX_DEVIATIONS, ValueDraw
 from antdsl.scene.document import PathKey
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
@@ -73,7 +73,7 @@ def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Ma
     if isinstance(value, str):
         number = _convert_text(line, value, target, *path)
         return None if number is None else ValueDraw("number", number)
-    if isinstance(value, ChoiceDraw):
+    if isinstance(value, WeightedChoice):
         numbers = [_convert_text(line, text, target, *path, "choice", text) for text in value.choice]
         if any(number is None for number in numbers):
             return None
@@ -82,8 +82,8 @@ def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Ma
         words = f"`{target.name}` has no number to draw"
         line.report.error("wrong-value", words, line.scene.span(*path), "write one value, or `{choice: {A: 3, B: 1}}`")
         return None
-    if isinstance(value, UniformDraw | NormalDraw):
-        word, pair = ("uniform", value.uniform) if isinstance(value, UniformDraw) else ("normal", value.normal)
+    if isinstance(value, UniformRandomValue | NormalRandomValue):
+        word, pair = ("uniform", value.uniform) if isinstance(value, UniformRandomValue) else ("normal", value.normal)
         if word == "normal":
             low, high = _convert_mean(line, pair, target, *path, word)
         else:
@@ -95,11 +95,11 @@ def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Ma
             line.report.error("wrong-value", f"`{pair[1].text}` is too small here", line.scene.span(*path, word, 1), help)
             return None
         return ValueDraw("uniform" if word == "uniform" else "normal", low, high)
-    assert isinstance(value, PaintedDraw)
+    assert isinstance(value, PaintedMapValue)
     return _stage_painted(line, value, target, *path)
 
 
-def _stage_painted(line: _Line, value: PaintedDraw, target: AttributeDecl, *path: PathKey) -> ValueDraw | None:
+def _stage_painted(line: _Line, value: PaintedMapValue, target: AttributeDecl, *path: PathKey) -> ValueDraw | None:
     if not check_map_name(line.scene, line.report, line.program, value.painted, *path, "painted"):
         return None
     if (value.low is None) != (value.high is None) or (value.low is None and target.type.dimension != Dimension()):

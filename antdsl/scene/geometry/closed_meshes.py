@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_WELD_SUBDIVISIONS = 16.0  # resolution of rounding: corners nearer than a millionth of the extent coincide
+_WELD_VOXELS_PER_EXTENT = 16.0  # resolution of rounding: corners nearer than a millionth of the extent coincide
 
 
 def round_to_voxels(corners: Floats) -> tuple[Index, int]:
@@ -53,7 +53,7 @@ def count_inward_pieces(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int
     corners = vertices[faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     face, direction, first, count = _group_edges(
-        round_to_voxels((corners - low) * (_WELD_SUBDIVISIONS / max(float((high - low).max()), 1e-12)))[0]
+        round_to_voxels((corners - low) * (_WELD_VOXELS_PER_EXTENT / max(float((high - low).max()), 1e-12)))[0]
     )
     one = first[count == 2]
     odd = direction[one] == direction[one + 1]  # faces with the same winding traverse their common edge in opposite directions
@@ -138,7 +138,7 @@ def count_border_edges(mesh: MeshData) -> int:
 def _make_border_edge_table(corners: Floats) -> stored_tables.Tables:
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     _, _, _, count = _group_edges(
-        round_to_voxels((corners - low) * (_WELD_SUBDIVISIONS / max(float((high - low).max()), 1e-12)))[0]
+        round_to_voxels((corners - low) * (_WELD_VOXELS_PER_EXTENT / max(float((high - low).max()), 1e-12)))[0]
     )
     return {"count": np.array([(count == 1).sum()], np.int64)}
 

@@ -19,7 +19,7 @@ from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.obj_file import read_obj
 from antdsl.scene.geometry.ply import HeaderError
 from antdsl.scene.geometry.ply_body import read_ply
-from antdsl.scene.geometry.polygons import PolygonMesh, TooManyCorners, triangulate
+from antdsl.scene.geometry.polygons import PolygonMesh, TooManyCorners, triangulate_polygons
 from antdsl.scene.geometry.stl_file import read_stl
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.setting import MeshData
@@ -91,10 +91,10 @@ def read_mesh_arrays(
         raise MeshError("has no groups, which only .obj and glTF files have", "leave `group` out")
     try:
         if kind in READER_BY_SUFFIX:
-            return _triangulate(READER_BY_SUFFIX[kind](data, notes), notes)
+            return _triangulate_mesh(READER_BY_SUFFIX[kind](data, notes), notes)
         if kind == "obj":
-            return _triangulate(read_obj(data, notes, group), notes)
-        return _triangulate(read_gltf_mesh(data, notes, group, read_sibling or _reject_sibling), notes)
+            return _triangulate_mesh(read_obj(data, notes, group), notes)
+        return _triangulate_mesh(read_gltf_mesh(data, notes, group, read_sibling or _reject_sibling), notes)
     except (MeshError, PathRefused, MemoryError):
         raise
     except HeaderError as error:
@@ -105,7 +105,7 @@ def read_mesh_arrays(
         raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
 
 
-def _triangulate(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
+def _triangulate_mesh(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     """Return the vertices of a mesh, and its polygons as triangles."""
     wrong = np.flatnonzero((mesh.point_indices < 0) | (mesh.point_indices >= len(mesh.points)))
     if len(wrong):
@@ -119,7 +119,7 @@ def _triangulate(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
         used = mesh.point_indices[bad[mesh.point_indices]]
         if len(used):
             raise MeshError(f"has a vertex (number {used[0]}) that is not a finite point")
-    triangulation = triangulate(points, mesh.corner_counts, mesh.point_indices)
+    triangulation = triangulate_polygons(points, mesh.corner_counts, mesh.point_indices)
     small = mesh.corner_counts < 3
     notes.count_skipped("faces of fewer than three corners", int(small.sum()))
     notes.cut_polygons, notes.concave_polygons, notes.crossing_polygons = (

@@ -89,7 +89,8 @@ def normalise_text(data: bytes, wavefront: bool = False) -> bytes:
 
 
 def _replace_continuation(end: re.Match[bytes]) -> bytes:
-    """Return the replacement for `\\\\` at the end of a line. In a line with a name, it stays as it is."""
+    """Return the replacement for a backslash at the end of a line, which continues the line. In lines with a name, the backslash
+    is part of the name and is not replaced."""
     line = end.string[end.string.rfind(b"\n", 0, end.start()) + 1 : end.start()]
     return end[0] if line.lstrip()[:8].lower().split(None, 1)[:1] in _NAME_KEYWORDS else _CONTINUATION_BYTE
 

@@ -45,8 +45,8 @@ class _ObjReader:
     vertices: int = 0
     corners: int = 0
     names: dict[str, None] = field(default_factory=dict)
-    in_group: bool = False
-    in_object: bool = False
+    is_in_group: bool = False
+    is_in_object: bool = False
 
     def read_block(self, block: mesh_text.TextBlock) -> None:
         """Read the lines of a block."""
@@ -111,18 +111,18 @@ class _ObjReader:
         is_chosen = np.zeros(len(block), np.bool_)
         begin = 0
         for k in np.flatnonzero((kind == b"g") | (kind == b"o")).tolist():
-            is_chosen[begin:k] = self.in_group or self.in_object
+            is_chosen[begin:k] = self.is_in_group or self.is_in_object
             words = [word.decode("utf-8", "replace") for word in block.line(k)[1:]]
             if kind[k] == b"g":
                 words = words or ["default"]
-                self.in_group = self.group in words
+                self.is_in_group = self.group in words
             else:
                 words = [" ".join(words)]
-                self.in_object = self.group == words[0]
+                self.is_in_object = self.group == words[0]
             if len(self.names) < 1000:
                 self.names.update(dict.fromkeys(word[:60] for word in words[:100]))
             begin = k
-        is_chosen[begin:] = self.in_group or self.in_object
+        is_chosen[begin:] = self.is_in_group or self.is_in_object
         return is_chosen
 
     def make_mesh(self) -> PolygonMesh:

@@ -47,7 +47,7 @@ class Triangulation:
     crossing_polygons: tuple[int, ...] = ()
 
 
-def triangulate(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
+def triangulate_polygons(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
     """Return polygons cut into triangles with the same winding. Raises TooManyCorners if a polygon is too large to cut.
 
     `points` float64[n, 3].

@@ -32,12 +32,12 @@ def _stage_placed_camera(staging: SceneStaging, value: Camera) -> stage_of.Camer
     model = staging.scene.model
     frames = range(model.frames.first, model.frames.last + 1 if value.keys else model.frames.first + 1)
 
-    def interpolate(name: str, convert: Callable[[Any], tuple[float, ...]]) -> NDArray[np.float64]:
+    def interpolate_keys(name: str, convert: Callable[[Any], tuple[float, ...]]) -> NDArray[np.float64]:
         keys = {f: convert(part) for f, key in value.keys.items() if (part := getattr(key, name)) is not None}
         return interpolate_values(keys or {0: convert(getattr(value, name))}, frames)
 
-    at, look_at = (interpolate(name, lambda point: convert_point(point, model.unit_mm)) for name in ("at", "look_at"))
-    focal = interpolate("focal", lambda length: (0.0 if length is None else length.number,))[:, 0]
+    at, look_at = (interpolate_keys(name, lambda point: convert_point(point, model.unit_mm)) for name in ("at", "look_at"))
+    focal = interpolate_keys("focal", lambda length: (0.0 if length is None else length.number,))[:, 0]
     up = np.tile(np.array(UP_VECTORS[model.up]), (len(frames), 1))
     return stage_of.CameraData(at, look_at, up, focal, model.frames.first)
 

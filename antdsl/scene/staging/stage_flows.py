@@ -29,14 +29,14 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
     if isinstance(thing, model.PaintedThing):
         return _stage_painted(staging, name, thing, 3)
 
-    def mm(value: Quantity | None) -> float | None:
+    def convert_to_mm(value: Quantity | None) -> float | None:
         return None if value is None else value.to_millimetres(staging.scene.model.unit_mm)
 
     on = () if thing.on is None else (thing.on,)
     if isinstance(thing, model.BorderFlow):
-        within = mm(thing.within)
+        within = convert_to_mm(thing.within)
         assert within is not None
-        return stage_of.BorderFlowData(on or (thing.border,), within, thing.falloff, thing.strength, mm(thing.cell))
+        return stage_of.BorderFlowData(on or (thing.border,), within, thing.falloff, thing.strength, convert_to_mm(thing.cell))
     goal = find_flow_target(thing)
     assert goal is not None
     target = _stage_target(staging, name, *goal)
@@ -47,13 +47,14 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
         every = (
             _DEFAULT_INTERVAL_SECONDS if thing.every is None else thing.every.to_base_units(model_.unit_mm, float(1 / model_.fps))
         )
-        clearance = mm(thing.room) or 0.0
+        clearance = convert_to_mm(thing.room) or 0.0
         return stage_of.SolvedFlowData(
-            target, thing.slope, clearance, dict(thing.maps), thing.crowding, every, thing.strength, mm(thing.cell), on
+            target, thing.slope, clearance, dict(thing.maps), thing.crowding, every, thing.strength, convert_to_mm(thing.cell), on
         )
     assert isinstance(thing, model.SpreadFlow)
     direction, gather = goal[0], thing.gather if isinstance(thing, model.TangentFlow) else 0.0
-    return stage_of.SpreadFlowData(direction, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
+    radius, cell = convert_to_mm(thing.radius), convert_to_mm(thing.cell)
+    return stage_of.SpreadFlowData(direction, target, radius, thing.falloff, thing.strength, cell, on, gather)  # type: ignore[arg-type]
 
 
 def _stage_target(staging: SceneStaging, name: str, key: str, target: model.Target) -> FlowTarget | None:

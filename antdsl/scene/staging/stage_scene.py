@@ -83,13 +83,13 @@ class SceneStaging:
         root, colon, path = text.rpartition(":")
         folder = posixpath.dirname(path)
 
-        def read(name: str, cap: int) -> bytes:
+        def read_sibling(name: str, cap: int) -> bytes:
             full_path = root + colon + (posixpath.normpath(posixpath.join(folder, name)) if name[:1] != "/" else name)
             data = self.scene.roots.read_file(full_path, cap)
             self.hashes[full_path] = hashlib.blake2b(data, digest_size=16).hexdigest()
             return data
 
-        return read
+        return read_sibling
 
     def read_points(self, text: str, min_count: int, *path: PathKey) -> NDArray[np.float64] | None:
         """Return at least `min_count` points of a JSON file, in the file's own units. On failure, report an error and return

@@ -82,7 +82,7 @@ class FingerprintColumn:
         """Return a value of the column in the author's spelling."""
         return format_value(world, value, self.type, self.unit)
 
-    def summarise(self, world: World) -> str:
+    def summarise_values(self, world: World) -> str:
         """Return the values if there are few of them; else how many agents are in each state, for how many a truth holds, or the
         mean."""
         if self.is_opaque or not len(self.values):
@@ -277,7 +277,7 @@ def _describe_difference(
             column.format_value(world, previous_value),
         )
     member = _find_member_name(column, one[0]) if one is not None else differing_agents.get(column.owner, "")
-    return StateDifference(column.owner, column.attribute, member, column.summarise(world), recorded_summary)
+    return StateDifference(column.owner, column.attribute, member, column.summarise_values(world), recorded_summary)
 
 
 def _find_member_name(column: FingerprintColumn, row: int) -> str:

@@ -171,7 +171,7 @@ class GoldenRecorder:
         """Build the golden run from the recorded frames."""
         self.result.frames = len(self.frames)
         summary = {name: f"{len(population)} agents" for name, population in sorted(world.populations.items())}
-        column_summaries = {key: column.summarise(world) for key, column in build_columns(world, self.program).items()}
+        column_summaries = {key: column.summarise_values(world) for key, column in build_columns(world, self.program).items()}
         summary |= {key: words for key, words in column_summaries.items() if words}
         self.golden_run = GoldenRun(set=dict(self.result.changes), seed=self.result.seed, summary=summary, frames=self.frames)
 
@@ -230,7 +230,7 @@ def _compute_column_sums(world: World, program: Program) -> dict[str, ValueSums]
     sums_by_key = {}
     for key, column in build_columns(world, program).items():
         first, second = column.compute_sums()
-        sums_by_key[key] = (f"{first:x}", f"{second:x}", column.summarise(world))
+        sums_by_key[key] = (f"{first:x}", f"{second:x}", column.summarise_values(world))
     return sums_by_key
 
 

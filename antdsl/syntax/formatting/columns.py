@@ -22,7 +22,7 @@ class LayoutRow:
     cells: list[str]
     following_lines: list[str]
     comment: str | None
-    blank_before: bool
+    has_blank_before: bool
     is_separate: bool
 
 
@@ -47,10 +47,10 @@ MarkFinder = Callable[[Sequence[LayoutNode | LayoutBlock]], int | None]
 def _find_sign(sign: str) -> MarkFinder:
     """Return a function that finds the index of a sign outside all brackets."""
 
-    def place(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
+    def find_sign_index(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
         return next((k for k, part in enumerate(parts) if k and isinstance(part, TokenLeaf) and part.text == sign), None)
 
-    return place
+    return find_sign_index
 
 
 def _find_second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
@@ -87,7 +87,7 @@ def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
     """Return the lines of a block, with marks aligned within a run of lines without a blank line or a comment line in between."""
     lines: list[str] = []
     for run in _split_runs(rows):
-        if run[0].blank_before:
+        if run[0].has_blank_before:
             lines.append("")
         texts = [text for _, group in groupby(run, key=lambda row: row.kind) for text in _align_run(list(group))]
         column = _compute_next_column([text for row, text in zip(run, texts, strict=True) if row.comment], _MIN_COMMENT_BLANKS)
@@ -105,7 +105,7 @@ def _split_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
     """Yield runs of rows on consecutive lines; a comment line, or a statement of several lines, is a separate run."""
     run: list[LayoutRow] = []
     for row in rows:
-        if run and (row.blank_before or row.is_separate or run[-1].is_separate):
+        if run and (row.has_blank_before or row.is_separate or run[-1].is_separate):
             yield run
             run = []
         run.append(row)

@@ -24,7 +24,7 @@ class CommentItem:
     """A comment on a separate line."""
 
     text: str
-    blank_before: bool
+    has_blank_before: bool
 
 
 @dataclass(slots=True)
@@ -44,7 +44,7 @@ class LayoutStatement:
 
     rule: str
     parts: list[LayoutNode | LayoutBlock]
-    blank_before: bool
+    has_blank_before: bool
     comment: str | None = None
 
     @property

@@ -28,12 +28,12 @@ def _format_block(items: Sequence[LayoutItem], indent: int) -> list[str]:
 
 def _make_row(item: LayoutItem, indent: int) -> LayoutRow:
     if isinstance(item, CommentItem):
-        return LayoutRow("remark", [item.text], [], None, item.blank_before, True)
+        return LayoutRow("remark", [item.text], [], None, item.has_blank_before, True)
     lines = _format_statement(item.parts, indent)
     if len(lines) > 1:
-        return LayoutRow("long", lines[:1], lines[1:], item.comment, item.blank_before, True)
+        return LayoutRow("long", lines[:1], lines[1:], item.comment, item.has_blank_before, True)
     kind, parts = split_cells(item)
-    return LayoutRow(kind, [_format_flat(part).strip(" ") for part in parts], [], item.comment, item.blank_before, False)
+    return LayoutRow(kind, [_format_flat(part).strip(" ") for part in parts], [], item.comment, item.has_blank_before, False)
 
 
 def _format_flat(parts: Sequence[LayoutPart]) -> str:

@@ -52,7 +52,7 @@ def _read_definition(
     rig = _build_rig(body, joint_nodes, parents)
     layer = _read_layer(body)
     rig = replace(rig, channels=tuple(body.channels.values()))
-    clips = read_clips(body.file, body.joint_by_node, body.weights, _replace_rest_pose(rig, pose), rate)
+    clips = read_clips(body.file, body.joint_by_node, body.channels_by_node, _replace_rest_pose(rig, pose), rate)
     definition = Definition(
         name, rig, body.shapes, {BASE_LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
         materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
@@ -170,7 +170,7 @@ def _read_layer(body: GltfBody) -> Layer:
             known[key] = name
         shape = body.shapes[known[key]]
         if shape.blend is not None:
-            body.weights[number] = shape.blend.channels
+            body.channels_by_node[number] = shape.blend.channels
         if skin is None and not morphs:
             static.append(Binding(body.joint_by_node[number], shape.name))
             continue

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Clip, Rig
-from antdsl.bodies.agents.transforms import align_signs, decompose_matrix, normalise_quaternion, slerp
+from antdsl.bodies.agents.transforms import align_signs, decompose_matrix, normalise_quaternion, slerp_quaternions
 from antdsl.bodies.files.gltf.gltf_shapes import make_unused_name
 from antdsl.scene.geometry.gltf_file import GltfDocument
 
@@ -183,7 +183,7 @@ class _SamplerKeys:
         if self.kind == "CUBICSPLINE":
             return self._sample_spline(previous_key, share, step)
         if rotation:
-            return slerp(normalise_quaternion(own[previous_key]), normalise_quaternion(own[previous_key + 1]), share)
+            return slerp_quaternions(normalise_quaternion(own[previous_key]), normalise_quaternion(own[previous_key + 1]), share)
         return own[previous_key] + share[:, None] * (own[previous_key + 1] - own[previous_key])
 
     def _sample_spline(self, previous_key: NDArray[np.int64], share: Floats, step: Floats) -> Floats:

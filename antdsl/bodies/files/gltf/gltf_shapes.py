@@ -37,7 +37,7 @@ class GltfBody:
     joint_by_node: dict[int, str] = field(default_factory=dict)
     shapes: dict[str, Shape] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
-    weights: dict[int, tuple[str, ...]] = field(default_factory=dict)  # channels of each node's mesh
+    channels_by_node: dict[int, tuple[str, ...]] = field(default_factory=dict)  # channels of each node's mesh
     materials: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     omissions: dict[str, None] = field(default_factory=dict)
     point_count: int = 0

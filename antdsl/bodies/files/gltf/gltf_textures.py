@@ -42,12 +42,15 @@ class Textures:
             raise TextureError("it uses other texture coordinates than the first")
         textures = file.get_top_list("textures")
         texture = textures[file.check_index(info.get("index"), "texture", len(textures))]
-        image = self._image(file.get_index(texture, "source", len(file.get_top_list("images"))))
+        image = self._read_image(file.get_index(texture, "source", len(file.get_top_list("images"))))
         sampler = file.get_index(texture, "sampler", len(file.get_top_list("samplers")))
         wrap = {} if sampler is None else file.get_top_list("samplers")[sampler]
-        uv = _transform(file, info, uvs)
+        uv = _transform_uvs(file, info, uvs)
         size = np.array([image.shape[1], image.shape[0]])
-        at = np.stack([_wrap(uv[:, k], wrap.get(name, 0)) for k, name in enumerate(("wrapS", "wrapT"))], axis=1) * size - 0.5
+        at = (
+            np.stack([_wrap_coordinates(uv[:, k], wrap.get(name, 0)) for k, name in enumerate(("wrapS", "wrapT"))], axis=1) * size
+            - 0.5
+        )
         first = np.floor(at)
         share = at - first
         low, high = (np.clip(first + step, 0, size - 1).astype(np.intp) for step in (0, 1))
@@ -56,7 +59,7 @@ class Textures:
         below = linear[high[:, 1], low[:, 0]] * (1 - share[:, :1]) + linear[high[:, 1], high[:, 0]] * share[:, :1]
         return np.asarray(above * (1 - share[:, 1:]) + below * share[:, 1:])
 
-    def _image(self, number: int | None) -> NDArray[np.uint8]:
+    def _read_image(self, number: int | None) -> NDArray[np.uint8]:
         """Return a decoded image."""
         if number is None:
             raise TextureError("it has no PNG or JPEG image")
@@ -79,7 +82,7 @@ class Textures:
         return self._images[number]
 
 
-def _transform(file: GltfDocument, info: dict[str, Any], uvs: Floats) -> Floats:
+def _transform_uvs(file: GltfDocument, info: dict[str, Any], uvs: Floats) -> Floats:
     """Return texture coordinates moved by the extension KHR_texture_transform, if the reference has it."""
     change = file.get_object(file.get_object(info, "extensions"), "KHR_texture_transform")
     if not change:
@@ -92,7 +95,7 @@ def _transform(file: GltfDocument, info: dict[str, Any], uvs: Floats) -> Floats:
     return np.stack([cosine * moved[:, 0] + sine * moved[:, 1], cosine * moved[:, 1] - sine * moved[:, 0]], axis=1) + offset
 
 
-def _wrap(values: Floats, mode: Any) -> Floats:
+def _wrap_coordinates(values: Floats, mode: Any) -> Floats:
     """Return texture coordinates in the range 0 to 1, wrapped by a sampler's mode. The default repeats the texture."""
     if mode == _CLAMP:
         return np.clip(values, 0.0, 1.0)

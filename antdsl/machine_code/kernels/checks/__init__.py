@@ -74,9 +74,9 @@ class CheckRenderer:
             lines.append(f"  {fine} = icmp ne {first.typed}, 0")
         elif instruction.op == "divisor":
             lines.append(f"  {fine}.each = icmp ne {first.typed}, zeroinitializer")
-            lines.append(f"  {fine} = call i1 @check.all({_MASK_TYPE} {fine}.each, {_mask(others)})")
+            lines.append(f"  {fine} = call i1 @check.all({_MASK_TYPE} {fine}.each, {_render_mask(others)})")
         elif first.wide:
-            passed = f"{first.typed}, {others[0].typed}, i64 {instruction.immediate}, {_mask(others[1:])}"
+            passed = f"{first.typed}, {others[0].typed}, i64 {instruction.immediate}, {_render_mask(others[1:])}"
             lines.append(f"  {fine} = call i1 @check.indices({passed})")
         else:
             length = others[0].name
@@ -109,7 +109,7 @@ class CheckRenderer:
         return f'{_HELPER_FUNCTIONS_TEXT}\n@{_FAULT_MESSAGES_VARIABLE} = constant [{len(data)} x i8] c"{escaped}"'
 
 
-def _mask(operands: list[Any]) -> str:
+def _render_mask(operands: list[Any]) -> str:
     return operands[0].typed if operands else f"{_MASK_TYPE} splat (i1 true)"
 
 
@@ -118,7 +118,7 @@ def guard_call(run: Callable[..., Any], code: LoadedCode) -> Callable[..., Any]:
     word = ctypes.c_int64.from_address(code.constant_address(_FAULT_VARIABLE))
 
     @wraps(run, assigned=())
-    def call(*arguments: Any) -> Any:
+    def call_guarded(*arguments: Any) -> Any:
         output = run(*arguments)
         if word.value:
             message = code.read_constant_text(_FAULT_MESSAGES_VARIABLE).split("\n")[word.value - 1]
@@ -126,4 +126,4 @@ def guard_call(run: Callable[..., Any], code: LoadedCode) -> Callable[..., Any]:
             raise KernelFault(message)
         return output
 
-    return call
+    return call_guarded

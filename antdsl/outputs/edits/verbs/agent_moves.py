@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.transforms import Floats, multiply_quaternions, normalise_quaternion, quaternion_to_matrix, slerp
+from antdsl.bodies.agents.transforms import (
+    Floats,
+    multiply_quaternions,
+    normalise_quaternion,
+    quaternion_to_matrix,
+    slerp_quaternions,
+)
 from antdsl.numerics.elementary import cos_float64, sin_float64
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.manifest import Manifest
@@ -39,7 +45,7 @@ class AgentMoves:
         return AgentMoves(
             self.rows,
             position + share * (self.position - position),
-            slerp(one, self.rotation, np.full(len(self.rows), share)),
+            slerp_quaternions(one, self.rotation, np.full(len(self.rows), share)),
             1 + share * (self.size - 1),
             1 + share * (self.speed - 1),
         )
@@ -54,7 +60,7 @@ def make_moves(
     return AgentMoves(rows, position, turns, np.full(count, size), np.full(count, speed))
 
 
-def rotate(rotation: Floats, vectors: Floats) -> Floats:
+def rotate_vectors(rotation: Floats, vectors: Floats) -> Floats:
     """Return vectors [n, …, 3] rotated by unit quaternions [n, 4]."""
     matrix = quaternion_to_matrix(rotation)
     shape = (len(vectors), *(1,) * (vectors.ndim - 2), 3)
@@ -99,7 +105,7 @@ def move_agents(arrays: Arrays, manifest: Manifest, moves: AgentMoves) -> dict[s
         _set_rows(changed, "pscale", moves.rows, arrays["pscale"][moves.rows] * moves.size)
     if "v" in arrays:
         velocity = np.asarray(arrays["v"], np.float64)[moves.rows] * moves.speed[:, None]
-        _set_rows(changed, "v", moves.rows, rotate(moves.rotation, velocity))
+        _set_rows(changed, "v", moves.rows, rotate_vectors(moves.rotation, velocity))
     for name, keys in table.iterate_agent_arrays():
         first, field = name.partition(".")[0], name.rpartition(".")[2]
         if first not in ("feet", "events") or field not in ("P", "N", "rise"):
@@ -109,10 +115,10 @@ def move_agents(arrays: Arrays, manifest: Manifest, moves: AgentMoves) -> dict[s
         values = np.asarray(arrays[name], np.float64)[rows]
         if field == "P":
             shape = (-1, *(1,) * (values.ndim - 2), 3)
-            offset = rotate(moves.rotation[which], values - start[which].reshape(shape))
+            offset = rotate_vectors(moves.rotation[which], values - start[which].reshape(shape))
             values = moves.position[which].reshape(shape) + offset * moves.size[which].reshape(*shape[:-1], 1)
         else:
-            values = rotate(moves.rotation[which], values) if field == "N" else values * moves.size[which]
+            values = rotate_vectors(moves.rotation[which], values) if field == "N" else values * moves.size[which]
         _set_rows(changed, name, rows, values)
     return changed
 
@@ -142,7 +148,7 @@ def blend_frames(arrays: Arrays, other: Arrays, share: float, manifest: Manifest
                 same_clips[group] = _find_same_clips(arrays, other, group, at, share > 0)
             is_there = is_there & same_clips[group]
         rows = np.flatnonzero(is_there)
-        values = _interpolate(between, arrays[name][rows], other[name][at[rows]], abs(share))
+        values = _interpolate_values(between, arrays[name][rows], other[name][at[rows]], abs(share))
         _set_rows(blended, name, rows, values)
     return blended
 
@@ -163,10 +169,10 @@ def _find_same_clips(one: Arrays, other: Arrays, group: str, other_rows: NDArray
     return is_same
 
 
-def _interpolate(interpolation: str, one: NDArray[Any], other: NDArray[Any], share: float) -> Floats:
+def _interpolate_values(interpolation: str, one: NDArray[Any], other: NDArray[Any], share: float) -> Floats:
     a, b = np.asarray(one, np.float64), np.asarray(other, np.float64)
     if interpolation == "rotation":
-        return slerp(normalise_quaternion(a), normalise_quaternion(b), np.full(a.shape[:-1], share))
+        return slerp_quaternions(normalise_quaternion(a), normalise_quaternion(b), np.full(a.shape[:-1], share))
     if interpolation == "phase":
         turn = (b - a + 0.5) % 1.0 - 0.5
         return (a + share * turn) % 1.0

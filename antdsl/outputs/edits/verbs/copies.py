@@ -79,10 +79,10 @@ class DuplicateLayer(EditLayer):
                     if ground is None
                     else move_on_ground(agents, self.source.manifest, moves, Grounds(ground, ground))
                 )
-            joined = join_frames(joined, self._rename(agents, k), self.manifest)
+            joined = join_frames(joined, self._assign_copy_ids(agents, k), self.manifest)
         return joined
 
-    def _rename(self, agents: Arrays, k: int) -> dict[str, NDArray[Any]]:
+    def _assign_copy_ids(self, agents: Arrays, k: int) -> dict[str, NDArray[Any]]:
         """Return agents with the ids of copy k."""
         offsets = np.array([k * self.inputs.next_ids[entry.name] for entry in self.manifest.species], np.int64)
         number_by_species = {entry.name: number for number, entry in enumerate(self.manifest.species)}

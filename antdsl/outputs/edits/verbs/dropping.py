@@ -78,14 +78,14 @@ class DropLayer(EditLayer):
         return replace(self.inputs, ground=Ground(self))
 
     @cached_property
-    def _target(self) -> Ground:
+    def _target_ground(self) -> Ground:
         entry = next(mesh for mesh in self.manifest.meshes if mesh.name == self._mesh_name)
         return Ground(self, (entry,))
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
         """Return a frame with the selected agents on other ground."""
         rows = np.flatnonzero(self.selection.find(make_agent_keys(arrays)))
-        new = self._target.at(number)
+        new = self._target_ground.at(number)
         old = (self.inputs.ground.at(number) if self.inputs.ground else None) or new
         if not len(rows) or new is None or old is None:
             return arrays

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from antdsl.bodies.agents.transforms import angles_to_quaternion, multiply_quaternions, slerp
+from antdsl.bodies.agents.transforms import angles_to_quaternion, multiply_quaternions, slerp_quaternions
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.outputs.cache.cache_reader import Arrays, Cache
 from antdsl.outputs.cache.frame_agents import make_agent_keys
@@ -68,7 +68,7 @@ class OffsetLayer(EditLayer):
         """Return a frame in which the joint of the selected agents is elsewhere."""
         angles = np.array([each.number for each in self.line.rotate or ()] or [0.0, 0.0, 0.0])
         share = compute_line_ease(self.line, number)
-        turn = slerp(IDENTITY[None], angles_to_quaternion(angles[None], "xyz"), np.array([share]))
+        turn = slerp_quaternions(IDENTITY[None], angles_to_quaternion(angles[None], "xyz"), np.array([share]))
         by = np.zeros(3) if self.line.by is None else share * convert_displacement(self.line.by, self.manifest)
         selected = np.flatnonzero(self.selection.find(make_agent_keys(arrays)))
         changed, table = dict(arrays), FrameRows(arrays, self.manifest)

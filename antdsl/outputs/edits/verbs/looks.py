@@ -87,12 +87,12 @@ class ReplaceLayer(EditLayer):
             changed["Cd"] = arrays["Cd"].copy()
             changed["Cd"][rows] = self.line.colour
         if self.line.wear is not None:
-            self._dress(changed, rows)
+            self._replace_layers(changed, rows)
         if self.line.body is not None:
             self._regroup_feet(changed)
         return changed
 
-    def _dress(self, arrays: dict[str, NDArray[Any]], rows: NDArray[np.intp]) -> None:
+    def _replace_layers(self, arrays: dict[str, NDArray[Any]], rows: NDArray[np.intp]) -> None:
         """Replace the layers that agents wear."""
         table = FrameRows(arrays, self.manifest)
         for species in self.manifest.species:

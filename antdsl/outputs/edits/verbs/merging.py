@@ -71,7 +71,7 @@ class MergeLayer(EditLayer):
 
     def pass_inputs(self) -> EditInputs:
         """Return the inputs of the next edit, with ids beyond those of the other cache."""
-        next_ids = {entry.name: self._offsets[k] + self._counts[k] for k, entry in enumerate(self.manifest.species)}
+        next_ids = {entry.name: self._id_offsets[k] + self._counts[k] for k, entry in enumerate(self.manifest.species)}
         return replace(self.inputs, next_ids=next_ids)
 
     def read_static(self) -> Arrays:
@@ -98,7 +98,7 @@ class MergeLayer(EditLayer):
         return np.array(find_matching_species(self.source.manifest, self._other.manifest), np.int64)
 
     @cached_property
-    def _offsets(self) -> list[int]:
+    def _id_offsets(self) -> list[int]:
         """Return, by species of the merged cache, the offset that is added to ids of the other cache."""
         own = [max(self.inputs.next_ids[entry.name], 1) for entry in self.source.manifest.species]
         return own + [0] * (len(self.manifest.species) - len(own))
@@ -128,15 +128,15 @@ class MergeLayer(EditLayer):
         others = self._other.frame(time)
         if count + len(others["id"]) > limits.MAX_AGENTS:
             raise CacheError(f"the caches have more than {limits.MAX_AGENTS:,} agents together in frame {number}")
-        return join_frames(own, self._convert(others), self.manifest)
+        return join_frames(own, self._convert_agents(others), self.manifest)
 
-    def _convert(self, arrays: Arrays) -> dict[str, NDArray[Any]]:
+    def _convert_agents(self, arrays: Arrays) -> dict[str, NDArray[Any]]:
         """Return the arrays of agents of the other cache with the ids, species and positions of this one."""
         entries, other = self.manifest.species, self._other.manifest
         shift = np.array(other.origin) - self.manifest.origin
         shift = shift + (convert_displacement(self.line.by, self.manifest) if self.line.by else 0)
         names = {species.name: entries[number].name for species, number in zip(other.species, self._numbers, strict=True)}
-        offsets = np.array([self._offsets[number] for number in self._numbers], np.int64)
+        offsets = np.array([self._id_offsets[number] for number in self._numbers], np.int64)
         converted: dict[str, NDArray[Any]] = {}
         for name, array in arrays.items():
             subject, parts = find_array_subject(name), name.split(".")
@@ -169,15 +169,15 @@ def find_matching_species(manifest: Manifest, other: Manifest) -> list[int]:
     A species with copies or replaced bodies is added: its bodies depend on its ids in more than one way."""
     numbers, added = [], len(manifest.species)
     for species in other.species:
-        described = _describe(species, other)
-        equal = (k for k, each in enumerate(manifest.species) if _describe(each, manifest) == described)
+        described = _describe_species(species, other)
+        equal = (k for k, each in enumerate(manifest.species) if _describe_species(each, manifest) == described)
         match = None if species.copies or species.replaced else next(equal, None)
         numbers.append(added if match is None else match)
         added += match is None
     return numbers
 
 
-def _describe(species: SpeciesEntry, manifest: Manifest) -> Any:
+def _describe_species(species: SpeciesEntry, manifest: Manifest) -> Any:
     """Return what two species have in common that are the same."""
     worn = species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)
     digests = [None if each.definition is None else manifest.bodies[each.definition].digest for each in worn]
@@ -188,10 +188,10 @@ def _describe(species: SpeciesEntry, manifest: Manifest) -> Any:
 def _renumber_bodies(species: SpeciesEntry, first: int, names: set[str]) -> SpeciesEntry:
     """Return a species with another name, if it has one of `names`, and with the numbers of its bodies after `first` others."""
     name = next(each for k in range(len(names) + 1) if (each := f"{species.name}_{k + 1}" if k else species.name) not in names)
-    bodies = tuple(each.model_copy(update={"definition": _add(each.definition, first)}) for each in species.bodies)
-    change = {"name": name, "definition": _add(species.definition, first), "bodies": bodies}
+    bodies = tuple(each.model_copy(update={"definition": _add_offset(each.definition, first)}) for each in species.bodies)
+    change = {"name": name, "definition": _add_offset(species.definition, first), "bodies": bodies}
     return species.model_copy(update={**change, "drawn_as": species.drawn_as or (species.name if name != species.name else "")})
 
 
-def _add(number: int | None, first: int) -> int | None:
+def _add_offset(number: int | None, first: int) -> int | None:
     return None if number is None else number + first

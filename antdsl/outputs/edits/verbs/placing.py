@@ -20,7 +20,7 @@ from antdsl.outputs.edits.edit_layer import AgentsLine, EditLayer
 from antdsl.outputs.edits.edit_values import DEFAULT_EASE_FRAMES, Factor, FrameCount
 from antdsl.outputs.edits.frame_rows import FrameRows
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
-from antdsl.outputs.edits.verbs.agent_moves import AgentMoves, find_axes, make_moves, make_rotation, move_agents, rotate
+from antdsl.outputs.edits.verbs.agent_moves import AgentMoves, find_axes, make_moves, make_rotation, move_agents, rotate_vectors
 from antdsl.scene.notes.selectors import Selector
 from antdsl.scene.thing_models import UNIT_MM, UP_VECTORS
 from antdsl.scene.values import Angle, PointOrName, PointValue, make_error, parse_one_of
@@ -206,7 +206,7 @@ class RotateLayer(PlacingLayer):
         rotation = make_rotation(self.up, self.line.by.number)
         centre = agents.position if self.line.around == _EACH else self.find_point(self.line.around, arrays)
         offset = agents.position - centre
-        return make_moves(agents.rows, centre + rotate(np.broadcast_to(rotation, (len(offset), 4)), offset), rotation)
+        return make_moves(agents.rows, centre + rotate_vectors(np.broadcast_to(rotation, (len(offset), 4)), offset), rotation)
 
 
 @dataclass(frozen=True, eq=False)

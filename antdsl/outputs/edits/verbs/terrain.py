@@ -42,7 +42,7 @@ class Terrain:
         """Return the ground nearest to points [n, 3] along their up or down within `reach` [n]. Ground up to `lift` [n] above a
         point counts as below it."""
         start = points + up * lift[:, None]
-        below, above = self._cast(start, -up, reach + lift), self._cast(start, up, reach)
+        below, above = self._cast_rays(start, -up, reach + lift), self._cast_rays(start, up, reach)
         use_below = below[0] - lift <= above[0] + lift
         distance = np.where(use_below, -(below[0] - lift), above[0] + lift)
         normal = np.where(use_below[:, None], below[1], above[1])
@@ -54,11 +54,11 @@ class Terrain:
         """Return the first ground below points [n, 3], or the first above where there is none."""
         far = np.full(len(points), np.inf)
         start = points + up * lift[:, None]
-        down = self._cast(start, -up, far)
+        down = self._cast_rays(start, -up, far)
         rows = np.flatnonzero(~np.isfinite(down[0]))
         distance, normal = lift - down[0], down[1]
         if len(rows):
-            above = self._cast(start[rows], up[rows], far[rows])
+            above = self._cast_rays(start[rows], up[rows], far[rows])
             distance[rows], normal[rows] = above[0] + lift[rows], above[1]
         is_hit = np.isfinite(distance)
         normal = np.where((normal * up).sum(axis=1, keepdims=True) < 0, -normal, normal)
@@ -70,7 +70,7 @@ class Terrain:
         shares: Floats = np.minimum(hits.t, 1.0)
         return shares
 
-    def _cast(self, points: Floats, direction: Floats, reach: Floats) -> tuple[Floats, Floats]:
+    def _cast_rays(self, points: Floats, direction: Floats, reach: Floats) -> tuple[Floats, Floats]:
         """Return the distances of first hits within `reach` (inf for none), and the normals there."""
         hits = self._rays.find_first_hits(points * self._unit_mm, direction * self._unit_mm)
         normal = np.tile(np.array([0.0, 1.0, 0.0]), (len(points), 1))

@@ -19,4 +19,6 @@ OPERATION_RULES: dict[str, Callable[[PlanWriter, model.OperationExpr], LoweredVa
     **places.PLACE_RULES,
     **senses.SENSE_RULES,
 }
-LOWERING_RULES = LoweringRules(OPERATION_RULES, lower_set, lower_reduction, pair_values.read, clips.lower_clip_test)
+LOWERING_RULES = LoweringRules(
+    OPERATION_RULES, lower_set, lower_reduction, pair_values.read_pair_attribute, clips.lower_clip_test
+)

@@ -24,13 +24,13 @@ def _make_connective(bool_operation: str, degree_operation: str) -> OperationRul
     """Return the rule of `and` or `or`. Bools use the operation `bool_operation`. Degrees from 0 to 1 use `degree_operation`, the
     minimum or maximum (Zadeh 1965, section 2)."""
 
-    def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    def lower_connective(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         if e.type.kind is model.TypeKind.NUMBER:
             return w.b(degree_operation, *(_lower_degree(w, a) for a in e.args if a is not None))
         first, second = (lower_condition(w, a) for a in e.args if a is not None)
         return w.b(bool_operation, first, second)
 
-    return rule
+    return lower_connective
 
 
 def _lower_degree(w: PlanWriter, e: model.Expr) -> PlanNode:

@@ -31,13 +31,13 @@ def _lower_both(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, Lo
 
 
 def _make_binary_rule(op: str) -> OperationRule:
-    def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    def lower_binary(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         left, right, scalars = _lower_both(w, e)
         if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
             return values.zip_with(lambda p, q: w.b(op, p, q), left, right)
         return w.b(op, *scalars())
 
-    return rule
+    return lower_binary
 
 
 def _lower_mul(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
@@ -100,10 +100,10 @@ def compute_share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> 
 
 def _lower_ramp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     x, from_low, from_high, to_low, to_high = lower_arguments(w, e)
-    return _interpolate(w, to_low, to_high, compute_share(w, x, from_low, from_high))
+    return _lower_interpolation(w, to_low, to_high, compute_share(w, x, from_low, from_high))
 
 
-def _interpolate(w: PlanWriter, a: PlanNode, z: PlanNode, t: PlanNode) -> PlanNode:
+def _lower_interpolation(w: PlanWriter, a: PlanNode, z: PlanNode, t: PlanNode) -> PlanNode:
     if get_constant_value(a) == 0:
         return w.b("mul", z, t)
     return w.b("add", w.b("mul", a, w.b("sub", w.b.number(1), t)), w.b("mul", z, t))
@@ -113,9 +113,9 @@ def _lower_mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     first, second = (lower_expression(w, a) for a in e.args[:2] if a is not None)
     t = lower_scalar(w, e.args[2])  # type: ignore[arg-type]
     if isinstance(first, VectorNodes) and isinstance(second, VectorNodes):
-        return values.zip_with(lambda p, q: _interpolate(w, p, q, t), first, second)
+        return values.zip_with(lambda p, q: _lower_interpolation(w, p, q, t), first, second)
     if isinstance(first, PlanNode) and isinstance(second, PlanNode):
-        return _interpolate(w, first, second, t)
+        return _lower_interpolation(w, first, second, t)
     raise PlanError("mix of two values of different types")
 
 
@@ -136,7 +136,7 @@ def _lower_around(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _make_comparison_rule(op: str) -> OperationRule:
-    def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    def lower_comparison(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         left, right, scalars = _lower_both(w, e)
         if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
             same = w.b.all(*(w.b("eq", p, q) for p, q in zip(left, right, strict=True)))
@@ -146,7 +146,7 @@ def _make_comparison_rule(op: str) -> OperationRule:
             first, second = (n if n.kind is ValueKind.F32 else w.b("number", n) for n in (first, second))
         return w.b(op, first, second)
 
-    return rule
+    return lower_comparison
 
 
 NUMBER_RULES = {

@@ -30,7 +30,7 @@ def _make_sense_rule(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter,
     """Return the rule of a word that has the arguments of its sense: the named thing, then the operands."""
     first, size = sense.find_result_index(word.part)
 
-    def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    def lower_sense(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         rest = e.args[1:] if sense.thing_kind else e.args
         operands = [node for arg in rest if arg is not None for node in _list_operands(lower_expression(w, arg), arg)]
         sense_node = w.b(sense.op, *operands, attrs=(_get_thing_name(w, e),) if sense.thing_kind else ())
@@ -39,7 +39,7 @@ def _make_sense_rule(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter,
         components = [w.b("get", sense_node, attrs=(first + i,)) for i in range(size)]
         return VectorNodes(*components) if size == 3 else components[0]
 
-    return rule
+    return lower_sense
 
 
 def _list_operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:

@@ -34,13 +34,13 @@ class StepInfluence(IntEnum):
 class ShortStepValue:
     """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; if `power` is above 0, it vanishes.
     - `limit`: the limit, if it is known. `changers`: the first two operations that change the previous value.
-    - `deviation_power`: that of the deviation from the limit or previous value; infinite if `dt` has no influence.
+    - `deviation_exponent`: that of the deviation from the limit or previous value; infinite if `dt` has no influence.
     - `cause`: the operation that causes the deviation, or in which the value vanishes."""
 
     influence: StepInfluence = StepInfluence.NONE
     power: float = 0.0
     limit: float | None = None
-    deviation_power: float = math.inf
+    deviation_exponent: float = math.inf
     changers: tuple[Expr, ...] = ()
     cause: Expr | None = None
 
@@ -50,7 +50,7 @@ class ShortStepValue:
 
     @property
     def depends_on_dt(self) -> bool:
-        changes = self.deviation_power < math.inf or self.power < 0 or self.influence is StepInfluence.VANISHING
+        changes = self.deviation_exponent < math.inf or self.power < 0 or self.influence is StepInfluence.VANISHING
         return changes and self.influence <= StepInfluence.VANISHING
 
 
@@ -68,7 +68,7 @@ def find_changers(value: Expr, own_value: OwnValue, has_other_change: bool = Fal
     if short.influence is StepInfluence.CHANGED:
         makers = short.changers
     else:
-        is_slow = short.influence is StepInfluence.SAME and not _grows_with_time(short.deviation_power, value)
+        is_slow = short.influence is StepInfluence.SAME and not _grows_with_time(short.deviation_exponent, value)
         wrong = is_slow or short.influence is StepInfluence.VANISHING
         makers = (short.cause,) if wrong and short.cause is not None else ()
     return tuple(each for each in makers if not _uses_step_unit(each))
@@ -186,8 +186,8 @@ def _make_changed_value(op: Expr, operands: OperandValues) -> ShortStepValue:
 
 def _make_offset_value(previous_value: ShortStepValue, deviation_power: float, cause: Expr | None) -> ShortStepValue:
     """Return the previous value with an added deviation proportional to `dt ** off`."""
-    is_greater = previous_value.influence is StepInfluence.SAME and deviation_power < previous_value.deviation_power
-    return replace(previous_value, deviation_power=deviation_power, cause=cause) if is_greater else previous_value
+    is_greater = previous_value.influence is StepInfluence.SAME and deviation_power < previous_value.deviation_exponent
+    return replace(previous_value, deviation_exponent=deviation_power, cause=cause) if is_greater else previous_value
 
 
 def _find_strongest_influence(operands: OperandValues) -> StepInfluence:
@@ -212,11 +212,11 @@ def _analyse_sum(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
         if other.influence is StepInfluence.SAME or not other.is_vanishing or (op.name == "sub" and own is b):
             return _make_changed_value(op, operands)
         return _make_offset_value(own, other.power, op)
-    off = min(a.deviation_power, b.deviation_power)
+    off = min(a.deviation_exponent, b.deviation_exponent)
     to = None if a.limit is None or b.limit is None else a.limit - b.limit if op.name == "sub" else a.limit + b.limit
     if _is_near(to, 0):
         return _make_vanishing_value(off, own.influence, own.cause)
-    return ShortStepValue(power=min(a.power, b.power, 0.0), limit=to, deviation_power=off)
+    return ShortStepValue(power=min(a.power, b.power, 0.0), limit=to, deviation_exponent=off)
 
 
 def _analyse_product(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
@@ -230,9 +230,9 @@ def _analyse_product(op: OperationExpr, operands: OperandValues) -> ShortStepVal
         return _make_vanishing_value(power, min(own.influence, StepInfluence.VANISHING), cause)
     if own.influence is StepInfluence.NONE:
         to = a.limit * b.limit if a.limit is not None and b.limit is not None and power == 0 else None
-        return ShortStepValue(power=power, limit=to, deviation_power=min(a.deviation_power, b.deviation_power))
+        return ShortStepValue(power=power, limit=to, deviation_exponent=min(a.deviation_exponent, b.deviation_exponent))
     if own.influence >= StepInfluence.SAME and other.influence is StepInfluence.NONE and _is_near(other.limit, 1):
-        return _make_offset_value(own, other.deviation_power, op)
+        return _make_offset_value(own, other.deviation_exponent, op)
     return replace(_make_changed_value(op, operands), power=power)
 
 
@@ -242,7 +242,7 @@ def _analyse_quotient(op: OperationExpr, operands: OperandValues) -> ShortStepVa
         return _analyse_product(op, (a, b if b.influence is StepInfluence.UNSURE else _make_changed_value(op, (b,))))
     if b.power == math.inf:
         return _UNSURE_VALUE
-    to, off = (1 / b.limit, b.deviation_power) if b.limit else (None, math.inf)
+    to, off = (1 / b.limit, b.deviation_exponent) if b.limit else (None, math.inf)
     inverse = ShortStepValue(b.influence, -b.power, to, off, cause=b.cause)
     return _analyse_product(op, (a, inverse))
 
@@ -260,20 +260,20 @@ def _analyse_power(op: OperationExpr, operands: OperandValues) -> ShortStepValue
         return _UNSURE_VALUE
     if b.influence > StepInfluence.VANISHING or a.influence > StepInfluence.VANISHING:
         if a.influence is StepInfluence.SAME and _is_near(b.limit, 1):
-            return a if b.deviation_power == math.inf else _UNSURE_VALUE
+            return a if b.deviation_exponent == math.inf else _UNSURE_VALUE
         return _UNSURE_VALUE if b.depends_on_dt else _make_changed_value(op, operands)
     if b.limit is None:
         return _UNSURE_VALUE if a.depends_on_dt or b.depends_on_dt else ShortStepValue()
     if b.is_vanishing:
-        return ShortStepValue(limit=1.0, deviation_power=b.deviation_power) if a.power == 0 else _UNSURE_VALUE
+        return ShortStepValue(limit=1.0, deviation_exponent=b.deviation_exponent) if a.power == 0 else _UNSURE_VALUE
     if a.power and not b.depends_on_dt:
         power = a.power * b.limit
         return _make_vanishing_value(power, a.influence, a.cause) if power > 0 else ShortStepValue(power=power)
-    to = None if a.limit is None else _evaluate(lambda x: x ** (b.limit or 0.0), a.limit)
-    return ShortStepValue(limit=to, deviation_power=min(a.deviation_power, b.deviation_power))
+    to = None if a.limit is None else _evaluate_function(lambda x: x ** (b.limit or 0.0), a.limit)
+    return ShortStepValue(limit=to, deviation_exponent=min(a.deviation_exponent, b.deviation_exponent))
 
 
-def _evaluate(function: Callable[[float], float], argument: float) -> float | None:
+def _evaluate_function(function: Callable[[float], float], argument: float) -> float | None:
     try:
         result = function(argument)
     except (ValueError, OverflowError, ZeroDivisionError):
@@ -282,17 +282,17 @@ def _evaluate(function: Callable[[float], float], argument: float) -> float | No
 
 
 def _make_function_rule(function: Callable[[float], float]) -> Callable[[OperationExpr, OperandValues], ShortStepValue]:
-    def rule(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
+    def apply_function(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
         a = operands[0]
         if a.influence > StepInfluence.VANISHING:
             return _UNSURE_VALUE if a.influence is StepInfluence.UNSURE else _make_changed_value(op, operands)
         if a.power < 0:
             return _UNSURE_VALUE
-        limit = None if a.limit is None else _evaluate(function, a.limit)
-        vanishing = _make_vanishing_value(a.deviation_power, a.influence, a.cause)
-        return vanishing if _is_near(limit, 0) else ShortStepValue(limit=limit, deviation_power=a.deviation_power)
+        limit = None if a.limit is None else _evaluate_function(function, a.limit)
+        vanishing = _make_vanishing_value(a.deviation_exponent, a.influence, a.cause)
+        return vanishing if _is_near(limit, 0) else ShortStepValue(limit=limit, deviation_exponent=a.deviation_exponent)
 
-    return rule
+    return apply_function
 
 
 def _analyse_mix(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
@@ -302,9 +302,9 @@ def _analyse_mix(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
     for side, end in ((a, 0), (b, 1)):
         if share.influence <= StepInfluence.VANISHING and _is_near(share.limit, end):
             if side.influence is StepInfluence.NONE:
-                power = min(side.power, share.deviation_power) if side.power else 0.0
-                return replace(side, deviation_power=min(side.deviation_power, share.deviation_power), power=power)
-            return _make_offset_value(side, share.deviation_power, op)
+                power = min(side.power, share.deviation_exponent) if side.power else 0.0
+                return replace(side, deviation_exponent=min(side.deviation_exponent, share.deviation_exponent), power=power)
+            return _make_offset_value(side, share.deviation_exponent, op)
     return _analyse_combination(op, operands[:2]) if share.influence is StepInfluence.NONE else _make_changed_value(op, operands)
 
 
@@ -323,8 +323,8 @@ def _analyse_combination(op: Expr, operands: OperandValues) -> ShortStepValue:
     if operands and all(each.is_vanishing for each in operands):
         cause = next((each.cause for each in operands if each.cause), None)
         return _make_vanishing_value(min(each.power for each in operands), influence, cause)
-    off = min((each.deviation_power for each in operands), default=math.inf)
-    return ShortStepValue(power=min([0.0, *(each.power for each in operands)]), deviation_power=off)
+    off = min((each.deviation_exponent for each in operands), default=math.inf)
+    return ShortStepValue(power=min([0.0, *(each.power for each in operands)]), deviation_exponent=off)
 
 
 def _analyse_first_operand(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
@@ -340,7 +340,7 @@ def _analyse_pass_through(op: OperationExpr, operands: OperandValues) -> ShortSt
     if influence is StepInfluence.CHANGED:
         return replace(next(each for each in operands if each.influence is influence), changers=_collect_changers(operands))
     if influence is StepInfluence.SAME:
-        return min((each for each in operands if each.influence is influence), key=lambda operand: operand.deviation_power)
+        return min((each for each in operands if each.influence is influence), key=lambda operand: operand.deviation_exponent)
     return _analyse_unknown(op, operands)
 
 
@@ -351,9 +351,9 @@ def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue
         return _analyse_pass_through(op, operands)
     to = min(max(tos[0], tos[1]), tos[2]) if op.name == "clamp" else min(tos) if op.name == "min" else max(tos)
     left = [each for each in operands if each.limit == to]
-    off = min(each.deviation_power for each in left)
+    off = min(each.deviation_exponent for each in left)
     how, by = _find_strongest_influence(left), next((each.cause for each in left if each.cause), None)
-    return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(limit=to, deviation_power=off)
+    return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(limit=to, deviation_exponent=off)
 
 
 def _analyse_if(op: OperationExpr, operands: OperandValues, own_value: OwnValue, has_other_change: bool) -> ShortStepValue:

@@ -212,21 +212,21 @@ class AddressTables:
     def _watch_registers(self, names: NamedIndices, *, start: bool) -> WatchedArrays:
         """Return the watcher of registers, at the start of the step or now."""
 
-        def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
+        def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
                 words[place] = self._padded_arrays.move_register(population, name, start=start)[1]
 
         find: HolderFinder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
-        return WatchedArrays(find, _make_getter(names), put)
+        return WatchedArrays(find, _make_getter(names), write_addresses)
 
     def _watch_mapping(self, find_holder: HolderFinder, names: NamedIndices) -> WatchedArrays:
         """Return the watcher of the arrays in a mapping."""
 
-        def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
+        def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
                 holder[name], words[place] = self._padded_arrays.pad_array(holder[name])
 
-        return WatchedArrays(find_holder, _make_getter(names), put)
+        return WatchedArrays(find_holder, _make_getter(names), write_addresses)
 
     # --- functions for other kinds of keys, which find the address in each step
     # --------------------------------------------------
@@ -244,21 +244,21 @@ class AddressTables:
             copy = self._get_copy(key)
             return lambda world, population: copy.update(np.zeros(len(population), np.bool_), np.bool_, len(population))
 
-        def find(world: World, population: Population) -> int:
+        def find_event_address(world: World, population: Population) -> int:
             population.events[name], place = self._padded_arrays.pad_array(population.events[name])
             return place
 
-        return find
+        return find_event_address
 
     def _make_sorted_ids_finder(self, key: AddressKey) -> AddressFinder:
         """Return a function that finds the sorted ids of another species, or their rows."""
         copy, species, which = self._padded_arrays.copy(*key), str(key[1]), key[2] != "sorted ids"
 
-        def find(world: World, population: Population) -> int:
+        def find_sorted_ids(world: World, population: Population) -> int:
             other = world.populations[species]
             return copy.update(other.sorted_ids()[which], np.int64, (other.version, len(other)))
 
-        return find
+        return find_sorted_ids
 
     def _make_clearance_finder(self, key: AddressKey) -> AddressFinder:
         copy, name = self._get_copy(key), str(key[1])
@@ -272,10 +272,10 @@ class AddressTables:
         """Return a function that finds where the entries of each agent's body begin in the tables of clips."""
         copy = self._get_copy(key)
 
-        def find(world: World, population: Population) -> int:
+        def find_clip_table(world: World, population: Population) -> int:
             return copy.update(table_starts(world, population), np.int32, (population.version, len(population)))
 
-        return find
+        return find_clip_table
 
     def _make_threshold_finder(self, key: AddressKey) -> AddressFinder:
         """Return a function that finds the cells near which a field reaches a threshold."""
@@ -283,14 +283,14 @@ class AddressTables:
         numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.number_index("node", bound)
         reached: CellsAboveThreshold | None = None
 
-        def find(world: World, population: Population) -> int:
+        def find_threshold_cells(world: World, population: Population) -> int:
             nonlocal reached
             field, least = world.fields[str(name)], numbers[place]
             if reached is None or not reached.matches(field, least):
                 reached = CellsAboveThreshold(field, least, int(str(count)))
             return array_address(reached.get_current_counts(world.options.threads))
 
-        return find
+        return find_threshold_cells
 
     def _get_copy(self, key: AddressKey) -> PaddedCopy:
         """Return the padded copy for a key of this species."""
@@ -307,10 +307,10 @@ def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> Watche
     """Return the watcher of a field's arrays, which change with the field's version. They are indexed by cell and need no
     padding."""
 
-    def get(field: PheromoneField) -> tuple[Any, ...]:
+    def get_version(field: PheromoneField) -> tuple[Any, ...]:
         return field, field.version
 
-    def put(world: World, population: Population, field: PheromoneField, words: TableWords) -> None:
+    def write_field_addresses(world: World, population: Population, field: PheromoneField, words: TableWords) -> None:
         for (what, *arguments), place in names:
             if what == "places":
                 words[place] = array_address(field.sensed_positions)
@@ -319,7 +319,7 @@ def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> Watche
                     field.cells.get_nearest_cells(int(str(arguments[0]))) if arguments else getattr(field, str(what))
                 )
 
-    return WatchedArrays(lambda world, population: world.fields[field_name], get, put)
+    return WatchedArrays(lambda world, population: world.fields[field_name], get_version, write_field_addresses)
 
 
 def _power_of_2_below(count: int) -> int:

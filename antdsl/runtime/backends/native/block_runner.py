@@ -64,10 +64,11 @@ class BlockRunner:
     def run(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock | None
     ) -> list[tuple[int, int]]:
-        """Run all rows through the block, and add their requests to the population's effects in row order.
+        """Run the block for all agents, and add their requests to the population's effects in the order of rows.
 
-        `values`: the values that are equal for all agents. `metered_block`: collects times by line, if lines are timed.
-        Returns the parts, as first row and end row, in which an agent has too many neighbours within a radius."""
+        `values`: by node, the values that are equal for all agents. `metered_block`: receives the time of each source line; None
+        without profiling. Returns the ranges of rows (first row, end row) that must run again in another way, because an agent
+        in them has too many neighbours."""
         count, others = len(population), self.tables.largest_species(world)
         of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
         if of != self._prepared_for:

@@ -51,11 +51,11 @@ class FunctionWriter:
     def read_uniform(self, kind: str, *key: Any, is_scalar: bool = False) -> Lanes:
         """Return a value that is equal for all agents: in every lane, or (`is_scalar`) as a single number."""
 
-        def make() -> Lanes:
+        def load_uniform() -> Lanes:
             place = self.builder.address(self.array_address("numbers"), self.layout.number_index(*key), I64)
             return self.builder.load_scalar(place, 0, kind)
 
-        single: Lanes = self.builder.get_or_make(("number", kind, *key), make)
+        single: Lanes = self.builder.get_or_make(("number", kind, *key), load_uniform)
         if is_scalar:
             return single
         lanes: Lanes = self.builder.get_or_make(("numbers", kind, *key), lambda: self.builder.broadcast(single))
@@ -263,12 +263,12 @@ class BlockWriter(FunctionWriter):
         e, number = self.builder, self.code.lazy_nodes.index(node)
         has = self.array_address("kept", number, "has")
 
-        def missing() -> Lanes:
+        def find_missing_rows() -> Lanes:
             asks = self.mask[-1] & ~e.load_lanes(has, self.row, BOOL)
             bound = self.code.scent_bounds.get(instruction.slot)
             return asks if bound is None else asks & may_reach_bound(self, node, bound)
 
-        mask = self._find_scope_mask(inner, missing)
+        mask = self._find_scope_mask(inner, find_missing_rows)
         with e.write_if(e.any_lane(mask)):
             self.mask.append(mask)
             self._write_scope(inner)

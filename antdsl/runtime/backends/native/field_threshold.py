@@ -25,13 +25,13 @@ def read_own_cell(w: Any, field: str) -> Lanes:
 def may_reach_bound(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
     """Return the lanes for which a nearby cell may reach the bound."""
 
-    def make() -> Lanes:
+    def load_reached() -> Lanes:
         is_reached: Lanes = w.builder.gather(
             w.array_address("reached", *node.attrs, bound), read_own_cell(w, node.attrs[0]), BOOL
         )
         return is_reached
 
-    may: Lanes = w.builder.get_or_make(("reached", *node.attrs, bound), make)
+    may: Lanes = w.builder.get_or_make(("reached", *node.attrs, bound), load_reached)
     return may
 
 

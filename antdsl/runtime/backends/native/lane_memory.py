@@ -133,13 +133,13 @@ class LaneMemories:
                 max(parts, self._part_count),
                 max(others, self._largest_species),
             )
-            self._allocate()
+            self._allocate_arrays()
         lanes = self.every[:parts]
         for lane in lanes:
             lane.copy_pointers(pointers)
         return lanes
 
-    def _allocate(self) -> None:
+    def _allocate_arrays(self) -> None:
         """Allocate the arrays of all parts, and assign each lane its slices."""
         rows, length = self._part_rows, self._part_count * self._part_rows + LANE_COUNT
         self._queries.clear()

@@ -54,7 +54,7 @@ def _emit_age_from_birth(w: Any, birth_frames: Lanes) -> Lanes:
 def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
     """Return the four random words of a site for each id."""
 
-    def make() -> list[Lanes]:
+    def emit_words() -> list[Lanes]:
         e, wide = w.builder, llvm_type(I64, LANE_COUNT)
         out = e.allocate(4, wide)
         shared = [
@@ -65,7 +65,7 @@ def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
         e.do("call", ids, *shared, out, x=f"@{_philox_function(w)}")
         return [e.load(e.address(out, k, wide), I64, LANE_COUNT) for k in range(4)]
 
-    words: list[Lanes] = w.builder.get_or_make(("words", site, block), make)
+    words: list[Lanes] = w.builder.get_or_make(("words", site, block), emit_words)
     return words
 
 
@@ -119,7 +119,7 @@ def _emit_rows_of_ids(w: Any, species: str, ids: Lanes) -> Lanes:
     """Return the rows of ids, -1 for none and for dead agents. The sorted ids are bisected in all lanes at once."""
     e: LaneBuilder = w.builder
 
-    def make() -> Lanes:
+    def emit_rows() -> Lanes:
         known, order = w.array_address("other", species, "sorted ids"), w.array_address("other", species, "rows of sorted ids")
         count = w.read_uniform(I64, "agents", species)
         at, step = e.allocate_slot(I64, LANE_COUNT), e.allocate_slot(I64)
@@ -136,7 +136,7 @@ def _emit_rows_of_ids(w: Any, species: str, ids: Lanes) -> Lanes:
         is_alive = (e.gather(known, place, I64) == ids) & (count > 0)
         return e.select_lanes(is_alive, e.gather(order, place, I64), e.make_constant(-1, I64))
 
-    rows: Lanes = e.get_or_make(("row of", species, ids.name), make)
+    rows: Lanes = e.get_or_make(("row of", species, ids.name), emit_rows)
     return rows
 
 

@@ -88,7 +88,7 @@ class PaddedCopy:
         for one step."""
         stamp = self._owner.step if stamp is None else stamp
         if stamp != self._source_stamp or len(self._padded) != len(array) + LANE_COUNT:
-            self._resize(len(array), dtype)
+            self._resize_copy(len(array), dtype)
             self._padded[: len(array)] = array
             self._source_stamp = stamp
         return self._address
@@ -100,7 +100,7 @@ class PaddedCopy:
             self._address = array_address(self._padded)
         return self._address
 
-    def _resize(self, rows: int, dtype: Any) -> None:
+    def _resize_copy(self, rows: int, dtype: Any) -> None:
         if len(self._padded) != rows + LANE_COUNT:
             self._padded = np.zeros(rows + LANE_COUNT, dtype)
             self._address = array_address(self._padded)

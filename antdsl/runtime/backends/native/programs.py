@@ -74,19 +74,19 @@ def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) ->
     """Return all blocks of a plan, with their instructions assigned to stages. Births are left out, because they are few."""
     senses = _native_senses(facts)
 
-    def lowers(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
+    def has_machine_code(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
         if node.op.startswith("reduce."):
             return reduction_loops.has_machine_code(node, PAIR_SENSES) and not is_nearest_only(species, node.args[0])
         return node.op == "get" or node.op in FUNCTION_BY_NAME or node.op in senses
 
-    def costly(node: ir.PlanNode) -> bool:
+    def is_costly(node: ir.PlanNode) -> bool:
         return node.op.startswith("reduce.") or node.op == "field.strongest"
 
     output = {}
     for (species, block), compiler in blocks.items():
         if block in _STEP_BLOCKS and compiler.root_scope.code:
             of = plan.species[species]
-            order = make_schedule(compiler, partial(lowers, of), costly)
+            order = make_schedule(compiler, partial(has_machine_code, of), is_costly)
             lines = LineCounters(compiler) if facts.is_timed else None
             output[species, block] = BlockCode(of, [], AddressLayout(), order, lines, scent_bounds=find_bounds(compiler, order))
     return output
@@ -96,7 +96,7 @@ def write_program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, targ
     """Return the blocks of a plan with their LLVM text."""
     guards = {} if facts.has_detail_levels else GUARDED_SENSES
 
-    def combine(field: str) -> str:
+    def get_combination(field: str) -> str:
         return plan.fields[field].combine
 
     module = LlvmModule(target)
@@ -106,7 +106,7 @@ def write_program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, targ
         for stage in range(order.stage_count):
             name = f"{species}.{block}.{stage}"
             BlockWriter(
-                module, code, compiler, stage, _native_senses(facts), _emit_reduction, guards, emit_request, combine
+                module, code, compiler, stage, _native_senses(facts), _emit_reduction, guards, emit_request, get_combination
             ).write_function(name)
             code.names.append(name)
         for each in (each for group in order.calls_after_stage for each in group):

@@ -49,7 +49,7 @@ class PairValues:
     def value(self, node: ir.PlanNode) -> Lanes:
         """Return the value of a node for eight pairs. Each node is computed once."""
 
-        def make() -> Lanes:
+        def emit_node() -> Lanes:
             if node.rate <= ir.UpdateRate.STEP:
                 return self.w.read_uniform(LANE_TYPE_BY_KIND[node.kind], "node", node)
             if node.rate is not ir.UpdateRate.PAIR:
@@ -62,7 +62,7 @@ class PairValues:
                 return result
             return self.leaf_value(node)
 
-        pair_value: Lanes = self.w.builder.get_or_make(("pair", node), make)
+        pair_value: Lanes = self.w.builder.get_or_make(("pair", node), emit_node)
         return pair_value
 
 
@@ -89,32 +89,38 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
     count = b.read_uniform(I64, "items" if of_items else "agents", name, is_scalar=True)
     with e.write_loop(count) as number:
 
-        def read(attribute: str, kind: str = F32) -> Lanes:
+        def load_attribute(attribute: str, kind: str = F32) -> Lanes:
             key = ("item", name, attribute) if of_items else ("other", name, attribute)
             return e.broadcast(e.load_scalar(b.array_address(*key), number, kind))
 
-        dx, dy, dz = (read(axis if of_items else f"position.{axis}") - mine for axis, mine in zip(AXES, place, strict=True))
+        dx, dy, dz = (
+            load_attribute(axis if of_items else f"position.{axis}") - mine for axis, mine in zip(AXES, place, strict=True)
+        )
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         of_pair: dict[str, Lanes] = {"pair.x": dx, "pair.y": dy, "pair.z": dz, "pair.distance": distance}
 
-        def leaf(node: ir.PlanNode) -> Lanes:
+        def emit_leaf(node: ir.PlanNode) -> Lanes:
             if node.op in of_pair:
                 return of_pair[node.op]
             if node.op == "other.row":
                 return e.broadcast(e.convert(number, I32))
             if node.op == "other.id":
-                return read("unsorted ids", I64)
-            return read(node.attrs[0], LANE_TYPE_BY_KIND[node.kind])
+                return load_attribute("unsorted ids", I64)
+            return load_attribute(node.attrs[0], LANE_TYPE_BY_KIND[node.kind])
 
-        pairs = PairValues(b, lambda node: own[node](), leaf, b.senses)
+        pairs = PairValues(b, lambda node: own[node](), emit_leaf, b.senses)
         for each, node in zip(sums, nodes, strict=True):
             near = mask
             if of_items:
                 near = near & (distance <= reach[node.args[0]])
             elif itself is not None:
-                near = near & (read("unsorted ids", I64) != itself)
+                near = near & (load_attribute("unsorted ids", I64) != itself)
             accumulate_pairs(
-                each, node, pairs, near, (lambda: e.broadcast(number)) if of_items else (lambda: read("unsorted ids", I64))
+                each,
+                node,
+                pairs,
+                near,
+                (lambda: e.broadcast(number)) if of_items else (lambda: load_attribute("unsorted ids", I64)),
             )
     for each, instruction in zip(sums, instructions, strict=True):
         b.known(instruction.slot, each.result())

@@ -202,7 +202,7 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
     home: dict[int, int] = {}
     left: set[int] = set()
 
-    def want(slots: tuple[int, ...], stage: int, array: bool = False) -> None:
+    def require_slots(slots: tuple[int, ...], stage: int, array: bool = False) -> None:
         for slot in slots:
             slot = _resolve_alias(builder, slot)
             if slot in builder.uniform_slots:
@@ -221,7 +221,7 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
             mask = instruction.inner.rows
             if not ending and mask in use_stages:
                 home[mask] = min(use_stages[mask])
-                want((instruction.inputs[0], scope.rows), home[mask])
+                require_slots((instruction.inputs[0], scope.rows), home[mask])
                 _propagate_outwards(builder, scope, use_stages, use_stages[mask])
         elif instruction.kind is InstructionKind.CACHED_SENSE:
             assert instruction.inner is not None
@@ -230,10 +230,10 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
                 continue
             if ending:
                 if out in use_stages:
-                    want((instruction.result, mask), builder.stage_by_instruction[instruction])
+                    require_slots((instruction.result, mask), builder.stage_by_instruction[instruction])
             elif mask in use_stages:
                 home[mask] = min(use_stages[mask])  # no earlier stage runs the scope that computes it
-                want((scope.rows,), home[mask])
+                require_slots((scope.rows,), home[mask])
                 _propagate_outwards(builder, scope, use_stages, use_stages[mask])
         elif ending:
             continue
@@ -242,11 +242,11 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
             inputs = tuple(
                 slot for slot in instruction.inputs if _resolve_alias(builder, slot) not in made_by_calls | builder.pair_slots
             )
-            want(inputs, stage, array=True)
-            want((scope.rows,), stage, array=True)
+            require_slots(inputs, stage, array=True)
+            require_slots((scope.rows,), stage, array=True)
             home[out] = stage + 1
         elif instruction.kind is InstructionKind.STATEMENT:
-            want((*instruction.inputs, scope.rows), builder.stage_by_instruction[instruction])
+            require_slots((*instruction.inputs, scope.rows), builder.stage_by_instruction[instruction])
         elif instruction in builder.native_instructions and out in use_stages:
             what = instruction.subject
             assert isinstance(what, ir.PlanNode)
@@ -255,10 +255,10 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
                 home[out] = min(use_stages[out])
                 reread_slots.add(out)
                 for stage in use_stages[out]:
-                    want((scope.rows,), stage)
+                    require_slots((scope.rows,), stage)
                 continue
             home[out] = builder.first[out] if what.op == "load" else min(use_stages[out])
-            want((*inputs, scope.rows), home[out])
+            require_slots((*inputs, scope.rows), home[out])
             if max(use_stages[out]) > home[out]:
                 left.add(out)
     for slot, stages_ in use_stages.items():

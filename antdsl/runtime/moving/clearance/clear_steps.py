@@ -74,7 +74,7 @@ class ClearStep:
     """The substep of the bodies of a species.
 
     `walk`: the tables of the ground. `rows`: agents on ground with bends, and agents that are not aligned with their feet.
-    `levels`: the bend of the ground below them, see `MeshGround.mark_bends`."""
+    `bend_levels`: the bend of the ground below them, see `MeshGround.mark_bends`."""
 
     world: World
     population: Population
@@ -82,12 +82,12 @@ class ClearStep:
     limits: BodyLimits
     threads: int
     rows: Rows
-    levels: NDArray[np.uint8]
-    all_levels: NDArray[np.uint8] = field(init=False)
+    bend_levels: NDArray[np.uint8]
+    all_bend_levels: NDArray[np.uint8] = field(init=False)
     has_bend: NDArray[np.bool_] = field(init=False)
     state: NDArray[np.int32] = field(init=False)
     previous: BodyPoses = field(init=False)
-    headings: tuple[NDArray[np.float32], ...] = field(init=False)
+    level_headings: tuple[NDArray[np.float32], ...] = field(init=False)
     lifts: VectorArrays = field(init=False)
     climbers: Rows = field(init=False)
     climber_positions: NDArray[np.float64] = field(init=False)
@@ -117,7 +117,7 @@ class ClearStep:
         dt = float(limits[2])
         bounds = BodyLimits(*limits, now["size"], *body_shapes(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt)
         step = ClearStep(world, population, walk, bounds, threads, rows, row_levels)
-        step.all_levels, step.has_bend, step.state = levels, has_bend, stance[0]
+        step.all_bend_levels, step.has_bend, step.state = levels, has_bend, stance[0]
         return step
 
     def limit(self, step: VectorArrays, velocity: VectorArrays) -> None:
@@ -126,7 +126,7 @@ class ClearStep:
             p = self.population
             up = vec.get_vector_registers(p.now, "up")
             at = get_footing_arrays(p.footing)
-            inputs = (at, BodyRows(self.rows, self.levels), up, p.normal, step, velocity, self.limits, read_registers(p))
+            inputs = (at, BodyRows(self.rows, self.bend_levels), up, p.normal, step, velocity, self.limits, read_registers(p))
             self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
 
     def follow(self, previous_poses: BodyPoses, outset: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
@@ -138,12 +138,12 @@ class ClearStep:
         (levels,), (kind,) = (p.get_buffers(name, 1, (n,), np.uint8) for name in ("bends of rows", "lifts"))
         lists = LiftLists(rows, levels, climbers, kind)
         feet = get_footing_arrays(p.footing)
-        inputs = (feet, self.has_bend, self.state, self.all_levels, read_registers(p), lists)
+        inputs = (feet, self.has_bend, self.state, self.all_bend_levels, read_registers(p), lists)
         parts = parallel.run_in_parts(partial(list_bodies, self._surface, *inputs), n, self.threads)
         (self.climbers,) = parallel.join_parts([(begin, count) for begin, _, count in parts], climbers)
         rows, levels = parallel.join_parts(parts, rows, levels)
         order = np.argsort(p.footing.face.take(rows))  # neighbours one after another: they read the same faces
-        self.rows, self.levels = rows, levels = rows.take(order), levels.take(order)
+        self.rows, self.bend_levels = rows, levels = rows.take(order), levels.take(order)
         if not len(rows):
             return
         self.lifts = read_lift(p, rows)
@@ -151,11 +151,11 @@ class ClearStep:
             (*vec.take_rows(previous_poses.up, rows), *vec.take_rows(previous_poses.heading, rows), *self.lifts),
             now["~depth"].take(rows),
         )
-        self.headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
+        self.level_headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
         idle = self._count_idle(rows, outset[1])
-        self._aim(rows, self.levels, previous_poses)
-        uneven = np.flatnonzero(self.levels == SHARP)
-        depth, out = self._shift(rows[uneven], vec.take_rows(self.lifts, uneven))
+        self._aim(rows, self.bend_levels, previous_poses)
+        uneven = np.flatnonzero(self.bend_levels == SHARP)
+        depth, out = self._shift_bodies(rows[uneven], vec.take_rows(self.lifts, uneven))
         old, footing, (position, normal) = depths[uneven], outset[0], (each[rows[uneven]] for each in outset[1:])
         cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
         is_lost = (cosine < _LOST_COSINE) & (dot_rows(vec.take_rows(previous_poses.up, rows[uneven]), normal) >= _LOST_COSINE)
@@ -165,16 +165,16 @@ class ClearStep:
         if deeper.size:
             at = uneven[deeper]
             back = rows[at]
-            self._put(back, (footing.take_rows(back), position[deeper], normal[deeper]))
+            self._restore_rows(back, (footing.take_rows(back), position[deeper], normal[deeper]))
             for k, axis in enumerate(AXES):
                 now[f"~out.{axis}"][rows[uneven[too_deep]]] = out[k, too_deep]
             self._stand_up(at)
-            self._aim(back, self.levels[at], previous_poses)
-            turned, _ = self._shift(back, vec.take_rows(self.lifts, at))
+            self._aim(back, self.bend_levels[at], previous_poses)
+            turned, _ = self._shift_bodies(back, vec.take_rows(self.lifts, at))
             worse = np.flatnonzero((turned > np.maximum(old[deeper], _MAX_DEPTH)) | idle[at])
             outset_rows = footing.take_rows(back[worse]), position[deeper[worse]], normal[deeper[worse]]
             own = [each[at[worse]] for each in held]
-            turned[worse] = self._escape(at[worse], old[deeper[worse]], turned[worse], own, outset_rows)
+            turned[worse] = self._move_stuck_bodies(at[worse], old[deeper[worse]], turned[worse], own, outset_rows)
             depth[deeper] = turned
         now["~depth"][rows[uneven]] = depth
 
@@ -197,7 +197,7 @@ class ClearStep:
         now["~idle"][rows] = idle
         return idle > _MAX_IDLE
 
-    def _escape(
+    def _move_stuck_bodies(
         self, subset: Rows, old: NDArray[np.float32], turned: NDArray[np.float32], held: list[NDArray[np.float32]], outset: Stands
     ) -> NDArray[np.float32]:
         """Step back or aside with bodies that can neither walk nor turn. Return their remaining depths.
@@ -221,15 +221,15 @@ class ClearStep:
             step = self._slide(rows, step, up)
             size = now["size"][rows].astype(np.float64)
             moved = self.world.ground.move(footing, step, along.T, up.T, size, self.threads)
-            self._put(rows, (moved.footing, moved.position, moved.up.astype(np.float32)))
+            self._restore_rows(rows, (moved.footing, moved.position, moved.up.astype(np.float32)))
             for k, axis in enumerate(AXES):
                 now[f"up.{axis}"][rows], now[f"heading.{axis}"][rows] = moved.up[:, k], moved.heading[:, k]
-            self._aim(rows, self.levels[subset[left]], self.previous)
-            depth, _ = self._shift(rows, vec.take_rows(self.lifts, subset[left]))
+            self._aim(rows, self.bend_levels[subset[left]], self.previous)
+            depth, _ = self._shift_bodies(rows, vec.take_rows(self.lifts, subset[left]))
             cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows), p.normal[rows])
             is_free = (depth <= most[left]) & (cosine >= _MIN_LEAN_COSINE) & ~moved.is_blocked
             depths[left[is_free]] = depth[is_free]
-            self._put(rows[~is_free], take_stands((footing, position, normal), ~is_free))
+            self._restore_rows(rows[~is_free], take_stands((footing, position, normal), ~is_free))
             left = left[~is_free]
         self._restore_poses(self.rows[subset[left]], left, held)
         now["~wait"][self.rows[subset[left]]] = 0
@@ -252,7 +252,7 @@ class ClearStep:
         columns = [p.now[name].take(rows) for name in (*_POSE_REGISTERS, "~wait", "~depth")]
         self.recorded = (p.footing.take_rows(rows), p.position[rows], p.normal[rows]), columns
 
-    def correct(self) -> None:
+    def correct_moved_bodies(self) -> None:
         """Turn and shift the bodies that contacts have moved.
 
         A move is undone if it would bring the body deeper into a surface. It is also undone if the body would lean more than
@@ -263,20 +263,20 @@ class ClearStep:
         at = np.flatnonzero((p.position[rows] != position).any(axis=1))
         if not at.size:
             return
-        moved, levels = rows[at], self.levels[at]
-        for values, axis in zip(self.headings, AXES, strict=True):
+        moved, levels = rows[at], self.bend_levels[at]
+        for values, axis in zip(self.level_headings, AXES, strict=True):
             values[at] = now[f"heading.{axis}"][moved]  # contacts may have turned bodies back
         self._stand_up(at)
         self._aim(moved, levels, self.previous)
         sharp, depth = np.flatnonzero(levels == SHARP), np.zeros(len(at), np.float32)
-        depth[sharp], _ = self._shift(moved[sharp], vec.take_rows(self.lifts, at[sharp]))
+        depth[sharp], _ = self._shift_bodies(moved[sharp], vec.take_rows(self.lifts, at[sharp]))
         cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), moved), p.normal[moved])
         old_cosine = dot_rows([c[at] for c in columns[:3]], normal[at])
         old = columns[-1][at]
         bad = (depth > np.maximum(old, _MAX_DEPTH)) | (cosine < np.minimum(old_cosine, _MIN_LEAN_COSINE))
         now["~depth"][moved] = depth
         back, at = moved[bad], at[bad]
-        self._put(back, (footing.take_rows(at), position[at], normal[at]))
+        self._restore_rows(back, (footing.take_rows(at), position[at], normal[at]))
         for name, values in zip((*_POSE_REGISTERS, "~wait", "~depth"), columns, strict=True):
             now[name][back] = values[at]
 
@@ -285,10 +285,10 @@ class ClearStep:
         p, rows = self.population, self.rows[subset]
         for k, axis in enumerate(AXES):
             p.now[f"up.{axis}"][rows] = p.normal[rows, k]
-            p.now[f"heading.{axis}"][rows] = self.headings[k][subset]
+            p.now[f"heading.{axis}"][rows] = self.level_headings[k][subset]
             p.now[f"~lift.{axis}"][rows] = self.lifts[k][subset]
 
-    def _put(self, rows: Rows, stances: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
+    def _restore_rows(self, rows: Rows, stances: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
         """Restore the footings, positions and normals of agents."""
         p, (footing, position, normal) = self.population, stances
         p.footing.put_rows(rows, footing)
@@ -296,7 +296,7 @@ class ClearStep:
         for k, axis in enumerate(AXES):
             p.now[f"position.{axis}"][rows] = position[:, k]
 
-    def settle(self) -> None:
+    def settle_new_bodies(self) -> None:
         """Turn and shift new bodies at once. A body that does not fit tries turns, and takes the one with the least depth.
 
         A body that fits in no direction steps aside, by up to four body lengths."""
@@ -319,20 +319,20 @@ class ClearStep:
                     step = self._slide(own, step.T, up.astype(np.float64))
                     moved = self.world.ground.move(footing, step, ahead.T, up.T.astype(np.float64), size, self.threads)
                     place, ahead = (moved.footing, moved.position, moved.up.astype(np.float32)), moved.heading.T
-                self._put(own, place)
+                self._restore_rows(own, place)
                 for k, axis in enumerate(AXES):
                     now[f"up.{axis}"][own], now[f"heading.{axis}"][own] = p.normal[own, k], ahead[k]
                     now[f"~lift.{axis}"][own] = 0
                 previous = BodyPoses(
                     vec.copy(vec.get_vector_registers(now, "up")), vec.copy(vec.get_vector_registers(now, "heading"))
                 )
-                self._aim(own, self.levels[left], previous)
-                depth, _ = self._shift(own, read_lift(p, own))
+                self._aim(own, self.bend_levels[left], previous)
+                depth, _ = self._shift_bodies(own, read_lift(p, own))
                 better = depth < best[left] if reach == 0 else depth <= _MAX_DEPTH
                 best[left[better]] = depth[better]
                 for name, values in zip(_POSE_REGISTERS, pose, strict=True):
                     values[left[better]] = now[name][own[better]]
-                self._put(own[~better] if reach > 0 else own, take_stands(stands, left[~better] if reach > 0 else left))
+                self._restore_rows(own[~better] if reach > 0 else own, take_stands(stands, left[~better] if reach > 0 else left))
         self._restore_poses(rows, np.arange(n), pose)
         now["~depth"][rows], now["~wait"][rows] = best, 0
 
@@ -350,7 +350,7 @@ class ClearStep:
         inputs = (at, BodyRows(rows, levels), previous_poses, poses, self.limits, read_registers(p))
         self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))
 
-    def _shift(self, rows: Rows, old: VectorArrays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _shift_bodies(self, rows: Rows, old: VectorArrays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Shift bodies outside the faces around them. Return the remaining depths and the directions out (3, k)."""
         p, now = self.population, self.population.now
         depths, outs = np.zeros(len(rows), np.float32), np.zeros((3, len(rows)), np.float32)
@@ -388,7 +388,7 @@ def settle_clear(world: World, population: Population, rows: Rows) -> bool:
     free = np.full(n, np.inf, np.float32)
     limits = BodyLimits(np.full(n, np.pi, np.float32), free, _F(1), now["size"], *body_shapes(world, population), np.inf, np.inf)
     levels = np.full(len(rows), SHARP, np.uint8)
-    ClearStep(world, population, walk, limits, world.options.threads, np.asarray(rows, np.int64), levels).settle()
+    ClearStep(world, population, walk, limits, world.options.threads, np.asarray(rows, np.int64), levels).settle_new_bodies()
     for name in ("up", "heading", "position"):
         for axis in AXES:
             population.start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows]

@@ -55,7 +55,14 @@ from antdsl.runtime.moving.clearance.body_paths import (
     trace_bends,
 )
 from antdsl.runtime.moving.contacts.body_contacts import BodyShift, BodyStance, shift_outside
-from antdsl.runtime.moving.postures import perpendicular, read_vector, tilt_within, turn_axis, turn_heading, turn_within
+from antdsl.runtime.moving.postures import (
+    compute_perpendicular_direction,
+    read_vector,
+    tilt_within,
+    turn_axis,
+    turn_heading,
+    turn_within,
+)
 
 _F = np.float32
 WINDOW_PER_BODY = 1.0  # body lengths; length of the path ahead of the feet, and of the path behind them
@@ -73,7 +80,7 @@ _VALLEY_GAP_PER_BODY = 0.01  # body lengths; the same for a valley that is too n
 
 
 @inlined
-def _buffer(buffers: FaceBuffers, boxes: BoxTree, begin: I64) -> I64:
+def _get_face_list(buffers: FaceBuffers, boxes: BoxTree, begin: I64) -> I64:
     """Return the index at which the buffer of a chunk begins."""
     return compute_buffer_index(begin, buffers.count, buffers.buffer_count) * boxes.triangle_order.size
 
@@ -83,14 +90,14 @@ def _gather_others(search: FaceSearch, f: I64, weights: TriangleWeights, place: 
     """Write the faces that a path of length `reach` (mm) from `place`, on face f, may meet into a list; return their number.
 
     No path meets the piece of face f, unless faces cut their own piece."""
-    if not search.several_pieces or get_clearance(search.clearances, f, weights) > reach * (1 + _EYE_PER_BODY):
+    if not search.has_several_pieces or get_clearance(search.clearances, f, weights) > reach * (1 + _EYE_PER_BODY):
         return 0
     piece = -1 if search.cuts[search.cuts.size - 1] > 0 else np.int64(search.pieces[f])
     return gather_faces(search.pieces, search.boxes, place, place, reach, -1, piece, faces)
 
 
 @inlined
-def _angle(a: Vec3, b: Vec3) -> F64:
+def _compute_angle(a: Vec3, b: Vec3) -> F64:
     """Return the angle (radians) between two vectors."""
     side = cross(a, b)
     return np.float64(atan2(_F(np.sqrt(dot(side, side))), _F(dot(a, b))))
@@ -99,7 +106,7 @@ def _angle(a: Vec3, b: Vec3) -> F64:
 @kernel_helper
 def _approach_normal(up: Vec3, normal: Vec3, max_angle: F64, ahead: Vec3) -> Vec3:
     """Return the up direction. If it is more than `max_angle` radians away from a normal, rotate it towards the normal."""
-    angle, result = _angle(up, normal), up
+    angle, result = _compute_angle(up, normal), up
     if angle > max_angle:
         axis, _, _ = turn_axis(up, normal, ahead)
         c, s = compute_cos_and_sin(_F(angle - max_angle))
@@ -138,7 +145,7 @@ def limit_steps(
     table, first, rows, levels = surface.table, surface.first, body_rows.rows, body_rows.levels
     points, faces = (
         allocate_scratch(PATH_FLOATS, F64),
-        FaceList(search.buffers.numbers, _buffer(search.buffers, search.boxes, begin)),
+        FaceList(search.buffers.numbers, _get_face_list(search.buffers, search.boxes, begin)),
     )
     for j in range(begin, end):
         i = rows[j]
@@ -148,7 +155,7 @@ def limit_steps(
             continue
         wall, ground, size = read_vector(retained.outward_direction, i), get_row64(normals, i), np.float64(limits.size[i])
         if dot(wall, wall) > 0:
-            displacement = _retreat(
+            displacement = _retreat_from_wall(
                 displacement,
                 length,
                 minus(wall, times(ground, dot(wall, ground))),
@@ -175,8 +182,8 @@ def limit_steps(
                 free, up = left, read_vector(body_up, i)
                 for k in range(1, bend.count - 1):
                     n = load_vector(points, POINT_FLOATS * k + NORMAL_AT)
-                    turn, most = _angle(own, n), np.float64(limits.max_tilts[i])
-                    if _angle(up, n) > max(_MAX_LEAN + most, turn - _find_largest_lean(turn, most)) + _LEAN_SLACK:
+                    turn, most = _compute_angle(own, n), np.float64(limits.max_tilts[i])
+                    if _compute_angle(up, n) > max(_MAX_LEAN + most, turn - _find_largest_lean(turn, most)) + _LEAN_SLACK:
                         free = min(free, max(points[POINT_FLOATS * k + DISTANCE_AT] - _EDGE_GAP_PER_BODY * size, 0.0))
                 # A body at its nearest possible distance from the surface beyond an edge cannot cross that edge.
                 turns_away = free < _EDGE_REACH_PER_BODY * size and free < left and retained.wait_share[i] == 0
@@ -194,7 +201,7 @@ def limit_steps(
 
 
 @inlined
-def _retreat(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Vec3:
+def _retreat_from_wall(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Vec3:
     """Return a step of the given length without its component into a wall, moved `distance` away from the wall.
 
     `wall`: the direction away from the wall, along the ground. A step that leads along the wall is reversed."""
@@ -224,12 +231,12 @@ def aim_bodies(
 
     `previous_poses`: poses before the step. `current_poses`: poses of the feet; they are replaced by the poses of the bodies."""
     table, first, rows, levels = surface.table, surface.first, body_rows.rows, body_rows.levels
-    faces = FaceList(search.buffers.numbers, _buffer(search.buffers, search.boxes, begin))
+    faces = FaceList(search.buffers.numbers, _get_face_list(search.buffers, search.boxes, begin))
     ahead_points, behind_points = allocate_scratch(PATH_FLOATS, F64), allocate_scratch(PATH_FLOATS, F64)
     for j in range(begin, end):
         i = rows[j]
         stands = read_vector(previous_poses.up, i)
-        look = perpendicular(read_vector(previous_poses.heading, i), stands)
+        look = compute_perpendicular_direction(read_vector(previous_poses.heading, i), stands)
         normal, heading = read_vector(current_poses.up, i), read_vector(current_poses.heading, i)
         long = limits.size[i]
         size = np.float64(long if long > 0 and np.isfinite(long) else _F(0))
@@ -242,7 +249,7 @@ def aim_bodies(
             own = load_vector(table, row + NORMAL_OFFSET)
             side = -1.0 if dot(own, normal) < 0 else 1.0
             own, weights, window = times(own, side), (feet.b1[i], feet.b2[i]), WINDOW_PER_BODY * size
-            travel = turn_within(turn_heading(look, stands, own), perpendicular(heading, own), own, turn)
+            travel = turn_within(turn_heading(look, stands, own), compute_perpendicular_direction(heading, own), own, turn)
             c, s = dot(load_vector(table, row + AXIS1_OFFSET), travel), dot(load_vector(table, row + AXIS2_OFFSET), travel)
             place = position_on_face(table, row, weights, side)
             count = 0
@@ -256,12 +263,14 @@ def aim_bodies(
             angle = np.sqrt(dot(bend, bend))
             axis, (c32, s32) = times(bend, 1 / max(angle, 1e-300)), compute_cos_and_sin(_F(angle))
             mean = normalise_vector(rotate_about_axis(own, axis, np.float64(c32), np.float64(s32)))
-            target_heading = perpendicular(rotate_about_axis(travel, axis, np.float64(c32), np.float64(s32)), mean)
+            target_heading = compute_perpendicular_direction(
+                rotate_about_axis(travel, axis, np.float64(c32), np.float64(s32)), mean
+            )
             target_up, lean = mean, _MAX_LEAN
             for back_k in range(ahead_count - 1):
                 k = ahead_count - 2 - back_k
                 n = load_vector(ahead_points, POINT_FLOATS * k + NORMAL_AT)
-                extra, beyond = _LEAN_PER_BODY * ahead_points[POINT_FLOATS * k + DISTANCE_AT] / size, _angle(own, n)
+                extra, beyond = _LEAN_PER_BODY * ahead_points[POINT_FLOATS * k + DISTANCE_AT] / size, _compute_angle(own, n)
                 lean = max(lean, _find_largest_lean(beyond, np.float64(limits.max_tilts[i])) - 4.0 * extra)
                 target_up = _approach_normal(target_up, n, max(_MAX_LEAN + extra, 0.5 * beyond), travel)
             target_up = _approach_normal(target_up, normal, lean, travel)
@@ -301,11 +310,11 @@ def _shift_outside_all(
 
     A body that touches an obstacle then leaves the ground again."""
     table, pieces, boxes, buffers = ground
-    faces = FaceList(buffers.numbers, _buffer(buffers, boxes, begin))
+    faces = FaceList(buffers.numbers, _get_face_list(buffers, boxes, begin))
     result = shift_outside(table, pieces, boxes, faces, shape, stance, shift, max_angle, turns)
     if things.boxes.triangle_order.size == 0:
         return result
-    others = FaceList(things.buffers.numbers, _buffer(things.buffers, things.boxes, begin))
+    others = FaceList(things.buffers.numbers, _get_face_list(things.buffers, things.boxes, begin))
     for turn in range(2):
         other = shift_outside(
             things.table, things.pieces, things.boxes, others, shape, stance, result.shift, max_angle, turns if turn == 0 else 0

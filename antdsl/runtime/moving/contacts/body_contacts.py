@@ -44,7 +44,7 @@ def _get_axis_point(middle: Vec3, heading: Vec3, half: F64, point: I64) -> Vec3:
 
 
 @kernel_helper
-def _touches(
+def _touches_face(
     table: Array1[F64], boxes: BoxTree, faces: FaceList, count: I64, shape: BodyShape, anchor: Vec3, middle: Vec3, heading: Vec3
 ) -> BOOL:
     """Return whether a face of a list crosses the axis of a capsule, or the line from its anchor, or is nearer than its radius.
@@ -103,7 +103,7 @@ def shift_outside(
     away = minus(anchor, middle)
     near = max(shape.radius, np.sqrt(dot(away, away)))
     n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), near, -1, -1, faces)
-    if not _touches(table, boxes, faces, n, shape, anchor, middle, heading):
+    if not _touches_face(table, boxes, faces, n, shape, anchor, middle, heading):
         return BodyShift(shift, 0.0, (0.0, 0.0, 0.0))
     wide = max(shape.radius + _MARGIN_PER_BODY * size, near)
     n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), wide, -1, -1, faces)

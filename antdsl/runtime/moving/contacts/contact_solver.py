@@ -162,12 +162,12 @@ def _record_pushes(
 class _PairAgents:
     """Values of the rows in pairs for one substep.
 
-    `start` (3, k) mm: positions at the start. `reach` (k) mm: the distance that each row may walk.
+    `start` (3, k) mm: positions at the start. `max_travel` (k) mm: the distance that each row may walk.
     `mass`: masses. `push_share`: limits the distance that neighbours can push a row; at most 1.
     `normal` (3, k): normals of the ground below the feet. `is_frozen`: stopped by a fault."""
 
     start: Floats
-    reach: Floats
+    max_travel: Floats
     mass: Floats
     push_share: Floats
     normal: Floats
@@ -220,7 +220,7 @@ def _solve_separation(
     looks, lost = effort.outer_iterations, np.empty(len(nearby_pairs.i), np.intp)
     bodies = (nearby_pairs.middle, nearby_pairs.ahead, nearby_pairs.up, nearby_pairs.half, nearby_pairs.radius)
     pairs = (nearby_pairs.i, nearby_pairs.j, nearby_pairs.gap, nearby_pairs.direction, is_selected)
-    stand = (agents.mass, agents.push_share, agents.reach, depth, is_held, agents.normal, travel, cut)
+    stand = (agents.mass, agents.push_share, agents.max_travel, depth, is_held, agents.normal, travel, cut)
     while looks:
         looks, count = separate_pairs(bodies, pairs, stand, displacement, magic, looks, effort.sweeps, share, lost, work)
         nearby_pairs.draw_directions(nearby_pairs.direction, lost[:count])

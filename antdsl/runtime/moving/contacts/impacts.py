@@ -116,7 +116,7 @@ def fill_paths(
 
 
 @inlined
-def _squash(v: Vec3, normal: Vec3, part: F64) -> Vec3:
+def _scale_along_normal(v: Vec3, normal: Vec3, part: F64) -> Vec3:
     """Return a vector with its component along `normal` reduced by the share `part`."""
     return minus(v, times(normal, dot(v, normal) * part))
 
@@ -135,10 +135,13 @@ def find_impact(paths: PathArrays, p: I64, q: I64, relative_displacement: Vec3, 
         get_column(paths.ahead, p),
         get_column(paths.ahead, q),
     )
-    away, relative_displacement = _squash(away, between, part), _squash(relative_displacement, between, part)
+    away, relative_displacement = (
+        _scale_along_normal(away, between, part),
+        _scale_along_normal(relative_displacement, between, part),
+    )
     a, b, far, time = (
-        _squash(a, between, part),
-        _squash(b, between, part),
+        _scale_along_normal(a, between, part),
+        _scale_along_normal(b, between, part),
         np.sqrt(dot(relative_displacement, relative_displacement)),
         0.0,
     )

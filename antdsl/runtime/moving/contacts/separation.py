@@ -23,7 +23,7 @@ from antdsl.machine_code.kernels import (
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, get_column, minus, plus, store_column, times
 from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.moving.contacts.capsule_distances import CapsuleArrays, measure_listed
-from antdsl.runtime.moving.contacts.step_clamping import add_rounded, negate
+from antdsl.runtime.moving.contacts.step_clamping import add_rounded, negate_vector
 
 DEAD_ZONE_SHARE = 5e-4  # share of both collision radii; smaller overlaps move no agent, so that resting agents stay at rest
 SUM_BITS = 40  # bits of a term in a sum, below the largest overlap
@@ -104,7 +104,7 @@ def restore_headings(
 
 
 @inlined
-def _maximum(numbers: Array1[F64], count: I64) -> F64:
+def _find_maximum(numbers: Array1[F64], count: I64) -> F64:
     most = numbers[0]
     for k in range(1, count):
         most = max(most, numbers[k])
@@ -124,7 +124,7 @@ def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, mobility: Array1[
     locked, spread = buffers[2][_LOCKED_ROW], buffers[2][_SPREAD_ROW]
     numbers, first, second = buffers[5], buffers[7][_FIRST_AGENT_ROW], buffers[7][_SECOND_AGENT_ROW]
     depth = numbers[_DEPTH_ROW]
-    deepest = _maximum(depth, m)
+    deepest = _find_maximum(depth, m)
     for k in range(count):
         locked[k] = 0.0
     for n in range(m):
@@ -139,7 +139,7 @@ def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, mobility: Array1[
             if depth[n] > 0:
                 spread[first[n]] += locked[second[n]]
                 spread[second[n]] += locked[first[n]]
-        highest = _maximum(spread, count)
+        highest = _find_maximum(spread, count)
         for k in range(count):
             locked[k] = _round_term(spread[k] / highest)
     for n in range(m):
@@ -345,7 +345,7 @@ def _run_outer_iteration(
             along = minus(v, times(up, dot(v, up)))
             side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2] = along
             numbers[_GROUND_PART_ROW + side, n] = dot(along, along)
-            v = negate(v)
+            v = negate_vector(v)
     _share_overlap(m, count, buffers, light, heap_share)
     for side in range(2):
         for n in range(m):
@@ -386,7 +386,7 @@ def _run_outer_iteration(
             at = row_list[k]
             part = (1 + (_CLUSTER_OVERRELAXATION - 1) * heap_share[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
             target = plus(get_column(new_displacement, k), times(get_column(sums, k), part))
-            target = _limit_correction(target, negate(get_column(cut, at)), far[k])
+            target = _limit_correction(target, negate_vector(get_column(cut, at)), far[k])
             store_column(new_displacement, k, _limit_correction(target, get_column(walked, at), most[k]))
     moved = False
     for k in range(count):

@@ -60,7 +60,7 @@ def add_rounded(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
 
 
 @inlined
-def negate(v: Vec3) -> Vec3:
+def negate_vector(v: Vec3) -> Vec3:
     return -v[0], -v[1], -v[2]
 
 
@@ -72,11 +72,11 @@ def compute_heavier_share(mass: Array1[F64], first: I64, second: I64) -> F64:
 
 
 class ClampBuffers(NamedTuple):
-    """Work buffers. `free_gaps` is (2, m), `sums` (3, k); `step_share`, `contact_counts` and `deflected_rows` are (k), `pairs` is
-    (m)."""
+    """Work buffers. `free_gaps` is (2, m), `step_sums` (3, k); `step_share`, `contact_counts` and `deflected_rows` are (k),
+    `pairs` is (m)."""
 
     free_gaps: Array2[F64]
-    sums: Array2[F64]
+    step_sums: Array2[F64]
     step_share: Array1[F64]
     contact_counts: Array1[I64]
     deflected_rows: Array1[I64]
@@ -124,7 +124,7 @@ def bend_along(
                     add_rounded(sums, k, times(pair_direction, over), magic)
                     meeting_counts[k] += 1
                     has_overlap = True
-                pair_direction = negate(pair_direction)
+                pair_direction = negate_vector(pair_direction)
         if not has_overlap:
             break
         for n in range(rows):
@@ -146,7 +146,7 @@ def bend_along(
             towards = -dot(pair_direction, get_column(cut, k))
             if towards > free[side, pair]:
                 part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
-            pair_direction = negate(pair_direction)
+            pair_direction = negate_vector(pair_direction)
     for k in simd_range(0, part.size):
         way_on = get_column(travel, k)
         step = times(get_column(cut, k), part[k])
@@ -184,6 +184,6 @@ def _deflect_steps(
             far += compute_heavier_share(mass, own, other) * max(towards - far, 0.0)
             free[side, pair] = far
             over = 1 if towards - far > 0 else over
-            pair_direction = negate(pair_direction)
+            pair_direction = negate_vector(pair_direction)
         pairs[pair] = over
     return bend_along(i, j, direction, travel, magic, buffers, cut, stopped_rows, changed)

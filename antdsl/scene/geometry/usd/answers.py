@@ -94,13 +94,13 @@ def wrap_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
     """Wrap a function so that an invalid answer raises UsdError."""
 
     @wraps(read)
-    def judged(stage: UsdStage) -> T:
+    def read_checked(stage: UsdStage) -> T:
         try:
             return read(stage)
         except ProtocolError as error:
             raise stage.make_answer_error(error) from None
 
-    return judged
+    return read_checked
 
 
 def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:

@@ -208,9 +208,9 @@ class Closure:
         inside = [name for name in names if name is not None]
         if not inside:
             self._reject_outside(asset_path)
-        return next((name for name in inside if self._exists(name)), inside[0])
+        return next((name for name in inside if self._has_file(name)), inside[0])
 
-    def _exists(self, name: str) -> bool:
+    def _has_file(self, name: str) -> bool:
         """Return whether a file with this name exists below a root. Unreadable files also count; reading them reports the
         reason."""
         try:

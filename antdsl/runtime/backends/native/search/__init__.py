@@ -118,7 +118,7 @@ def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> No
         by_scope.setdefault(id(each.scope), []).append(each)
     values: list[Lanes] = []
 
-    def put(value: Lanes) -> int:
+    def append_argument(value: Lanes) -> int:
         values.append(value)
         return len(values) - 1
 
@@ -128,12 +128,12 @@ def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> No
     for instructions in by_scope.values():
         for chosen, slots in reduction_sets(instructions).items():
             if chosen not in reach:
-                reach[chosen] = put(b.slot_value(slots[0]))
+                reach[chosen] = append_argument(b.slot_value(slots[0]))
                 if not chosen.attrs[1]:
-                    view[chosen] = put(b.slot_value(slots[1]))
+                    view[chosen] = append_argument(b.slot_value(slots[1]))
         for node, make in find_own_values(b, instructions).items():
             if node not in value_indices:
-                value_indices[node] = put(make())
+                value_indices[node] = append_argument(make())
     if fresh:
         near.operand_kinds, near.radius_slots, near.view, near.operand_slots = (
             [value.kind for value in values],
@@ -172,15 +172,15 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
     )
     asks = e.mask_from_i8(bits)
 
-    def mine(k: int) -> Lanes:
+    def load_own_value(k: int) -> Lanes:
         return _read_area(e, own, k, search_code.operand_kinds[k])
 
     place = [e.load_lanes(w.array_address("start", f"position.{axis}"), row, F32) for axis in AXES]
-    radius = {chosen: mine(k) for chosen, k in search_code.radius_slots.items()}
+    radius = {chosen: load_own_value(k) for chosen, k in search_code.radius_slots.items()}
     search = CellRows(w, search_code.number, place, list(radius.values()), asks)
     search.store_max_radius()
     heading = [e.load_lanes(w.array_address("start", f"heading.{axis}"), row, F32) for axis in AXES] if search_code.view else []
-    set_test = _SetTest(e, radius, {chosen: mine(k) for chosen, k in search_code.view.items()}, search, heading)
+    set_test = _SetTest(e, radius, {chosen: load_own_value(k) for chosen, k in search_code.view.items()}, search, heading)
     itself = (
         e.load_lanes(w.array_address("grid", search_code.number, "at"), row, I32)
         if search_code.other_species == b.species
@@ -194,17 +194,17 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
         is_listed = e.convert(k, I32) < number
         pair = measure_pairs(w, search_code, _read_lists(e, buffer, k), place, is_listed)
 
-        def inside(set_node: ir.PlanNode) -> Lanes:
+        def test_radius(set_node: ir.PlanNode) -> Lanes:
             reached = pair.is_present & (pair.distance <= radius[set_node])
             if set_node in search_code.view:
                 hx, hy, hz = heading
                 ahead = e.get_or_make("ahead", lambda: (pair.dx * hx + pair.dy * hy) + pair.dz * hz)
-                reached = reached & (ahead >= mine(search_code.view[set_node]) * pair.distance)
+                reached = reached & (ahead >= load_own_value(search_code.view[set_node]) * pair.distance)
             return reached
 
-        pairs = PairValues(w, lambda node: mine(search_code.operand_slots[node]), pair.load_leaf, b.senses)
+        pairs = PairValues(w, lambda node: load_own_value(search_code.operand_slots[node]), pair.load_leaf, b.senses)
         for each, node in zip(sums, search_code.nodes, strict=True):
-            reached = e.get_or_make(("near", node.args[0]), lambda set_node=node.args[0]: inside(set_node))  # type: ignore[misc]
+            reached = e.get_or_make(("near", node.args[0]), lambda set_node=node.args[0]: test_radius(set_node))  # type: ignore[misc]
             accumulate_pairs(each, node, pairs, reached, pair.ids)
     fits = asks & ~over
     for result, each in enumerate(sums):
@@ -265,14 +265,14 @@ class _SetTest:
         """Return the test for one agent. The input of the test is the positions of eight candidates."""
         e = self.builder
 
-        def one(place: Number) -> Lanes:
+        def load_broadcast(place: Number) -> Lanes:
             return e.broadcast(e.load_scalar(place, lane, F32))
 
-        own = [one(e.offset_address(self._stack, 32 * k)) for k in range(3)]
-        heading = [one(each) for each in self._heading]
-        sets = [(one(limit), None if least is None else one(least)) for limit, least in self._sets]
+        own = [load_broadcast(e.offset_address(self._stack, 32 * k)) for k in range(3)]
+        heading = [load_broadcast(each) for each in self._heading]
+        sets = [(load_broadcast(limit), None if least is None else load_broadcast(least)) for limit, least in self._sets]
 
-        def test(positions: list[Lanes]) -> Lanes:
+        def test_distance(positions: list[Lanes]) -> Lanes:
             dx, dy, dz = (coordinate - own_coordinate for coordinate, own_coordinate in zip(positions, own, strict=True))
             square = (dx * dx + dy * dy) + dz * dz
             is_candidate = None
@@ -286,7 +286,7 @@ class _SetTest:
             assert is_candidate is not None
             return is_candidate
 
-        return test
+        return test_distance
 
 
 def _list_candidates(

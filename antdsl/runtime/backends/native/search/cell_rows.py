@@ -20,18 +20,18 @@ class SearchCells:
         e = w.builder
         floats, integers = w.array_address("grid", number, "floats"), w.array_address("grid", number, "whole")
 
-        def read(base: Lanes, k: int, kind: str) -> Lanes:
+        def load_grid_value(base: Lanes, k: int, kind: str) -> Lanes:
             return e.load_scalar(base, k, kind)
 
         self.writer, self.number = w, number
-        self.low = [e.broadcast(read(floats, k, F64)) for k in range(3)]
-        self.width = [e.broadcast(read(floats, 3 + k, F64)) for k in range(3)]
-        self.inverse_width = [e.broadcast(read(floats, 6 + k, F64)) for k in range(3)]
-        self.axes = [read(integers, k, I64) for k in range(3)]
-        self.cell_counts = [e.broadcast(read(integers, 3 + k, I64)) for k in range(3)]
+        self.low = [e.broadcast(load_grid_value(floats, k, F64)) for k in range(3)]
+        self.width = [e.broadcast(load_grid_value(floats, 3 + k, F64)) for k in range(3)]
+        self.inverse_width = [e.broadcast(load_grid_value(floats, 6 + k, F64)) for k in range(3)]
+        self.axes = [load_grid_value(integers, k, I64) for k in range(3)]
+        self.cell_counts = [e.broadcast(load_grid_value(integers, 3 + k, I64)) for k in range(3)]
         self.max_index = [e.convert(e.convert(size, I32), F64) for size in self.cell_counts]
-        self.is_flat = e.broadcast(read(integers, 5, I64) == 1)
-        self.count = read(integers, 6, I64)
+        self.is_flat = e.broadcast(load_grid_value(integers, 5, I64) == 1)
+        self.count = load_grid_value(integers, 6, I64)
 
     def span(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
         """Return the first and last cell along an axis that intersect [q - half, q + half], i32. If none does, the last is

@@ -41,21 +41,21 @@ def write_dense_search(b: BlockWriter, search_code: SearchCode) -> None:
     with e.write_loop(LANE_COUNT) as lane, e.write_if(e.has_bit(mask, lane)):
         row = rows + lane
 
-        def mine(k: int) -> Lanes:
+        def load_own_value(k: int) -> Lanes:
             return e.load_scalar(e.offset_address(own_area, OPERAND_STRIDE_BYTES * k), lane, search_code.operand_kinds[k])
 
-        def put(k: int, value: Lanes) -> None:
+        def store_result(k: int, value: Lanes) -> None:
             e.store_number(e.address(e.offset_address(out, OPERAND_STRIDE_BYTES * k), lane, value.kind), value)
 
-        own = {node: e.broadcast(mine(k)) for node, k in search_code.operand_slots.items()}
+        own = {node: e.broadcast(load_own_value(k)) for node, k in search_code.operand_slots.items()}
         place = [e.broadcast(e.load_scalar(w.array_address("start", f"position.{axis}"), row, F32)) for axis in AXES]
-        radius = {chosen: e.broadcast(mine(k)) for chosen, k in search_code.radius_slots.items()}
+        radius = {chosen: e.broadcast(load_own_value(k)) for chosen, k in search_code.radius_slots.items()}
         crowd = _DenseNeighbours(
             w, search_code, place, e.broadcast(e.convert(row, I32)) if search_code.other_species == b.species else None
         )
         crowd.list_candidates(list(radius.values()))
         for chosen, k in search_code.overflow_slots.items():
-            put(k, crowd.is_over_limit(radius[chosen]))
+            store_result(k, crowd.is_over_limit(radius[chosen]))
         crowd.keep_nearest()
         heading = (
             [e.broadcast(e.load_scalar(w.array_address("start", f"heading.{axis}"), row, F32)) for axis in AXES]
@@ -68,21 +68,21 @@ def write_dense_search(b: BlockWriter, search_code: SearchCode) -> None:
         with e.write_loop(e.load(crowd.count_address, I64), LANE_COUNT) as at:
             others = crowd.load_others(at)
 
-            def inside(set_node: ir.PlanNode) -> Lanes:
+            def test_radius(set_node: ir.PlanNode) -> Lanes:
                 reached = others.is_present & (others.distance <= radius[set_node])
                 if set_node in search_code.view:
                     hx, hy, hz = heading
                     ahead = (others.dx * hx + others.dy * hy) + others.dz * hz
-                    reached = reached & (ahead >= mine(search_code.view[set_node]) * others.distance)
+                    reached = reached & (ahead >= load_own_value(search_code.view[set_node]) * others.distance)
                 return reached
 
             pairs = PairValues(w, lambda node: own[node], others.load_leaf, b.senses)
             for each, node in zip(sums, search_code.nodes, strict=True):
-                reached = e.get_or_make(("near", node.args[0]), partial(inside, node.args[0]))
+                reached = e.get_or_make(("near", node.args[0]), partial(test_radius, node.args[0]))
                 accumulate_pairs(each, node, pairs, reached, others.ids)
         for k, each in enumerate(sums):
             each.combine_lanes()
-            put(k, e.extract_lane(e.to_stored_form(each.result()), 0))
+            store_result(k, e.extract_lane(e.to_stored_form(each.result()), 0))
     e.end(f"{search_code.name}.many", (w.table, rows, mask, own_area, out))
 
 
@@ -191,12 +191,12 @@ class _DenseNeighbours:
         e.store_number(last, e.make_constant(NO_LABEL, I64, 1))
         with e.write_if(e.load(self.count_address, I64) > cap):
 
-            def enough(reach: Lanes, count: int = cap) -> Lanes:
+            def has_enough(reach: Lanes, count: int = cap) -> Lanes:
                 bound = e.broadcast(reach)
                 return self._count_passing(lambda index, keys: keys <= bound) >= count
 
-            with e.write_if(enough(e.load(far, I32), cap + 1)):
-                self._bisect_least(far, I32, _REJECTED_DISTANCE_NUMBER, enough)
+            with e.write_if(has_enough(e.load(far, I32), cap + 1)):
+                self._bisect_least(far, I32, _REJECTED_DISTANCE_NUMBER, has_enough)
                 reach = e.broadcast(e.load(far, I32))
                 nearer = self._count_passing(lambda index, keys: keys < reach)
                 equal = self._count_passing(lambda index, keys: keys == reach)

@@ -59,12 +59,12 @@ class NeighbourLanes:
     def ids(self) -> Lanes:
         """Return the ids of the others."""
 
-        def make() -> Lanes:
+        def gather_ids() -> Lanes:
             return self.writer.builder.gather(
                 self.writer.array_address("other", self.search.other_species, "unsorted ids"), self._extract_rows(), I64
             )
 
-        found: Lanes = self.writer.builder.get_or_make(("ids", self.rows.name), make)
+        found: Lanes = self.writer.builder.get_or_make(("ids", self.rows.name), gather_ids)
         return found
 
     def load_leaf(self, node: ir.PlanNode) -> Lanes:
@@ -96,11 +96,11 @@ class NeighbourLanes:
         They are needed one by one as addresses, and extracting them from eight lanes is slow."""
         e, positions = self.writer.builder, self.writer.array_address("grid", self.search.number, "places")
 
-        def make() -> Lanes:
+        def extract_lanes() -> Lanes:
             fours = (quadruple_address(e, positions, e.extract_lane(self.grid_indices, lane)) for lane in range(LANE_COUNT))
             return e.combine_lanes(e.load(e.offset_address(four, 12), I32) for four in fours)
 
-        row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), make)
+        row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), extract_lanes)
         return row_lanes
 
 

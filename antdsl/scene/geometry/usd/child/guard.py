@@ -24,7 +24,7 @@ def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
     The `about` of the ReadRefusal is `mesh` for unusable meshes, and `exception` for errors of USD."""
 
     @wraps(read)
-    def answer(request: ReaderMessage) -> ReaderAnswer:
+    def answer_request(request: ReaderMessage) -> ReaderAnswer:
         try:
             with np.errstate(all="ignore"):  # values that are not finite are reported by the code that uses them
                 return read(request)
@@ -39,4 +39,4 @@ def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
                 "bad-usd", "it has bytes that are not UTF-8 text", "export it again", "prim", "exception"
             ) from error
 
-    return answer
+    return answer_request

@@ -20,7 +20,7 @@ from antdsl.scene.geometry.matrices import (
     make_identity_transforms,
 )
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate_polygons
 from antdsl.scene.geometry.usd.child.shapes import (
     BAKE_HELP,
     PlacedMesh,
@@ -144,7 +144,7 @@ def _make_triangles(
     if len(filled_corners) and not np.isfinite(points[filled_corners]).all():
         raise MeshError(f"has at `{path}` a vertex that is not a finite point")
     try:
-        return np.asarray(filled_corners[triangulate(points, counts[is_filled], filled_corners).corners])
+        return np.asarray(filled_corners[triangulate_polygons(points, counts[is_filled], filled_corners).corners])
     except TooManyCorners as error:
         raise MeshError(f"has at `{path}` a part that {error}", "cut it into smaller faces in the program that made it") from None
 
