@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from antdsl.api.errors import AntdslError
 from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.plan.ir import ValueKind
 from antdsl.program.tables.vocabulary import explain_range, is_limit
 from antdsl.runtime.world import AXES
 
@@ -69,7 +70,8 @@ class Crowd:
 
     - `position` (mm, scene axes), `velocity` (mm/s), `heading` and `up`: float64 (n, 3)
     - `state`: the names of states; of other machines `MACHINE.state`; `time_in_state` (s) likewise
-    - `age` (s), and the attributes of the program, in base units
+    - `age` (s), and the attributes of the program, in base units: numbers, vectors, conditions, ids of agents (-1 for none) and
+      names of items ("" for none). Positions in attributes are relative to `Simulation.origin`
 
     Arrays are read-only copies. `crowd["load"] = values` sets an attribute, with one number or one per agent."""
 
@@ -99,11 +101,18 @@ class Crowd:
 
     @property
     def attributes(self) -> tuple[str, ...]:
-        """The names of the attributes that can be set."""
+        """The names of all attributes of the program and of those that every agent has."""
         registers = self._population.plan.registers
         names = (name.rpartition(".")[0] if name.endswith((".x", ".y", ".z")) else name for name, r in registers.items() if
-                 r.role == "attribute" and r.kind.name == "F32")  # fmt: skip
+                 r.role == "attribute")  # fmt: skip
         return tuple(name for name in dict.fromkeys(names) if name not in _MOTION and not name.startswith("~"))
+
+    @property
+    def settable(self) -> tuple[str, ...]:
+        """The names of the attributes that can be set: numbers, vectors and conditions."""
+        registers = self._population.plan.registers
+        kinds = {name: registers[name if name in registers else f"{name}.x"].kind for name in self.attributes}
+        return tuple(name for name, kind in kinds.items() if kind in (ValueKind.F32, ValueKind.BOOL))
 
     def _machine_columns(self) -> dict[str, tuple[str, str]]:
         """Return the register's machine and part of each column about states."""
@@ -130,9 +139,14 @@ class Crowd:
                 values = np.array(states, dtype=str)[values] if states else values.astype(str)
             return make_read_only(np.array(values))
         if name in self.attributes:
-            if name in population.now:
-                return make_read_only(population.now[name][rows])
-            return make_read_only(population.read_vector(name)[rows])
+            if name not in population.now:
+                return make_read_only(population.read_vector(name)[rows])
+            values = population.now[name][rows]
+            kind, *_, group = population.plan.registers[name].language_type or ("number", None)
+            if kind == "item":
+                members = (*self._world.items[group].names, "")  # -1, the last, is none
+                values = np.array(members, dtype=str)[np.where((values >= 0) & (values < len(members) - 1), values, -1)]
+            return make_read_only(values)
         raise make_unknown_name_error(f"array of `{self.species}`", name, self.names)
 
     def __setitem__(self, name: str, values: ArrayLike) -> None:
@@ -141,10 +155,10 @@ class Crowd:
         Raises AntdslError for what is no attribute, another shape, and values that an agent cannot have, such as a size of 0.
         Limits such as `max_turn` may be infinite."""
         population = self._population
-        if name not in self.attributes:
+        if name not in self.settable:
             if name in self.names:
-                raise AntdslError(f"`{name}` is computed by steps and cannot be set", f"set one of: {', '.join(self.attributes)}")
-            raise make_unknown_name_error(f"attribute of `{self.species}`", name, self.attributes)
+                raise AntdslError(f"`{name}` is computed by steps and cannot be set", f"set one of: {', '.join(self.settable)}")
+            raise make_unknown_name_error(f"attribute of `{self.species}`", name, self.settable)
         registers = [name] if name in population.now else [f"{name}.{axis}" for axis in AXES]
         shape = (len(population),) if len(registers) == 1 else (len(population), 3)
         try:
@@ -162,7 +176,7 @@ class Crowd:
         for k, register in enumerate(registers):
             column = columns if len(registers) == 1 else columns[:, k]
             for arrays in (population.now, population.start):
-                arrays[register][rows] = column
+                arrays[register][rows] = column.astype(arrays[register].dtype)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.names)

@@ -122,6 +122,12 @@ class Simulation:
         return (self.frame - self.first_frame) * self.world.dt
 
     @property
+    def origin(self) -> tuple[float, float, float]:
+        """The point in mm from which positions in attributes are measured. It is zero unless the world is far from zero."""
+        x, y, z = self.world.origin.tolist()
+        return x, y, z
+
+    @property
     def species(self) -> tuple[str, ...]:
         """The names of the species."""
         return tuple(self.world.populations)
@@ -175,9 +181,11 @@ class Simulation:
     def step(self, count: int = 1) -> Simulation:
         """Simulate `count` frames, also beyond the last frame of the scene. Return the simulation.
 
-        Raises AntdslError if a value of an agent stops being a number, or a limit is exceeded."""
+        Raises AntdslError for a count below 0, if a value of an agent stops being a number, and if a limit is exceeded."""
         from antdsl.runtime import step
 
+        if count < 0:
+            raise AntdslError(f"{count} frames cannot be simulated", "write 0 or more")
         for _ in range(count):
             self._advance(partial(step, self.world))
             for observer in tuple(self._observers):

@@ -104,6 +104,7 @@ MISTAKES = [
     (lambda s: s.set_param("forager.smell", "3 s"), "is a length, not a time"),
     (lambda s: s.set_param("forager.smell", 1e9), "out-of-range"),
     (lambda s: s.stop_observing(print), "observes nothing"),
+    (lambda s: s.step(-1), "-1 frames cannot be simulated"),
 ]
 
 
@@ -175,6 +176,45 @@ def test_several_species_and_machines(tmp_path: Path) -> None:
     states = [column for column in roaches[name] if column.rpartition(".")[2] == "state"]
     assert len(states) == len(roaches.world.populations[name].plan.machines)
     assert all(roaches[name][column].dtype.kind == "U" for column in states)
+
+
+KINDS = """ant 2
+use steering
+world { items food { load = 1 } }
+species a {
+  size 4 mm
+  keen = true
+  here = position
+  meal = none of food
+  mate = none of a
+  start s
+  state s {
+    steer wander()
+    meal = nearest(food); mate = nearest(neighbours(200 mm)); here = position
+    when keen and time_in_state > 0.03 s and distance(here) + distance(meal) + distance(mate) > 1 mm -> t
+  }
+  state t { when not keen -> s }
+}
+"""
+
+
+def test_attributes_of_every_type_are_read_also_far_from_zero(tmp_path: Path) -> None:
+    (tmp_path / "a.ant").write_text(KINDS, encoding="utf-8")
+    (tmp_path / "scene.yaml").write_text(
+        "antdsl: 1\nframes: 1..9\nworld:\n  food: {one: {at: [1000000, 0, 0]}, two: {at: [1000020, 0, 10]}}\n"
+        "crowd: [{species: a, from: a.ant, count: 3, place: {around: [1000000, 0, 0], radius: 20 mm}}]\n",
+        encoding="utf-8",
+    )
+    simulation = antdsl.open_scene(tmp_path / "scene.yaml").step(2)
+    agents = simulation["a"]
+    assert set(agents["meal"]) <= {"one", "two"} and (agents["mate"] != agents.ids).all() and set(agents["mate"]) <= {0, 1, 2}
+    assert np.abs(agents["here"] + simulation.origin - agents["position"]).max() < 5 and max(simulation.origin) > 9e5
+    assert agents["keen"].tolist() == [True] * 3 and set(agents["state"]) == {"t"}
+    agents["keen"] = [True, False, True]
+    assert simulation.step()["a"]["state"].tolist() == ["t", "s", "t"]
+    for name in ("meal", "mate"):
+        with pytest.raises(antdsl.AntdslError, match="cannot be set"):
+            agents[name] = 0
 
 
 def test_empty_crowds_have_empty_arrays(tmp_path: Path) -> None:
