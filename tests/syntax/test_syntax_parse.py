@@ -187,7 +187,7 @@ def test_transition_has_all_its_parts() -> None:
     assert change.take is not None and change.take.attribute.text == "load"
     assert [(w.target.text, w.weight.value) for w in change.target.choices] == [("x", 1), ("y", 2)]  # type: ignore[union-attr]
     assert [type(action) for action in change.actions] == [n.Assign, n.VerbLine]
-    assert line("when after 2 s -> previous").target.previous
+    assert line("when after 2 s -> previous").target.is_previous
 
 
 def test_from_any() -> None:
