@@ -196,7 +196,8 @@ class _DocumentReader:
         help += f"; the file has {count} such characters" if count > 1 else ""
         help += "; if a name contains one, put the name in quotes"
         place = Span(self.source, match.start(), match.end())
-        self.report.error("odd-blank", f"this is no space but {message}" if is_blank else f"{message} is invisible", place, help)
+        words = f"this blank is not a space: {message}" if is_blank else f"{message} is invisible"
+        self.report.error("odd-blank", words, place, help)
 
     def reject_syntax(self, problem: Any) -> _DocumentError:
         """Report a syntax error of YAML, and return the exception to raise."""

@@ -320,7 +320,7 @@ class _Scanner:
             if "blank" not in self.reported_texts and (start > 0 or piece != "\ufeff"):
                 self.reported_texts.add("blank")
                 name = unicodedata.name(piece, f"U+{ord(piece):04X}").lower()
-                self.token_scan.report_error("odd-blank", f"this is no space but {name}", start, end, "type a space", " ")
+                self.token_scan.report_error("odd-blank", f"this blank is not a space: {name}", start, end, "type a space", " ")
             return self.blank(start, end, piece)
         if piece.isalnum() and piece not in "\u00b2\u00b3":
             return self.repair_foreign_word(start)

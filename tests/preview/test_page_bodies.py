@@ -385,6 +385,8 @@ def test_blend_shapes_are_drawn_as_a_body_of_that_shape(page: Stage) -> None:
         covered = [(each[..., 0] > 90) & (each[..., 2] < 0.6 * each[..., 0]) for each in (a, b)]  # by bodies, not their shadows
         return int((covered[0] != covered[1]).sum())
 
+    picture(body, 0)
+    show_states(page)
     base, puffed = picture(body, 0), picture(body, 1)
     bare = replace(body.shapes["puffed"], name="base")
     same = replace(body, shapes={"base": bare}, layers={
