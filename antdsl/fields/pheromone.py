@@ -88,9 +88,9 @@ class PheromoneField:
         if added_count:
             self._padded = np.concatenate([self.values, np.zeros(added_count + 1)])
             self._pending = np.concatenate([self._pending, np.zeros(added_count, np.int64)])
-            for name in ("_places", "_seen"):
+            for name in ("_cell_positions", "_seen"):
                 self.__dict__.pop(name, None)
-        elif "_places" in self.__dict__:
+        elif "_cell_positions" in self.__dict__:
             self._cell_positions[:, new] = self.cells.position[new].T
             self._seen[new, :3] = self._cell_positions[:, new].T
         self.__dict__.pop("_laplacian", None)
@@ -245,7 +245,7 @@ class PheromoneField:
 
     @cached_property
     def _seen(self) -> NDArray[np.float32]:
-        """Return cell positions as agents sense them: `_places` in float32, one contiguous row for each cell."""
+        """Return cell positions as agents sense them: `_cell_positions` in float32, one contiguous row for each cell."""
         single_positions = np.zeros((len(self.cells) + 1, 4), np.float32)
         single_positions[:, :3] = self._cell_positions.T
         return single_positions

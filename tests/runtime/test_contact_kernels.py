@@ -230,7 +230,7 @@ def shares(near, pairs, depth, light, dense_share, normal) -> dict[tuple[int, in
 def part_bodies(near: NearbyPairs, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
     """As `contact_solver` gives, from one pair after another."""
     size = np.linalg.norm(walked, axis=0)
-    most = np.maximum(agents.reach, size)
+    most = np.maximum(agents.max_travel, size)
     extent = np.minimum(most * 0.3 + depth, most) * agents.push_share
     dense_share = np.where(size <= 0.01 * most, 1.0, np.clip(depth / (near.radius * 0.4) - 0.5, 0, 1))
     light, moved, which = np.where(held, 0.0, 1 / agents.mass), cut.copy(), which.copy()
