@@ -27,7 +27,7 @@ JOINTS = ("root", "head", "gaster_tip", "club_l", "mandible_r", "tibia_l1", "tar
 def ants(tmp_path_factory: pytest.TempPathFactory) -> Cache:
     """Ants on their feet around a source: some of them take a crumb."""
     folder = tmp_path_factory.mktemp("ants")
-    for path in FORAGING.iterdir():
+    for path in filter(Path.is_file, FORAGING.iterdir()):
         shutil.copy(path, folder / path.name)
     crowd = f"count: {AGENTS}, place: {{on: ground, around: apple, radius: 30 mm}}"
     text = (folder / "scene.yaml").read_text().replace("count: 500, place: {on: ground, around: home, radius: 70 mm}", crowd)

@@ -38,7 +38,7 @@ FRAMES = 40
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
     """40 frames of the example, in a folder, with the scene removed afterwards."""
     folder = tmp_path_factory.mktemp("walker")
-    for path in EXAMPLE.iterdir():
+    for path in filter(Path.is_file, EXAMPLE.iterdir()):
         shutil.copy(path, folder / path.name)
     shot, report = open_scene(folder / "scene.yaml", RunChoices(frames=FrameRange(1, FRAMES)))
     assert shot is not None, str(report)
