@@ -37,12 +37,18 @@ def make_read_only(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-def make_table(columns: dict[str, NDArray[Any]], index: NDArray[Any], name: str) -> Any:
-    """Return columns as a DataFrame; vectors have a column for each axis. Raises AntdslError without pandas."""
+def import_pandas() -> Any:
+    """Return the module pandas. Raises AntdslError if it is not installed."""
     try:
         import pandas
     except ImportError:
         raise AntdslError("pandas is not installed", "install it: `pip install pandas`") from None
+    return pandas
+
+
+def make_table(columns: dict[str, NDArray[Any]], index: NDArray[Any], name: str) -> Any:
+    """Return columns as a DataFrame; vectors have a column for each axis. Raises AntdslError without pandas."""
+    pandas = import_pandas()
     flat: dict[str, NDArray[Any]] = {}
     for column, values in columns.items():
         flat |= {f"{column}.{axis}": values[:, k] for k, axis in enumerate(AXES)} if values.ndim == 2 else {column: values}

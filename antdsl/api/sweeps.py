@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
+from antdsl.api.crowds import import_pandas
 from antdsl.api.errors import AntdslError
 from antdsl.api.simulation import read_frames, read_seed
 
 if TYPE_CHECKING:
     from os import PathLike
-
-    from antdsl.diagnostics import Report
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +29,7 @@ class SweepResult:
 
     def to_pandas(self) -> Any:
         """Return a DataFrame with one row per run. Raises AntdslError without pandas."""
-        try:
-            import pandas
-        except ImportError:
-            raise AntdslError("pandas is not installed", "install it: `pip install pandas`") from None
-        return pandas.DataFrame(list(self.runs))
+        return import_pandas().DataFrame(list(self.runs))
 
     def __repr__(self) -> str:
         failed = f", {len(self.failures)} failed" if self.failures else ""
@@ -85,7 +80,8 @@ def sweep(
         stop_amounts=tuple(until_empty),
         grants={},
     )
-    _require_no_errors(report)
+    if not report.ok:
+        raise AntdslError.from_report(report)
     workers = min(processes or count_available_cores(), len(jobs))
     runs, failures = dict[str, Mapping[str, Any]](), []
     for outcome in run_jobs(jobs, ProcessEngine(workers, max(1, count_available_cores() // workers))):
@@ -97,8 +93,3 @@ def sweep(
         if on_result is not None:
             on_result(runs[job.key])
     return SweepResult(tuple(runs[job.key] for job in jobs if job.key in runs), tuple(failures))
-
-
-def _require_no_errors(report: Report) -> None:
-    if not report.ok:
-        raise AntdslError.from_report(report)

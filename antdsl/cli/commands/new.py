@@ -63,10 +63,9 @@ def new(
             if name not in _PROGRAM_AND_SCENE:
                 files[name] = read_template_file(name, title, program).encode()
     else:
-        names = [DEFAULT_TEMPLATE, *EXAMPLE_BY_TEMPLATE]
-        near = find_nearest_name(template, names)
-        advice = f"did you mean `{near}`?" if near else f"write one of {', '.join(f'`{name}`' for name in names)}"
-        raise CommandError(ExitCode.USAGE, f"error: there is no template `{template}`", advice)
+        names = (DEFAULT_TEMPLATE, *EXAMPLE_BY_TEMPLATE)
+        usual = f"write one of {', '.join(f'`{name}`' for name in names)}"
+        raise _make_unknown_name_error("template", template, names, usual)
     write_files(folder, files)
     print_note(f"{program} and scene.yaml are in {folder}; now:")
     for words in (("run", folder / "scene.yaml"), ("test", folder), ("render", folder / "out" / "scene", "--sheet")):
@@ -87,9 +86,7 @@ def examples(
         print_note("`antdsl examples NAME` copies one into a folder of its name")
         return
     if name not in names:
-        near = find_nearest_name(name, names)
-        advice = f"did you mean `{near}`?" if near else "`antdsl examples` lists all"
-        raise CommandError(ExitCode.USAGE, f"error: there is no example `{name}`", advice)
+        raise _make_unknown_name_error("example", name, names, "`antdsl examples` lists all")
     folder = folder or Path(name)
     check_new_folder(folder)
     files = read_example_files(name)
@@ -97,6 +94,12 @@ def examples(
     scene = next(file for file in sorted(files, key=lambda file: (file != "scene.yaml", file)) if file.endswith(".yaml"))
     print_note(f"{len(files)} files are in {folder}; now:")
     print_note(f"  antdsl run {folder / scene}")
+
+
+def _make_unknown_name_error(kind: str, name: str, names: tuple[str, ...], usual: str) -> CommandError:
+    """Return the error for a name that is none of `names`. `usual`: the advice if no name is similar."""
+    near = find_nearest_name(name, names)
+    return CommandError(ExitCode.USAGE, f"error: there is no {kind} `{name}`", f"did you mean `{near}`?" if near else usual)
 
 
 def check_new_folder(folder: Path) -> None:

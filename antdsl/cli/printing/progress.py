@@ -159,17 +159,18 @@ def _format_milliseconds(seconds_by_part: Mapping[str, float], steps: int) -> st
 
 def _print_summary(recording: Recording) -> None:
     """Print the number of agents, the time that the run took and where the cache is. With `--profile`, also print the parts."""
-    spent = {**recording.seconds, **recording.world.timings}
-    set_up = spent.pop("bind", 0.0) + spent.pop("first_step", 0.0)
     simulated = sum(recording.seconds.get(part, 0.0) for part in ("first_step", "preroll", "step", "hand_over"))
     bind = recording.seconds.get("bind", 0.0)
     print_note(f"{len(recording.world):,} agents; set up in {bind:.1f} s, simulated in {simulated:.1f} s")
     if recording.step_meter is not None:
-        spent.pop("preroll", None)
+        spent = {**recording.seconds, **recording.world.timings}
+        first_step = spent.pop("first_step", 0.0)
+        for part in ("bind", "preroll"):
+            spent.pop(part, None)
         parts, hand_over_parts, parallel_parts = (
             _format_milliseconds(each, recording.steps) for each in (spent, recording.frame_seconds, recording.writer_seconds)
         )
-        print_note(f"milliseconds a frame, after a first step of {set_up:.1f} s: {parts or 'none'}")
+        print_note(f"milliseconds a frame, after a first step of {first_step:.1f} s: {parts or 'none'}")
         print_note(f"of `hand_over`: {hand_over_parts or 'none'}; meanwhile, behind the simulation: {parallel_parts or 'none'}")
     if recording.world.detail is not None:
         levels = recording.world.detail.summary(recording.world)["mean"]
