@@ -37,10 +37,10 @@ class LightSphere:
 
         `numbers` (n,): which of `count` evenly spread points of the half sphere that faces each point."""
         towards = points - self.centre.astype(points.dtype)
-        height = 1 - (np.asarray(numbers) + 0.5) / count
-        turn, flat = np.asarray(numbers) * _GOLDEN_ANGLE, np.sqrt(1 - height * height)
-        spots = np.stack([flat * elementary.cos(turn), height, flat * elementary.sin(turn)], axis=-1).astype(points.dtype)
-        spots = np.broadcast_to(spots, towards.shape) * points.dtype.type(_TARGET_RADII * self.radius)
+        height = 1 - (np.arange(count) + 0.5) / count
+        turn, flat = np.arange(count) * _GOLDEN_ANGLE, np.sqrt(1 - height * height)
+        half_sphere = np.stack([flat * elementary.cos(turn), height, flat * elementary.sin(turn)], axis=-1).astype(points.dtype)
+        spots = half_sphere[numbers] * points.dtype.type(_TARGET_RADII * self.radius)
         spots = np.where(dot(spots, towards)[:, None] < 0, -spots, spots)
         return np.asarray(spots - towards, points.dtype)
 
@@ -50,9 +50,9 @@ class LightSphere:
         `flat_normal` (n, 3): of the triangles; light fades where they face away, so that coarse bodies have no jagged shade."""
         number = points.dtype.type
         towards = self.centre.astype(points.dtype) - points
-        square = np.maximum(dot(towards, towards), number(self.radius**2))
-        direction = towards / np.maximum(np.sqrt(dot(towards, towards)), number(1e-12))[:, None]
-        share = np.clip(dot(normal, direction), 0, 1) / square
+        square = dot(towards, towards)
+        direction = towards / np.maximum(np.sqrt(square), number(1e-12))[:, None]
+        share = np.clip(dot(normal, direction), 0, 1) / np.maximum(square, number(self.radius**2))
         if flat_normal is not None:
             share *= np.clip(dot(flat_normal, direction) * 6 + number(0.6), 0, 1)
         return np.asarray(share * number(self.strength * (UNIT_DISTANCE * self.radius) ** 2))

@@ -30,7 +30,7 @@ from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.outputs.pictures.model import Crowd, FlowArrows, Item, LegendRow, Picture, Solid, Trail
 from antdsl.outputs.pictures.trail_colours import estimate_full_strength
-from antdsl.scene.looks import INVISIBLE_LOOK, KIND_BY_LOOK, choose_drawn_shape, find_kind_by_name
+from antdsl.scene.looks import INVISIBLE_LOOK, KIND_BY_LOOK, choose_drawn_shape, compute_remaining_share, find_kind_by_name
 from antdsl.scene.thing_models import UP_VECTORS
 
 REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
@@ -307,14 +307,12 @@ class Gallery:
         return tuple(items)
 
     def _compute_remaining_share(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
-        """Return the share (0..1) of its initial amount that an item still has. It is 1 for an item that started with nothing."""
-        for attribute in attributes:
-            key = f"items.{group}.{attribute}"
-            if self._first_frame is not None and key in self._first_frame and key in arrays:
-                first = float(self._first_frame[key][number])
-                if first > 0:
-                    return float(np.clip(arrays[key][number] / first, 0.0, 1.0))
-        return 1.0
+        """Return the share (0..1) of its amount in the first frame that an item still has."""
+        start = self._first_frame or {}
+        keys = (f"items.{group}.{attribute}" for attribute in attributes)
+        return compute_remaining_share(
+            (float(start[key][number]), float(arrays[key][number])) for key in keys if key in start and key in arrays
+        )
 
     def _make_trails(self, arrays: Arrays) -> tuple[Trail, ...]:
         trails = []

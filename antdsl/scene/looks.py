@@ -4,6 +4,7 @@ Also the shapes of items, by words in their names."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 
@@ -47,6 +48,23 @@ SURFACE_KINDS: dict[str, SurfaceKind] = {
 INVISIBLE_LOOK = "none"
 KIND_BY_LOOK = {row.look: name for name, row in SURFACE_KINDS.items() if row.look is not None}
 LOOKS = (*KIND_BY_LOOK, INVISIBLE_LOOK)
+
+
+def is_lamp_look(look: str | None) -> bool:
+    """Return whether items with a look emit light."""
+    return look == "light"
+
+
+def compute_remaining_share(amounts: Iterable[tuple[float, float]]) -> float:
+    """Return the share (0..1) of its initial amount that an item still has. It is 1 for an item that started with nothing.
+
+    `amounts`: for each attribute, the initial and the present amount. The first attribute with an initial amount counts."""
+    return next((min(max(now / first, 0.0), 1.0) for first, now in amounts if first > 0), 1.0)
+
+
+def compute_drawn_radius(radius: float, remaining_share: float) -> float:
+    """Return the radius of an item at which its volume is the remaining share of the full one."""
+    return float(radius * min(max(remaining_share, 0.0), 1.0) ** (1 / 3))
 
 
 def find_kind_by_name(mesh: str) -> str | None:

@@ -28,17 +28,20 @@ def add_lights(stage: GltfStage, picture: Picture) -> None:
     lights: dict[int, dict[str, Any]] = {}  # by node
     settings, up = picture.light, np.asarray(UP_VECTORS[stage.gallery.manifest.up], np.float64)
     if settings.sun > 0:
-        sun = stage.add_child(None, "sun", turn=_aim_backward(make_sun(up, settings).direction.astype(np.float64)))
-        if sun is not None:
-            lights[sun] = {"type": "directional", **_make_strength(SUN_LIGHT * settings.sun, 1.0)}
+        sun = make_sun(up, settings)
+        axes = np.stack([sun.first_axis, np.cross(sun.direction, sun.first_axis), sun.direction], axis=1)
+        turn = matrix_to_quaternion(axes.astype(np.float64))  # a light of glTF shines along its own -z
+        lights[stage.add_child(None, "sun", turn=turn)] = {
+            "type": "directional", **_make_strength(SUN_LIGHT * settings.sun, 1.0)
+        }  # fmt: skip
     metres = UNIT_MM[stage.gallery.manifest.units] / 1000
     for index, item in enumerate(picture.items):
         for lamp in find_lamps([item], picture.up, settings.lamps):
             centre, _ = place_bulb(item.shape, np.zeros(3), 1.0, up)
-            bulb = stage.add_child(index, f"{item.name} light", move=centre)
-            if bulb is not None:
-                candela = (UNIT_DISTANCE * item.drawn_radius * metres) ** 2
-                lights[bulb] = {"type": "point", **_make_strength(LAMP_COLOUR * lamp.strength, candela)}
+            candela = (UNIT_DISTANCE * item.drawn_radius * metres) ** 2
+            lights[stage.add_child(index, f"{item.name} light", move=centre)] = {
+                "type": "point", **_make_strength(LAMP_COLOUR * lamp.strength, candela)
+            }  # fmt: skip
     if lights:
         stage.writer.add_extension(_EXTENSION, {"lights": list(lights.values())})
         for number, node in enumerate(lights):
@@ -49,10 +52,3 @@ def _make_strength(colour: NDArray[np.floating], factor: float) -> dict[str, Any
     """Return colour and intensity of a light; the greatest part of its colour is 1."""
     greatest = float(np.max(colour))
     return {"color": [round(float(part) / greatest, 6) for part in colour], "intensity": _LUX_PER_LIGHT * greatest * factor}
-
-
-def _aim_backward(direction: NDArray[np.float64]) -> list[float]:
-    """Return the rotation (x y z w) that turns +z into a direction: a light of glTF shines along its own -z."""
-    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    first /= np.linalg.norm(first)
-    return [float(part) for part in matrix_to_quaternion(np.stack([first, np.cross(direction, first), direction], axis=1))]

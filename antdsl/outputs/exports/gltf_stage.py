@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -97,16 +96,13 @@ class GltfStage:
         roots."""
         return self._add_node(parent, {"name": name, "mesh": mesh} | ({} if skin is None else {"skin": skin}))
 
-    def add_child(
-        self, item: int | None, name: str, move: NDArray[Any] | None = None, turn: Sequence[float] | None = None
-    ) -> int | None:
-        """Add a node below an item's node, or below the world for None, and return its number. Return None if the item is not
-        drawn. `move` (3,): its position, relative to the item in radii. `turn` (x y z w): its rotation."""
-        if item is not None and item not in self._items:
-            return None
+    def add_child(self, item: int | None, name: str, move: NDArray[Any] | None = None, turn: NDArray[Any] | None = None) -> int:
+        """Add a node below the node of a drawn item, or below the world for None, and return its number.
+
+        `move` (3,): its position, relative to the item in radii. `turn` (x y z w): its rotation."""
         entry: dict[str, Any] = {"name": name}
         entry |= {} if move is None else {"translation": [float(part) for part in move]}
-        entry |= {} if turn is None else {"rotation": list(turn)}
+        entry |= {} if turn is None else {"rotation": [float(part) for part in turn]}
         return self._add_node(self._world_node if item is None else self._items[item].node, entry)
 
     def write_presence(self, node: int, frames: NDArray[np.int64], scales: Floats | None = None) -> None:

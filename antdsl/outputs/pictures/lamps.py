@@ -11,7 +11,7 @@ from antdsl.casting.lamps import LightSphere, place_bulb, select_largest
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures.model import Item
 from antdsl.outputs.pictures.shading_rows import Floats
-from antdsl.scene.looks import KIND_BY_LOOK
+from antdsl.scene.looks import is_lamp_look
 
 LAMP_COLOUR = np.array([2.65, 2.20, 1.62], np.float32)  # of the light 1, about that of the sun
 
@@ -50,7 +50,7 @@ def find_lamps(items: Sequence[Item], up: tuple[float, float, float], strength: 
     lamps = []
     for item in items:
         size = item.drawn_radius
-        if KIND_BY_LOOK.get(item.look or "") == "light" and size > 0 and strength > 0 and item.shape != "none":
+        if is_lamp_look(item.look) and size > 0 and strength > 0 and item.shape != "none":
             place = place_bulb(item.shape, np.asarray(item.position, np.float64), size, np.asarray(up, np.float64))
             lamps.append(Lamp(*place, strength))
     return select_largest(lamps)

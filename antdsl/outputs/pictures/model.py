@@ -14,6 +14,7 @@ from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.numerics.records import take_rows
 from antdsl.scene.light_model import DEFAULT_LIGHT, LightSettings
+from antdsl.scene.looks import compute_drawn_radius
 
 Array = NDArray[np.float64]
 
@@ -127,7 +128,7 @@ class Item:
     @property
     def drawn_radius(self) -> float:
         """Return the radius at which the volume is the remaining share of the full one."""
-        return float(self.radius * min(max(self.remaining_share, 0.0), 1.0) ** (1 / 3))
+        return compute_drawn_radius(self.radius, self.remaining_share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from antdsl.outputs.pictures.light import SunLight, decode_srgb
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
 from antdsl.outputs.pictures.shading_rows import Floats
 from antdsl.outputs.pictures.static_setting import StaticSetting
-from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS
+from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS, is_lamp_look
 
 Array = NDArray[np.float64]
 
@@ -152,9 +152,8 @@ def make_actors(
             solid = make_item_mesh(item, picture.up, ground)
             place = np.asarray([item.position], np.float64)
             local = (solid.vertices - place).astype(np.float32)[None]
-            is_lamp = KIND_BY_LOOK.get(item.look or "") == "light"
             part = BodyMesh(local, place, None, solid.faces, solid.normal, solid.colour, solid.gloss)
-            (lamps if is_lamp else parts).append(part)
+            (lamps if is_lamp_look(item.look) else parts).append(part)
     without_lamps, parts = parts, parts + lamps
     widest = max((item.radius for item in picture.items), default=0.0)
     moments = _choose_shutter_times(parts, view, blur)

@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 from antdsl.casting.lamps import LightSphere, place_bulb, select_largest
 from antdsl.casting.tolerances import MIN_VECTOR_LENGTH
 from antdsl.numerics.vector_rows import dot
+from antdsl.numerics.vectors import split_columns
 from antdsl.plan import ir
-from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.looks import KIND_BY_LOOK, choose_drawn_shape
-from antdsl.scene.setting import ItemData
+from antdsl.runtime.sensing.thing_senses import Rows, read_places
+from antdsl.runtime.world import Population, World
+from antdsl.scene.looks import choose_drawn_shape, compute_drawn_radius, compute_remaining_share, is_lamp_look
 
 _RAYS_PER_LAMP = 16  # to evenly spread points of the side that faces the agent
 _START_HEIGHT = 0.02  # of the rays above the ground, in body lengths
 _MIN_LIGHT = 1e-4  # lamps that give less are dark
 
 Floats = NDArray[np.float64]
-Rows = slice | NDArray[np.intp]
 
 
 def sense_light(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> NDArray[np.float32]:
     """Return the light of the lamps at the positions of rows (n,). Light 1 is about that of the sun in pictures."""
-    place = np.stack([population.start[f"position.{axis}"][rows] for axis in AXES], axis=1).astype(np.float64)
+    place = read_places(world, population, rows)
     normal = population.normal[rows].astype(np.float64)
     start = place + normal * (population.start["size"][rows].astype(np.float64) * _START_HEIGHT)[:, None]
     total = np.zeros(len(place))
@@ -43,19 +43,14 @@ def _find_lamps(world: World, name: str) -> Iterator[LightSphere]:
     """Yield the items of a name that emit light and have something left, at the start of the step."""
     items, strength = world.items[name], world.setting.lamp_strength
     for index, data in enumerate(world.setting.items.get(name, ())):
-        size = data.radius * _find_remaining_share(world, name, data, index) ** (1 / 3)
-        if KIND_BY_LOOK.get(data.look or "") == "light" and size > 0 and strength > 0:
+        amounts = (
+            (data.attributes.get(attribute, default), float(items.visible_values[attribute][index]))
+            for attribute, default in world.plan.items[name].attributes.items()
+        )
+        size = compute_drawn_radius(data.radius, compute_remaining_share(amounts))
+        if is_lamp_look(data.look) and size > 0 and strength > 0:
             shape = choose_drawn_shape(name, data.name, data.look)
             yield LightSphere(*place_bulb(shape, items.position[index], size, world.up), strength)
-
-
-def _find_remaining_share(world: World, name: str, data: ItemData, index: int) -> float:
-    """Return the share (0..1) of its initial amount that an item still has. It is 1 for an item that started with nothing."""
-    for attribute, default in world.plan.items[name].attributes.items():
-        first = data.attributes.get(attribute, default)
-        if first > 0:
-            return float(np.clip(world.items[name].visible_values[attribute][index] / first, 0.0, 1.0))
-    return 1.0
 
 
 def _find_hidden_share(world: World, lamp: LightSphere, start: Floats) -> Floats:
@@ -69,14 +64,8 @@ def _find_hidden_share(world: World, lamp: LightSphere, start: Floats) -> Floats
     sound = np.flatnonzero(reach > MIN_VECTOR_LENGTH)
     for name in world.obstacles:
         left = sound[~hidden[sound]]
-        directions = ray[left] / reach[left, None]
-        hits = world.obstacles[name].cast_feelers(
-            _split_columns(origin[left]), _split_columns(directions), reach[left].astype(np.float32), world.options.threads
-        )
+        positions, directions = (split_columns(each, np.float32) for each in (origin[left], ray[left] / reach[left, None]))
+        hits = world.obstacles[name].cast_feelers(positions, directions, reach[left].astype(np.float32), world.options.threads)
         hidden[left] = hits.hit
     share: Floats = hidden.reshape(-1, count).sum(axis=1) / count
     return share
-
-
-def _split_columns(rows: Floats) -> list[NDArray[np.float32]]:
-    return [np.ascontiguousarray(column) for column in rows.T.astype(np.float32)]

@@ -29,7 +29,8 @@ def read_positions(world: World, population: Population, rows: Rows) -> tuple[ND
     return tuple(population.start[f"position.{axis}"][rows] for axis in AXES)
 
 
-def _read_places(world: World, population: Population, rows: Rows) -> NDArray[np.float64]:
+def read_places(world: World, population: Population, rows: Rows) -> NDArray[np.float64]:
+    """Return the positions (n, 3) of rows at the start of the step."""
     return np.stack(read_positions(world, population, rows), axis=1).astype(np.float64)
 
 
@@ -39,13 +40,13 @@ def _sense_curve_closest(world: World, population: Population, node: ir.PlanNode
 
 
 def _sense_flow_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    place = _read_places(world, population, rows)
+    place = read_places(world, population, rows)
     up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].sample(world.ground.meshes, population.footing.take_rows(rows), place, up)
 
 
 def _sense_flow_reachable(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    place = _read_places(world, population, rows)
+    place = read_places(world, population, rows)
     up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].has_flow_at(world.ground.meshes, population.footing.take_rows(rows), place, up)
 
@@ -66,7 +67,7 @@ def _sense_camera_position(world: World, population: Population, node: ir.PlanNo
 
 
 def _sense_camera_view(world: World, population: Population, node: ir.PlanNode, rows: Rows, margin: SenseValue) -> SenseValue:
-    place = _read_places(world, population, rows)
+    place = read_places(world, population, rows)
     return _find_camera(world, node).find_in_view(world.frame, place, np.float64(1) * spread_rows(margin, rows))
 
 

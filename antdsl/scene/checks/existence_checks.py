@@ -15,6 +15,7 @@ from antdsl.program.model import OperationExpr, Program, ThingRef
 from antdsl.program.traverse import iterate_parts
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
+from antdsl.scene.looks import is_lamp_look
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Span
 
@@ -89,7 +90,7 @@ def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
     for name, part in sensed.items():
         value = scene.model.world.get(name)
         looks = [item.look for item in value.values()] if isinstance(value, dict) else [getattr(value, "look", None)]
-        if value is not None and "light" not in looks:
+        if value is not None and not any(map(is_lamp_look, looks)):
             message = f"no item of `{name}` emits light, so `light({name})` is always 0"
             label = Label(part.span, "sensed here")
             report.warning(
