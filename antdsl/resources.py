@@ -1,5 +1,5 @@
-"""Locations of the files that come with antdsl: the grammar, the behaviour library, the code pages, the preview's page, examples,
-and the files of a new project. No other module knows these locations."""
+"""Locations of the files that come with antdsl: the grammar, the behaviour library, the documentation, the preview's page,
+examples, and the files of a new project. No other module knows these locations."""
 
 from __future__ import annotations
 
@@ -49,6 +49,11 @@ def list_example_names() -> tuple[str, ...]:
 def example_file(name: str) -> Path:
     """Return the path of a file of the examples, such as `foraging/scene.yaml`, or of an example's folder."""
     return _locate_folder("examples") / name
+
+
+def documentation_folder() -> Path:
+    """Return the folder in which `docs`, `grammar` and `examples` have the pages of the documentation."""
+    return _locate_folder("docs").parent
 
 
 def project_template_file(name: str) -> Path:

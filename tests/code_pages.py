@@ -219,8 +219,9 @@ Every message has a code that never changes, a summary line, its place, and what
 Each code has a page: why it matters, a wrong example with its message, and a right example. The tests run both.
 `antdsl check --explain CODE` shows the page.
 
-An example is a file in a folder with the files of the smallest example, [examples/minimal](../../examples/minimal). The file is
-`walker.ant` or `scene.yaml` unless a line above it gives another name. The command is `antdsl check` unless a page shows another.
+An example is a file in a folder with the files of the smallest example, [examples/minimal](../../examples/minimal/scene.yaml).
+The file is `walker.ant` or `scene.yaml` unless a line above it gives another name.
+The command is `antdsl check` unless a page shows another.
 """
 
 

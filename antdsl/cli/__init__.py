@@ -40,6 +40,7 @@ from antdsl.cli.commands import (  # noqa: E402
     sweep,
     test,
 )
+from antdsl.cli.commands.manual import docs  # noqa: E402
 from antdsl.cli.exits import CommandError, ExitCode, find_machine_failure, limit_threads, make_failure_error  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 
@@ -96,6 +97,7 @@ COMMANDS = (
     CommandEntry("graph", graph.graph, WRITE_HEADING, "antdsl graph walker.ant --out states.svg"),
     CommandEntry("plan", plan.plan, INSIDE_HEADING, "antdsl plan walker.ant"),
     CommandEntry("bench", bench.bench, INSIDE_HEADING, "antdsl bench foraging --agents 15000"),
+    CommandEntry("docs", docs.docs, INSIDE_HEADING, "antdsl docs"),
     CommandEntry("doctor", doctor.doctor, INSIDE_HEADING, "antdsl doctor"),
     CommandEntry("lsp", lsp.lsp, WRITE_HEADING, "antdsl lsp"),
 )

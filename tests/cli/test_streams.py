@@ -69,6 +69,7 @@ USES = {
     "graph": Use("graph walker.ant --out graph.svg", "graph.svg"),
     "plan": Use("plan walker.ant", is_result=True),
     "bench": Use("bench --list", is_result=True),
+    "docs": Use("docs --to site", "site/docs/index.html", is_result=True),
     "doctor": Use("doctor", is_result=True),
     "lsp": Use("lsp", is_result=True, stdin=LSP),
 }

@@ -76,7 +76,7 @@ def test_the_index_has_all_codes_by_their_sections() -> None:
 
 def test_the_pages_go_with_the_package() -> None:
     packed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
-    assert packed["force-include"]["docs/codes"] == "antdsl/_data/docs/codes"
+    assert packed["force-include"]["docs"] == "antdsl/_data/docs"
     assert find_code_page("unknown-state") == PAGES / "unknown-state.md" and find_code_page("no-such-code") is None
 
 

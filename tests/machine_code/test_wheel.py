@@ -20,7 +20,16 @@ from antdsl.machine_code import llvm_compiler, shipped_objects
 ROOT = Path(__file__).resolve().parents[2]
 # What the package's build reads.
 BUILT = ("antdsl", "grammar", "behaviours", "examples", "docs")
-FILES = ("pyproject.toml", ".ci/hatch_build.py", "README.md", "LICENSE", ".gitignore")
+FILES = (
+    "pyproject.toml",
+    ".ci/hatch_build.py",
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "SECURITY.md",
+    "LICENSE",
+    ".gitignore",
+)
 # Runs a command of antdsl, and writes down which functions it had to compile.
 _RECORD = """
 import re, sys

@@ -18,6 +18,7 @@ OPTIONAL_PACKAGES = {
     "resvg_py": "pictures of state machines as PNG: pip install 'antdsl[graph]'",
     "pygls": "editors: pip install 'antdsl[lsp]'",
     "websockets": "the preview: pip install 'antdsl[preview]'",
+    "furo": "this documentation in the browser: pip install 'antdsl[docs]'",
 }
 
 
