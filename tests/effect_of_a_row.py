@@ -42,7 +42,7 @@ EFFECT_BY_OPERATION["scratch"] = Effect(
     (
         ArgumentRow("depth", "length", lower_bound=0, display_name="depth of a scratch", sample="1 mm"),
         ArgumentRow("width", "length", default="2 mm"),
-        ArgumentRow("into", "own mm^2", optional=True, display_name="an area", sample="dust"),
+        ArgumentRow("into", "own mm^2", is_optional=True, display_name="an area", sample="dust"),
     ),
     "effects",
     "scratches a surface",

@@ -158,13 +158,13 @@ WHO = ("asker", "rabbit", "both", "everybody")
 
 def calls(word: BuiltinRow) -> Iterator[str]:
     """A word of a set with all that has to be given, with each thing that may, and with all of them."""
-    may = [arg for arg in word.args if arg.optional or arg.default is not None]
+    may = [arg for arg in word.args if arg.is_optional or arg.default is not None]
     for chosen in [[], *([each] for each in may), may]:
         yield f"{word.op}({', '.join(_argument_text(arg) for arg in word.args if arg not in may or arg in chosen)})"
 
 
 def _argument_text(arg: ArgumentRow) -> str:
-    plain = not arg.optional and arg.type in ("species", "items", "set")
+    plain = not arg.is_optional and arg.type in ("species", "items", "set")
     return ARGUMENTS[arg.type] if plain else f"{arg.name}: {ARGUMENTS[arg.type]}"
 
 

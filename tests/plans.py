@@ -47,7 +47,7 @@ class Text:
         self.b = PlanBuilder()
 
     def __call__(self, op: str, *args: ir.PlanNode | float, attrs: tuple = (), kind: ir.ValueKind | None = None) -> ir.PlanNode:
-        return self.b(op, *(self.b.number(a) if isinstance(a, int | float) else a for a in args), attrs=attrs, kind=kind)
+        return self.b(op, *(self.b.add_number(a) if isinstance(a, int | float) else a for a in args), attrs=attrs, kind=kind)
 
     def snap(self, name: str, kind: ir.ValueKind = ir.ValueKind.F32) -> ir.PlanNode:
         return self.b("snap", attrs=(name,), kind=kind)
@@ -109,12 +109,12 @@ def rich() -> ir.Plan:
     heading = [t("reduce.sum", near, t.b.true, t("other", attrs=(f"heading.{a}",)), attrs=(-24,)) for a in "xyz"]
     best_friend = t("reduce.agent", near, t.b.true, t("neg", t("abs", t("sub", t("other", attrs=("fear",)), t.snap("fear")))))
     fear_of_flies = t("reduce.max", flies, t.b.true, t("exp", t("neg", t("mul", t("pair.distance"), 0.05))))
-    nearest_fly = t("reduce.min", flies, t("ne", t("other.id"), t.b.agent_id(0)), t("pair.distance"))
+    nearest_fly = t("reduce.min", flies, t("ne", t("other.id"), t.b.add_agent_id(0)), t("pair.distance"))
     touching = t("le", t("pair.distance"), t("add", t("other", attrs=("radius",)), t.snap("radius")))
     at_food = t("reduce.any", nearby_food, t("and", touching, t("ge", t("number", t("other.row")), 0.0)))
     crowd = t("reduce.count", around, t("lt", t("pair.distance"), 8.0))
 
-    hungry = t("and", t("eq", state, t.b.row(0)), t("item.alive", meal, attrs=("food",)))
+    hungry = t("and", t("eq", state, t.b.add_row(0)), t("item.alive", meal, attrs=("food",)))
     friend = t.snap("friend", L)
     decide = block(
         when(t("event", attrs=("alarm",)), store("fear", t("min", t("add", t.snap("fear"), 0.5), 3.0))),
@@ -122,13 +122,13 @@ def rich() -> ir.Plan:
             hungry,
             when(
                 t("or", at_food, t("lt", t.draw("leap"), 0.02)),
-                store("main.pending", t.b.row(1)),
+                store("main.pending", t.b.add_row(1)),
                 ir.Claim("food", "load", meal, t("add", 1.0, t("mul", t.draw("greed", 1), 0.1)), "won", "load", "claim", None),
             ),
         ),
         when(
-            t("and", t("eq", state, t.b.row(1)), t("lt", t("item.get", home, attrs=("nest", "radius")), 100.0)),
-            when(t("gt", t.snap("main.time_in_state"), 0.4), store("main.pending", t.b.row(2))),
+            t("and", t("eq", state, t.b.add_row(1)), t("lt", t("item.get", home, attrs=("nest", "radius")), 100.0)),
+            when(t("gt", t.snap("main.time_in_state"), 0.4), store("main.pending", t.b.add_row(2))),
         ),
         store("quiet", t("not", t("lt", fear_of_flies, 0.4))),
     )
@@ -137,18 +137,18 @@ def rich() -> ir.Plan:
     act = block(
         store("main.time_in_state", t("add", t.snap("main.time_in_state"), t("run", attrs=("dt",)))),
         when(
-            t("and", t("eq", pending, t.b.row(1)), won),
-            store("main.state", t.b.row(1)),
-            store("main.time_in_state", t.b.number(0)),
+            t("and", t("eq", pending, t.b.add_row(1)), won),
+            store("main.state", t.b.add_row(1)),
+            store("main.time_in_state", t.b.add_number(0)),
             store("source", meal),
             store("friend", t("draw.agent", attrs=("pick", "ant"))),
             ir.Request("emit", "alarm", (t("mul", t.snap("size"), 4.0), None), None),
         ),
         when(
-            t("eq", pending, t.b.row(2)),
+            t("eq", pending, t.b.add_row(2)),
             ir.Give("nest", "load", home, t("mul", t.load("load", 1), 0.5), "load", None),
             ir.Give("nest", "load", home, None, "load", None),
-            store("main.state", t.b.row(0)),
+            store("main.state", t.b.add_row(0)),
             when(t("lt", t.draw("child"), 0.3), ir.Request("spawn", "ant", (), None, site="child")),
             when(t("gt", t.draw("child", 3), 0.8), ir.Request("die", "", (), None)),
             ir.Request("emit", "alarm", (None, None), None),
@@ -189,7 +189,7 @@ def rich() -> ir.Plan:
             for a, w, p, f in zip("xyz", wander, away, friendly, strict=True)
         ),
         when(
-            t("and", t("item.alive", meal, attrs=("food",)), t("eq", t.load("main.state", 2, R), t.b.row(0))),
+            t("and", t("item.alive", meal, attrs=("food",)), t("eq", t.load("main.state", 2, R), t.b.add_row(0))),
             *(store(f"push.{a}", t("div", f, t("max", 1.0, t("abs", f)))) for a, f in zip("xyz", food, strict=True)),
         ),
         when(
@@ -203,8 +203,12 @@ def rich() -> ir.Plan:
     born = block(
         store("size", t("add", 3.6, t("mul", t.draw("size"), 0.8))),
         store("radius", t("mul", t.load("size", 1), 0.5)),
-        store("max_turn", t("where", t("lt", t.draw("stiff"), 0.5), t.b.number(float("inf")), t.b.number(9.0)), infinite=True),
-        store("fear", t("add", t("sin", t("number", t("eq", t("id"), t.b.agent_id(3)))), 0.5)),
+        store(
+            "max_turn",
+            t("where", t("lt", t.draw("stiff"), 0.5), t.b.add_number(float("inf")), t.b.add_number(9.0)),
+            infinite=True,
+        ),
+        store("fear", t("add", t("sin", t("number", t("eq", t("id"), t.b.add_agent_id(3)))), 0.5)),
     )
     ant = ir.SpeciesPlan(
         "ant", ant_registers, (main,), born, decide, act, blend, ("alarm",), (), memoised_senses=(meal, best_friend, crowd)
@@ -225,12 +229,14 @@ def rich() -> ir.Plan:
     fly_registers = registers(
         ir.Register("prey", L, "attribute", -1, referenced_species="ant"), ir.Register("hops", F, "attribute")
     )
-    fly = ir.SpeciesPlan("fly", fly_registers, (), block(store("response", t.b.number(0))), block(), block(), fly_blend, (), ())
+    fly = ir.SpeciesPlan(
+        "fly", fly_registers, (), block(store("response", t.b.add_number(0))), block(), block(), fly_blend, (), ()
+    )
     return ir.Plan(
         species={"ant": ant, "fly": fly},
         fields={},
         items={"food": ir.ItemsPlan("food", {"load": 0.0}), "nest": ir.ItemsPlan("nest", {"load": 0.0})},
-        params={"ant.smell": ir.ParamPlan("ant.smell", t.b.number(40.0))},
+        params={"ant.smell": ir.ParamPlan("ant.smell", t.b.add_number(40.0))},
         thing_names_by_kind={"surface": ("ground",)},
         nodes=tuple(t.b.nodes),
     )

@@ -213,7 +213,7 @@ pal = none of a
 bonds = 0 relax to 0 over 1 s for each a, strongest {rng.choice((1, 2, 4))}
 let meal = nearest(food, with: load > 0, within: 80 mm)
 let around_me = count(neighbours({rng.choice((20, 35))} mm))
-{self.declared}{self._latch()}
+{self.declarations}{self._latch()}
 on ping {{ fear += {self.bounded()} }}
 on spawn {{ pal = nearest(a); luck = luck * {self.bounded()} }}
 machine moving {{

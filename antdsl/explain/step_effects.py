@@ -148,10 +148,10 @@ def _describe_request(row: Effect, entry: RequestEntry) -> str:
     if row.hides_zero_in_trace and not float(entry.required_operand(0)[0]):
         return ""
     args = dict(zip(row.operand_names, entry.args, strict=True))
-    if any(arg is not None and arg[0] < 0 for name, arg in args.items() if name in row.agents):
+    if any(arg is not None and arg[0] < 0 for name, arg in args.items() if name in row.agent_operands):
         return ""
     values = {
-        name: None if arg is None else str(int(arg[0])) if name in row.agents else f"{float(arg[0]):.4g}"
+        name: None if arg is None else str(int(arg[0])) if name in row.agent_operands else f"{float(arg[0]):.4g}"
         for name, arg in args.items()
     }
     return fill_template(

@@ -85,7 +85,7 @@ def _describe_builtin_attribute(key: NameKey) -> str | None:
 def _describe_defaults(name: str) -> str:
     """The defaults of a setting: of edition 1, and of later ones where they differ."""
     row = DEFAULT_BY_SETTING[name]
-    texts = [row.in_edition(edition) or "none" for edition in EDITIONS]
+    texts = [row.get_default(edition) or "none" for edition in EDITIONS]
     changed_defaults = [f"in `ant {edition}`: {text}" for edition, text in zip(EDITIONS, texts, strict=True) if text != texts[0]]
     return ", ".join([f"default {texts[0]}", *changed_defaults])
 
@@ -95,7 +95,7 @@ def format_builtin(name: str, row: BuiltinRow) -> str:
     parts = []
     for arg in row.args:
         default = f" = {arg.default}" if arg.default is not None else ""
-        parts.append(f"{arg.name}{'…' if arg.variadic else ''}: {arg.type}{default}{'?' if arg.optional else ''}")
+        parts.append(f"{arg.name}{'…' if arg.is_variadic else ''}: {arg.type}{default}{'?' if arg.is_optional else ''}")
     return f"{name}({', '.join(parts)}) -> {row.result}"
 
 
@@ -132,7 +132,7 @@ def _describe_builtin_argument(key: NameKey) -> str | None:
     for row in vocabulary.BUILTINS_BY_NAME.get(key[1], ()):
         for arg in row.args:
             if arg.name == key[2]:
-                default = f"default {arg.default}" if arg.default is not None else "may be left out" if arg.optional else ""
+                default = f"default {arg.default}" if arg.default is not None else "may be left out" if arg.is_optional else ""
                 return format_markdown(f"{arg.name}: {arg.type}", default, f"argument of `{key[1]}`")
     return None
 

@@ -27,7 +27,7 @@ def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs:
     if op == "reduce.sum" and args[2].op == "neg":  # exact, because rounding to a multiple is symmetric about zero
         return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
     if op == "div" and _is_pair_rate(args[0]) and not _is_pair_rate(args[1]):
-        return _build_product(b, (args[0], b("div", b.number(1), args[1])))
+        return _build_product(b, (args[0], b("div", b.add_number(1), args[1])))
     if op == "mul" and (_is_pair_rate(args[0]) or _is_pair_rate(args[1])):
         return _build_product(b, args)
     return None

@@ -53,7 +53,7 @@ def _find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any,
 
 
 def infer_result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind | None) -> ValueKind:
-    """Return the kind of a result. For operations that read a register, it is `kind`."""
+    """Return the kind of the result of an operation. An operation that reads a register has the kind `kind`."""
     if op in _REGISTER_OPERATIONS:
         return kind or ValueKind.F32
     if op == "where":
@@ -65,7 +65,9 @@ def infer_result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...
 
 
 def infer_result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
-    """Return the rate of a result: the highest rate of the operation and its operands. A reduction has the agent's rate."""
+    """Return the rate of the result of an operation: the highest rate of the operation and its operands.
+
+    A reduction over a set has the rate AGENT."""
     if op.startswith("reduce."):
         return UpdateRate.AGENT
     rate = OPERATION_BY_NAME[op].rate
@@ -76,7 +78,7 @@ def infer_result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
 
 
 class PlanBuilder:
-    """Builds one list of nodes. `span`: the source location of nodes that are added next."""
+    """Builds the list of all nodes of a plan, without equal nodes. `span`: the source location of the next nodes."""
 
     def __init__(self) -> None:
         self.nodes: list[PlanNode] = []
@@ -96,7 +98,7 @@ class PlanBuilder:
     def find_or_add(
         self, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind, span: Span | None = None
     ) -> PlanNode:
-        """Return the node with these values. A new node is added only if there is no equal one."""
+        """Return the node of an operation with these operands and attributes. It is added only if there is no equal node."""
         key = (op, tuple([a.number for a in args]), repr(attrs) if attrs else "", kind)
         node = self._interned_nodes.get(key)
         if node is None:
@@ -105,32 +107,32 @@ class PlanBuilder:
             self._interned_nodes[key] = node
         return node
 
-    def number(self, x: float) -> PlanNode:
-        """Return an F32 constant."""
+    def add_number(self, x: float) -> PlanNode:
+        """Return the node of an F32 constant."""
         return self("const", attrs=(round_to_f32(float(x)),))
 
     def add_boolean(self, x: bool) -> PlanNode:
-        """Return a BOOL constant."""
+        """Return the node of a BOOL constant."""
         return self.true if x else self.false
 
-    def row(self, x: int) -> PlanNode:
-        """Return an I32 constant: a state's index or an item's row."""
+    def add_row(self, x: int) -> PlanNode:
+        """Return the node of an I32 constant: the index of a state, or the row of an item."""
         return self("const.i32", attrs=(int(x),))
 
-    def agent_id(self, x: int) -> PlanNode:
-        """Return an I64 constant: an agent's id."""
+    def add_agent_id(self, x: int) -> PlanNode:
+        """Return the node of an I64 constant: the id of an agent."""
         return self("const.i64", attrs=(int(x),))
 
-    def constant_of_kind(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:
-        """Return a constant of a kind, 0 by default."""
+    def add_constant(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:
+        """Return the node of a constant with the kind `kind`."""
         if kind is ValueKind.F32:
-            return self.number(float(value))
+            return self.add_number(float(value))
         if kind is ValueKind.BOOL:
             return self.add_boolean(bool(value))
-        return self.row(int(value)) if kind is ValueKind.I32 else self.agent_id(int(value))
+        return self.add_row(int(value)) if kind is ValueKind.I32 else self.add_agent_id(int(value))
 
-    def all(self, *conditions: PlanNode) -> PlanNode:
-        """Return the conjunction of conditions, in the given order."""
+    def add_conjunction(self, *conditions: PlanNode) -> PlanNode:
+        """Return the node that is true where all conditions are true, joined in the given order."""
         result = self.true
         for condition in conditions:
             result = self("and", result, condition)

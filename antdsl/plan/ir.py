@@ -44,6 +44,8 @@ class UpdateRate(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanNode:
+    """One operation on other nodes. `attrs`: names and constants that are no nodes, as its row in OPERATION_BY_NAME defines."""
+
     op: str
     args: tuple[PlanNode, ...]
     attrs: tuple[Any, ...]
@@ -59,9 +61,8 @@ class PlanNode:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """Table entry of an operation: operand kinds, attributes, kind of the result, lowest rate of the result, meaning.
-
-    `args` has one letter per operand: f F32, b BOOL, i I32, l I64, t TUPLE, s SET, x any scalar, * repeats the last one."""
+    """Row of the table of operations. `args`: the kinds of the operands, one letter each: f F32, b BOOL, i I32, l I64, t TUPLE,
+    s SET, x any scalar, * repeats the last one. `kind`: the kind of the result. `rate`: the lowest rate of the result."""
 
     args: str
     attrs: tuple[str, ...]
@@ -180,11 +181,10 @@ _REDUCE_OPERATIONS = tuple(name for name in OPERATION_BY_NAME if name.startswith
 SENSE_OPERATIONS = frozenset((*senses.SENSE_BY_OPERATION, *_REDUCE_OPERATIONS, "draw.agent"))
 
 
-# --- statements ------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
+    """Statements that run one after another, for the same agents."""
+
     statements: tuple[PlanStatement, ...]
 
 
@@ -199,8 +199,8 @@ class If:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Store:
-    """Assignment to a register. A value that is not finite is a fault, except +inf if the store `allows_infinity` (decision
-    24)."""
+    """Assignment of a value to a register. A value that is not finite is a fault. If `allows_infinity` is true, +inf is allowed
+    (decision 24 of the language reference)."""
 
     register: str
     value: PlanNode
@@ -210,12 +210,11 @@ class Store:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
-    """Claim of `amount` (None: the complete remainder) from an item's attribute. If `item` is None, the agent's cell of the field
-    `target` is claimed.
+    """Claim of an amount from an attribute of an item or, if `item` is None, from the agent's cell of the field `target`.
 
-    Claims are resolved after decide, in the order of (draw, id), while the remaining amount suffices. The BOOL register
-    `won_register` is set for agents with a successful claim. The amount is added to the agent's register `register`, if one is
-    named."""
+    `amount`: None claims all that remains. Claims are resolved after the block `decide`, in the order of a random draw and the
+    id, while enough remains. `won_register`: the BOOL register that is set for agents with a successful claim. `register`: the
+    register of the agent to which the amount is added; None: no register."""
 
     target: str
     attribute: str
@@ -229,8 +228,8 @@ class Claim:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Give:
-    """Transfer from the agent's register `register` to the item's attribute at t+1. `amount`: at most the value of `register`;
-    None gives all."""
+    """Transfer of an amount from the agent's register `register` to an item's attribute, which has it in the next step.
+    `amount`: None gives all. A greater amount than the value of `register` is reduced to this value."""
 
     items: str
     attribute: str
@@ -260,15 +259,12 @@ class Request:
 PlanStatement = If | Store | Claim | Give | Request
 
 
-# --- the plan --------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
-    """A value per agent.
-    `role`: attribute, memory (keep, latch, held, state of machines), pair (a slot of a pair value) or temp. A temp lasts one step
-    and starts at `initial_value`. The others are stored from step to step and hashed. `language_type`: the type in the language,
-    if there is one. A reload retains the value only if the edited program declares the name with the same type."""
+    """A named value of each agent. `role`: attribute, memory (keep, latch, held, state of machines), temp, or pair (a slot of a
+    pair value). A temp lasts one step and starts at `initial_value`. The others are stored from step to step and hashed.
+    `language_type`: the type in the language; () if it has none. A reload retains the value only if the edited program declares
+    the name with the same type."""
 
     name: str
     kind: ValueKind
@@ -278,33 +274,36 @@ class Register:
     language_type: tuple[Any, ...] = ()  # kind, exponents of its dimension, and its species or thing
 
 
-def birth_register(attribute: str) -> str:
-    """Return the name of the temp with the scene's value of an attribute at birth, infinite if the scene has none."""
+def name_birth_register(attribute: str) -> str:
+    """Return the name of the temp that has the scene's value of an attribute at birth; infinite if the scene sets none."""
     return f"~born.{attribute}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachinePlan:
-    """A machine, with registers `NAME.state`, `.previous`, `.next` (I32) and `.time_in_state` (F32, seconds)."""
+    """A machine, with registers `NAME.state`, `.previous`, `.next` (I32) and `.time_in_state` (F32, seconds). `state_labels`,
+    `colours`: display names and colours (RGB from 0 to 1) of the states. `start`: the index of the start state."""
 
     name: str
     states: tuple[str, ...]
-    labels: tuple[str, ...]
+    state_labels: tuple[str, ...]
     colours: tuple[tuple[float, float, float], ...]
     start: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayerPlan:
+    """A layer of a species. `text`: the line in the source."""
+
     text: str
     span: Span
 
 
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
-    """A clip of the body by its name, on the joints of a transform group (`on`; "": all). `is_additive`: the differences from
-    the rest pose are added to all other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`: the
-    clips that replace it as an agent turns, climbs or descends."""
+    """A clip of the body. `on`: the transform group that it moves; "" for all joints. `is_additive`: whether its differences from
+    the rest pose are added to the other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`: the clips
+    that replace it as an agent turns, climbs or descends; "" if absent."""
 
     name: str
     on: str = ""
@@ -322,12 +321,12 @@ class ClipPlan:
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPlan:
     """The plan of one species. `born` fills the registers at birth and runs `on spawn`; position and velocity are already set.
-    Each step runs `decide`, `act` and `blend` in this order. Claims are resolved between decide and act.
-    Vectors are registers NAME.x NAME.y NAME.z. Every species has the registers: position velocity heading up (vectors), push
+    Each step runs `decide`, `act` and `blend` in this order. Claims are resolved between `decide` and `act`.
+    A vector is three registers NAME.x NAME.y NAME.z. Every species has the registers position velocity heading up (vectors), push
     (vector, temp), size mass radius clearance max_speed max_force max_turn response group. An infinite max_turn is no limit.
-    `response` 0 or `kinematic`: the push changes the velocity at once. All species have `moved` if the program reads how far
-    contacts pushed an agent. A species with a minimum speed has min_speed. One with `face` lines has the temp ~face: zero for
-    agents that face their direction of motion."""
+    If `response` is 0 or `kinematic`, the push changes the velocity at once. All species have `moved` if the program reads how
+    far contacts pushed an agent. A species with a minimum speed has min_speed. One with `face` lines has ~face (vector, temp),
+    which is zero for agents that face their direction of motion."""
 
     name: str
     registers: dict[str, Register]
@@ -336,7 +335,7 @@ class SpeciesPlan:
     decide: Block
     act: Block
     blend: Block
-    event_names: tuple[str, ...]  # events
+    event_names: tuple[str, ...]
     layers: tuple[LayerPlan, ...]
     memoised_senses: tuple[PlanNode, ...] = ()  # senses with results that are stored for the rest of the step
     pair_rest_values: Mapping[str, PlanNode] = field(default_factory=dict)  # initial and rest value of each pair value; rate RUN
@@ -344,16 +343,16 @@ class SpeciesPlan:
     worn_layers: tuple[str, ...] = ()  # layers of the body that states show: registers `wear#LAYER`
     channels: tuple[str, ...] = ()  # channels that states set: the value `channel#NAME`, and `.said`, whether a state sets it
     look_groups: tuple[str, ...] = ()  # transform groups that states turn towards a point: `look#GROUP.x`, `.y`, `.z`
-    clears_body: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
+    has_body_clearance: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
     has_whole_body: bool = False  # whether head, abdomen and load take room in contacts
     settings: tuple[str, ...] = ()  # the registers among height, upright and max_slope that move its agents
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """The plan of a field, with nodes at rate RUN. `retained_share`: a factor per step, computed from half_life, evaporate or
-    keeps. `stencil`: the number of neighbour cells to which it diffuses, 4 or 8. `deposits`: "first" if deposits are added
-    before diffusion and evaporation, "last" if after."""
+    """The plan of a field. Its nodes have the rate RUN. `cell`: the cell size in mm. `retained_share`: the factor per step from
+    half_life, evaporate or keeps. `stencil`: the number of neighbour cells to which a cell diffuses, 4 or 8. `deposits`: "first"
+    if deposits are added before diffusion and evaporation, "last" if after."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -381,7 +380,7 @@ class ParamPlan:
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Plan:
-    """The plan of a complete program: declarations by name, and all nodes, operands first."""
+    """The plan of a complete program: its declarations by name, and all nodes, in which operands precede operations."""
 
     species: dict[str, SpeciesPlan]
     fields: dict[str, FieldPlan]
@@ -391,7 +390,7 @@ class Plan:
     nodes: tuple[PlanNode, ...] = field(default=())
 
     def list_things_of_kind(self, *kinds: str) -> tuple[str, ...]:
-        """Return the names of the things of some kinds."""
+        """Return the names of all things that have one of the kinds `kinds`."""
         return tuple(name for kind in kinds for name in self.thing_names_by_kind.get(kind, ()))
 
     @property

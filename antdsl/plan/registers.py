@@ -17,15 +17,16 @@ _ID_BYTES = 8  # bytes of the other agent's id in a slot
 
 
 def find_written_register(statement: ir.PlanStatement) -> str | None:
-    """Return the register that a statement itself changes, or None."""
+    """Return the register to which a statement assigns a value; None for a statement without one."""
     if isinstance(statement, ir.Store):
         return statement.register
     return statement.register if isinstance(statement, ir.Give) else None
 
 
 def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
-    """Return the loads to evaluate early, by place. The loads of a place are evaluated just before the statement at the place, in
-    its region."""
+    """Return the loads that must be evaluated before their first use, by the place of the statement that they must precede.
+
+    A place is the index of a statement in each block around it, outermost first."""
     read_paths: dict[ir.PlanNode, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
     for path, statement in iterate_with_positions(block):
@@ -43,8 +44,7 @@ def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]
 
 
 def _find_common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
-    """Return the place at which several paths meet: in the smallest block around all of them, the statement that contains the
-    first path."""
+    """Return the place of the statement, in the smallest block around all places `paths`, that contains the first of them."""
     first, depth = paths[0], min(len(p) for p in paths) - 1
     while any(p[:depth] != first[:depth] for p in paths):
         depth -= 1
@@ -61,12 +61,12 @@ def number_statements(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
 
 
 def find_cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
-    """Return the shared senses that keep one value for the complete step: no statement writes a register that they read."""
+    """Return the shared senses with one value for the complete step, because no statement writes a register that they read."""
     return tuple(node for node in species.memoised_senses if all(part.op != "load" for part in collect_required_nodes((node,))))
 
 
 def count_bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
-    """Return bytes per agent by use.
+    """Return the number of bytes per agent that the registers of a species need, by their purpose.
 
     - `attribute`: built-in attributes and those of the author.
     - `memory`: states, `keep`, latches, waiting times.
@@ -85,7 +85,7 @@ def name_slot_registers(name: str, count: int) -> list[tuple[str, str]]:
 
 
 def find_pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return the pair values among the registers of a species, by name. Each has its slots as in `name_slot_registers`."""
+    """Return the pair values among the registers of a species, by name: for each slot, the registers of its id and its value."""
     counts: dict[str, int] = {}
     for register in registers:
         name, slot, number = register.partition("|")

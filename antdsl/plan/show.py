@@ -33,7 +33,9 @@ _MAX_EXPRESSION_CHARACTERS = 100  # longer expressions are split: their parts ge
 
 
 def show(plan: Plan) -> str:
-    """Return readable text, equal for equal plans. A value that is used several times gets a name, `a1 = …`, at its first use."""
+    """Return the text of a plan for people. Equal plans have equal texts.
+
+    A value that is used several times gets a name, `a1 = …`, at its first use."""
     parts = [_format_head(plan)]
     for species in plan.species.values():
         parts.append("\n".join(_format_species(species)))
@@ -44,7 +46,7 @@ def _format_head(plan: Plan) -> str:
     """Return text about the declarations of a plan: params, items, fields and things."""
     lines = []
     for param in plan.params.values():
-        lines.append(f"param {param.name} = {_ExpressionFormatter().text(param.default)}")
+        lines.append(f"param {param.name} = {_ExpressionFormatter().format_node(param.default)}")
     for field in plan.fields.values():
         names = _ExpressionFormatter()
         properties = (field.combine, f"stencil {field.stencil}", f"deposits {field.deposits}")
@@ -56,7 +58,7 @@ def _format_head(plan: Plan) -> str:
             ("limit", field.limit),
         ):
             if node is not None:
-                lines.append(f"  {word} {names.text(node)}")
+                lines.append(f"  {word} {names.format_node(node)}")
     for items in plan.items.values():
         values = ", ".join(f"{name} = {_format_number(value)}" for name, value in items.attributes.items())
         lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
@@ -82,7 +84,7 @@ def _format_species(species: SpeciesPlan) -> list[str]:
     for phase, block in list_blocks(species):
         nodes = collect_required_nodes(n for _, s in iterate_statements(block) for n in list_operands(s))
         lines.append(f"  {phase} ({_format_cost(nodes)})")
-        lines += _PhaseFormatter(block, species).lines(block, "    ")
+        lines += _PhaseFormatter(block, species).format_block(block, "    ")
     return lines
 
 
@@ -120,7 +122,7 @@ class _ExpressionFormatter:
     def __init__(self) -> None:
         self.names: dict[PlanNode, str] = {}
 
-    def text(self, node: PlanNode) -> str:
+    def format_node(self, node: PlanNode) -> str:
         """Return the name of a node, or its expression if it has no name."""
         if node in self.names:
             return self.names[node]
@@ -128,7 +130,7 @@ class _ExpressionFormatter:
 
     def format_expression(self, node: PlanNode) -> str:
         """Return the expression of a node, even if the node has a name."""
-        inner = [self.text(a) for a in node.args]
+        inner = [self.format_node(a) for a in node.args]
         op, attrs = node.op, node.attrs
         if op in _INFIX_SYMBOLS:
             left, right = (f"({text})" if _needs_brackets(text) else text for text in inner)
@@ -195,7 +197,7 @@ class _PhaseFormatter(_ExpressionFormatter):
                 named.add(node)
         return named
 
-    def lines(self, block: Block, indent: str) -> list[str]:
+    def format_block(self, block: Block, indent: str) -> list[str]:
         """Return the lines of a block, with names defined before their first use."""
         result: list[str] = []
         for statement in block.statements:
@@ -203,7 +205,7 @@ class _PhaseFormatter(_ExpressionFormatter):
             place = f"    # {_find_source_line(statement)}" if _find_source_line(statement) else ""
             result.append(indent + self._format_statement(statement) + place)
             if isinstance(statement, If):
-                result += self.lines(statement.body, indent + "  ")
+                result += self.format_block(statement.body, indent + "  ")
         return result
 
     def _format_definitions(self, statement: PlanStatement) -> list[str]:
@@ -219,24 +221,24 @@ class _PhaseFormatter(_ExpressionFormatter):
     def _format_statement(self, statement: PlanStatement) -> str:
         match statement:
             case If():
-                return f"where {self.text(statement.condition)}:"
+                return f"where {self.format_node(statement.condition)}:"
             case Store():
-                return f"{statement.register} := {self.text(statement.value)}"
+                return f"{statement.register} := {self.format_node(statement.value)}"
             case Claim():
-                amount = "all" if statement.amount is None else self.text(statement.amount)
+                amount = "all" if statement.amount is None else self.format_node(statement.amount)
                 if statement.item is None:
                     receiver = f" for {statement.register}" if statement.register else ""
                     return f"claim {amount} of {statement.target} here{receiver} -> {statement.won_register}"
-                item = self.text(statement.item)
+                item = self.format_node(statement.item)
                 return f"claim {amount} of {statement.target}.{statement.attribute} from {item} -> {statement.won_register}"
             case Give():
-                amount = "all" if statement.amount is None else self.text(statement.amount)
-                target = f"{statement.items}.{statement.attribute} of {self.text(statement.item)}"
+                amount = "all" if statement.amount is None else self.format_node(statement.amount)
+                target = f"{statement.items}.{statement.attribute} of {self.format_node(statement.item)}"
                 return f"give {amount} of {statement.register} to {target}"
             case Request():
                 row = EFFECT_BY_OPERATION[statement.op]
                 values = {
-                    name: None if arg is None else self.text(arg)
+                    name: None if arg is None else self.format_node(arg)
                     for name, arg in zip(row.operand_names, statement.args, strict=True)
                 }
                 return fill_template(row.plan_template, {**values, "of": statement.target, "own": statement.register})

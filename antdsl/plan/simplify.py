@@ -41,14 +41,14 @@ def simplify(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[A
 
 def _fold_constants(b: PlanBuilder, op: str, values: list[Any]) -> PlanNode | None:
     if op in ARITHMETIC_FUNCTIONS:
-        return b.number(round_to_f32(ARITHMETIC_FUNCTIONS[op](*values)))
+        return b.add_number(round_to_f32(ARITHMETIC_FUNCTIONS[op](*values)))
     if op in COMPARISON_FUNCTIONS:
         return b.add_boolean(COMPARISON_FUNCTIONS[op](*values))
     if op in ("min", "max"):
         chosen = (find_minimum if op == "min" else find_maximum)(*values)
-        return None if chosen is None else b.number(chosen)
+        return None if chosen is None else b.add_number(chosen)
     if op == "number":
-        return b.number(float(values[0]))
+        return b.add_number(float(values[0]))
     return None
 
 

@@ -38,7 +38,7 @@ def list_operands(statement: PlanStatement) -> tuple[PlanNode, ...]:
 
 
 def iterate_statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
-    """Yield all statements in order, each with the block that contains it; an If comes before its contents."""
+    """Yield the block that contains each statement, in order, and the statement. An If comes before its contents."""
     for statement in block.statements:
         yield block, statement
         if isinstance(statement, If):
@@ -46,7 +46,8 @@ def iterate_statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
 
 
 def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
-    """Yield all statements in order, each with its place: its index in every block around it, outermost first."""
+    """Yield the place of each statement, in order, and the statement. A place is the index in every block around the statement,
+    outermost first."""
     for k, statement in enumerate(block.statements):
         yield (*path, k), statement
         if isinstance(statement, If):
@@ -54,12 +55,12 @@ def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator
 
 
 def list_blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
-    """Return the blocks of a species with their phase, in the order of PHASES."""
+    """Return the name of each phase in PHASES with the block of the species that runs in it, in this order."""
     return tuple((phase, getattr(species, phase)) for phase in PHASES)
 
 
 def collect_required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
-    """Return the nodes and all their operands, operands first."""
+    """Return the nodes `roots` and all nodes that they require, each once. Operands come before operations."""
     nodes_by_number: dict[int, PlanNode] = {}
     stack = list(roots)
     while stack:
@@ -94,9 +95,9 @@ def find_registers_read(nodes: Iterable[PlanNode]) -> set[str]:
 
 
 def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
-    """Return the senses with two or more users, in order of their numbers.
+    """Return the senses that are used at least twice, in order of the numbers of their nodes.
 
-    A user is a block, or a shared sense that needs the sense as an operand."""
+    Each block counts as one use, and so does each shared sense that needs the sense as an operand."""
     users: dict[PlanNode, set[object]] = {}
     for phase in phases:
         for block, statement in iterate_statements(phase):

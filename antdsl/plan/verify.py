@@ -221,16 +221,17 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
     for name, node in zip(row.operand_names, statement.args, strict=False):
         if node is None and name not in row.optional_operands:
             yield f"{word} without {name}"
-        elif node is not None and node.kind is not (ValueKind.I64 if name in row.agents else ValueKind.F32):
+        elif node is not None and node.kind is not (ValueKind.I64 if name in row.agent_operands else ValueKind.F32):
             yield f"{word} with {node!r} for {name}"
-        elif node is not None and name in row.agents and statement.target_species is None:
+        elif node is not None and name in row.agent_operands and statement.target_species is None:
             yield f"{word} does not name the species of the agent for {name}"
 
 
 class _LoadState:
-    """The state of the check of loads.
+    """What the check of the order of loads knows at a place in a block.
 
-    `version`: the version of the last load, by register. `stale_registers`: the registers with a store after their last load."""
+    `version`: by register, the number of stores before its last load. `stale_registers`: the registers with a store after their
+    last load."""
 
     def __init__(self) -> None:
         self.version: dict[str, int] = {}
@@ -238,7 +239,7 @@ class _LoadState:
 
 
 def _check_load_order(block: Block) -> Iterator[str]:
-    """Check that a load after a store differs from the load before the store, and that versions only increase."""
+    """Check that no load is used both before and after a store to its register, and that versions only increase."""
     state = _LoadState()
     yield from _check_block_order(block, state)
 

@@ -22,14 +22,16 @@ _MISSING_NAME_CODES = frozenset(
 _MISSING_PART_CODES = frozenset(("missing-setting", "missing-start", "state-not-in-layers"))
 _FIRST_WORD_PATTERN = re.compile("`([a-z_]+)[^`]*`")
 # A line that ends after the word that begins a declaration.
-_NAMELESS_DECLARATION = re.compile(rf"\s*(state|field|param|let|latch|fuzzy|{'|'.join(KIND_BY_WORD)})\s*")
-_DECLARATION_WORDS = 3  # the declared name is among the first words of a line
+_NAMELESS_DECLARATION_PATTERN = re.compile(rf"\s*(state|field|param|let|latch|fuzzy|{'|'.join(KIND_BY_WORD)})\s*")
+_MAX_SEARCHED_WORDS = 3  # the declared name is among the first words of a line
 _MAX_LISTED_LOCATIONS = 12  # locations listed in one finding
 
 
 @dataclass(slots=True)
 class _UnreadLines:
-    """Lines of one source that could not be parsed: their numbers, and their first words."""
+    """Lines of one source that could not be parsed: the line numbers, and the first words of all these lines.
+
+    `suppressed_codes`: the codes of findings that are dropped, because one of the lines probably declares the missing name."""
 
     lines: set[int] = field(default_factory=set)
     first_words: set[str] = field(default_factory=set)
@@ -41,7 +43,7 @@ def drop_cascading_errors(report: Report, skipped_spans: Iterable[Span]) -> Repo
     the parser skipped and reported."""
     doubts: dict[Source, _UnreadLines] = {}
     for span in skipped_spans:
-        _note_unread_lines(doubts.setdefault(span.source, _UnreadLines()), span)
+        _add_unread_lines(doubts.setdefault(span.source, _UnreadLines()), span)
     meant = {(d.span.source, d.help) for d in report.diagnostics if d.severity == "error" and d.span is not None}
     twice = {(d.span.source, d.message.split(" `")[0]) for d in report.diagnostics if d.code == "duplicate-name" and d.span}
     return Report(
@@ -52,7 +54,10 @@ def drop_cascading_errors(report: Report, skipped_spans: Iterable[Span]) -> Repo
 def add_all_locations(report: Report, repeated_spans: Mapping[Span, Sequence[Span]]) -> Report:
     """Return the report in which a finding about the first of several spans lists the other spans too."""
     return Report(
-        [replace(d, labels=_make_other_labels(d, repeated_spans)) if d.span in repeated_spans else d for d in report.diagnostics]
+        [
+            replace(d, labels=_make_labels_of_all_spans(d, repeated_spans)) if d.span in repeated_spans else d
+            for d in report.diagnostics
+        ]
     )
 
 
@@ -64,17 +69,22 @@ def merge_repeated_findings(report: Report) -> Report:
     other_spans = [[each.span for each in others if each.span] for _, *others in groups.values()]
     firsts = [first for first, *_ in groups.values()]
     return Report(
-        [replace(one, labels=(*one.labels, *_make_repeat_labels(rest))) for one, rest in zip(firsts, other_spans, strict=True)]
+        [
+            replace(one, labels=(*one.labels, *_make_labels_of_repetitions(rest)))
+            for one, rest in zip(firsts, other_spans, strict=True)
+        ]
     )
 
 
-def _make_other_labels(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
+def _make_labels_of_all_spans(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
+    """Return the labels of a diagnostic and, for a missing name, one label for each other span that has the name."""
     spans = repeated_spans[diagnostic.span] if diagnostic.code in _MISSING_NAME_CODES and diagnostic.span else []
     others = [each for each in spans if each != diagnostic.span]
-    return (*diagnostic.labels, *_make_repeat_labels(others))
+    return (*diagnostic.labels, *_make_labels_of_repetitions(others))
 
 
-def _make_repeat_labels(others: Sequence[Span]) -> list[Label]:
+def _make_labels_of_repetitions(others: Sequence[Span]) -> list[Label]:
+    """Return labels for the other spans of a finding. The last label counts the spans beyond `_MAX_LISTED_LOCATIONS`."""
     left = len(others) - _MAX_LISTED_LOCATIONS
     labels = [Label(span, "and here") for span in others[:_MAX_LISTED_LOCATIONS]]
     if left > 0:
@@ -95,10 +105,11 @@ def _is_misspelt_declaration(diagnostic: Diagnostic, duplicate_names: set[tuple[
     )
 
 
-def _note_unread_lines(unread_lines: _UnreadLines, span: Span) -> None:
+def _add_unread_lines(unread_lines: _UnreadLines, span: Span) -> None:
+    """Add the lines of a skipped span to `unread_lines`."""
     first = span.source.find_line_column(span.start)[0]
     last = span.source.find_line_column(max(span.start, span.end - 1))[0]
-    nameless_start = _NAMELESS_DECLARATION.fullmatch(
+    nameless_start = _NAMELESS_DECLARATION_PATTERN.fullmatch(
         span.source.line_text(first)[: span.source.find_line_column(span.start)[1] - 1]
     )
     if nameless_start and not span.text[:1].isidentifier():
@@ -111,7 +122,7 @@ def _note_unread_lines(unread_lines: _UnreadLines, span: Span) -> None:
         if line not in unread_lines.lines:
             unread_lines.lines.add(line)
             unread_lines.first_words.update(
-                _WORD_PATTERN.findall(span.source.line_text(line).partition("#")[0])[:_DECLARATION_WORDS]
+                _WORD_PATTERN.findall(span.source.line_text(line).partition("#")[0])[:_MAX_SEARCHED_WORDS]
             )
 
 

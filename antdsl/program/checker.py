@@ -51,7 +51,7 @@ def check(
     for each in names:
         declare_world(declared, each)
     fields = [(each, field) for each in names for field in declare_fields(declared, each)]
-    outside = update_outside_number(declared, _make_outside_key(declared, loader))
+    outside = update_outside_number(declared, _make_key_of_outside_declarations(declared, loader))
     program = _assemble_program(declared, names, fields)
     declared.outside_number = outside
     _check_behaviours(declared, [*names, *_find_used_modules(names)])
@@ -69,13 +69,13 @@ def check(
             memo.known.clear()  # cached parts lack the findings that the missing `use` suppressed
     repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown_names.values() if others}
     program = replace(program, bindings=NameBindings(tuple(declared.name_uses)))
-    return program, drop_cascading_errors(*_map_to_files(loader, add_all_locations(report, repeated_spans), recovered))
+    return program, drop_cascading_errors(*_convert_to_file_spans(loader, add_all_locations(report, repeated_spans), recovered))
 
 
 def _run_check(context: CheckContext, check_function: Check, report: Report) -> None:
     """Run one check of the complete program.
 
-    With a memo, checks in OF_EACH and OF_STATES run again only for changed species or states."""
+    With a memo, checks in PER_SPECIES_CHECKS and PER_STATE_CHECKS run again only for changed species or states."""
     program = context.program
     if context.declarations.memo is None or check_function not in PER_SPECIES_CHECKS:
         check_function(context, report)
@@ -102,11 +102,12 @@ def _run_check(context: CheckContext, check_function: Check, report: Report) -> 
 
 
 def _restrict_to_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
+    """Return the species with this machine and state only, and without layers, for a check of one state."""
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
-def _map_to_files(loader: FileLoader, report: Report, skipped_spans: Sequence[Span]) -> tuple[Report, list[Span]]:
-    """Return the report and the recovered spans, with locations in a part of a file converted to locations in that file."""
+def _convert_to_file_spans(loader: FileLoader, report: Report, skipped_spans: Sequence[Span]) -> tuple[Report, list[Span]]:
+    """Return the report and the skipped spans. Their locations in separately parsed parts become locations in complete files."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
         return report, list(skipped_spans)
@@ -117,8 +118,10 @@ def _map_to_files(loader: FileLoader, report: Report, skipped_spans: Sequence[Sp
     return Report([move_diagnostic(each, map_span) for each in report.diagnostics]), [map_span(span) for span in skipped_spans]
 
 
-def _make_outside_key(declarations: Declarations, loader: FileLoader) -> Hashable:
-    """Return a key of all declarations of other parts that a part of the program can see, except the types of attributes."""
+def _make_key_of_outside_declarations(declarations: Declarations, loader: FileLoader) -> Hashable:
+    """Return a key for the declarations that the check of one part of the program reads from other parts.
+
+    Two checks with equal keys see the same declarations there. The types of attributes are not in the key."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declarations.things.values()]
     machines = [
         (s.name, s.edition, s.node is None, tuple((m.name, *m.states) for m in s.machines.values()))
@@ -133,7 +136,7 @@ def _make_outside_key(declarations: Declarations, loader: FileLoader) -> Hashabl
 
 
 def _make_type_key(species: SpeciesNames) -> Hashable:
-    """Return the name of a species with the types of its attributes and params, as far as they are known."""
+    """Return a key that contains the name of a species and the types of its attributes and params, as far as they are known."""
     return (species.name, *species.attributes.items(), *species.pair_value_species.items(), *species.params.items())
 
 
@@ -180,7 +183,7 @@ def _check_spec_names(declarations: Declarations, file: FileNames) -> None:
 
 
 def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
-    """Return every file that is used by path, each once."""
+    """Return the names of each file that another file uses by its path. Each file occurs once."""
     modules: dict[int, FileNames] = {}
     stack = list(names)
     while stack:

@@ -23,8 +23,8 @@ _TAKE_COST = UseCost(40, "takes {thing}")
 class CostEntry:
     """One use of a sense, field or draw.
 
-    `kind`: senses, fields or draws. `description`: the text of the table's row, with the count per step. `weight`: the weight of
-    all these uses."""
+    `kind`: senses, fields or draws. `description`: a text about the use with its count per step, from its row in the tables.
+    `weight`: the total weight; one addition has the weight 1."""
 
     kind: str  # senses, fields or draws
     description: str
@@ -93,7 +93,7 @@ def _count_uses(program: model.Program, root: object) -> tuple[tuple[CostEntry, 
 
 
 def _find_ids_inside_sets(root: object) -> set[int]:
-    """Return the ids of the parts that are computed for each member of a set."""
+    """Return the `id()` of each part of the program that is computed for each member of a set."""
     return {
         id(inner)
         for part in iterate_parts(root)

@@ -40,7 +40,7 @@ class ReferenceRunValue(Expr):
 
 @expression_class
 class BodyMeasure(Expr):
-    """A value of an agent's pose, by its name in GEOMETRY. Agents themselves do not sense it."""
+    """A value of an agent's pose, by its name in GEOMETRY_MEASURES. Agents themselves do not sense it."""
 
     name: str
 
@@ -54,7 +54,7 @@ class CellValue(Expr):
 
 @expression_class
 class MotionMeasure(Expr):
-    """A measure of motion over the complete run, by its name in the summary of a run."""
+    """A measure of motion over the complete run, by its name in MOTION_MEASURES."""
 
     name: str
 
@@ -101,7 +101,9 @@ class SpecChange:
 
 @expression_class
 class ComparisonRun:
-    """The reference run of a spec: another scene or the same one (None), with changes in addition to those of the spec."""
+    """The run that a spec compares its own run with.
+
+    `scene`: its scene, if it is not the scene of the spec. `changes`: its `set` lines, in addition to those of the spec."""
 
     scene: nodes.Text | None
     changes: tuple[SpecChange, ...]

@@ -39,12 +39,12 @@ def update_outside_number(declarations: Declarations, outside: Hashable) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _CachedPart:
-    """The cached result of a part, with its effects on the declarations.
+    """The cached result of checking one part of a program, and what the check added to the declarations.
 
-    - `findings`: the findings.
-    - `used_names`, `written_attributes`: the names that it uses, and the attributes that it writes.
-    - `expanded_count`: the number of operations in the behaviours that were expanded for it.
-    - `name_uses`: the names that it resolved."""
+    - `findings`: the findings of the check.
+    - `used_names`, `written_attributes`: the names that the part uses, and the attributes that it writes.
+    - `expanded_count`: the number of operations in the behaviours that were expanded for the part.
+    - `name_uses`: the names that the check resolved."""
 
     result: Any
     findings: tuple[Diagnostic, ...]
@@ -55,9 +55,9 @@ class _CachedPart:
 
 
 class _UnknownNames(dict[tuple[str, ...], list[Span]]):
-    """The unknown names that were reported.
+    """The spans of each unknown name that was reported, by kind and name.
 
-    `has_omitted_finding`: a part omitted a finding because of an earlier one. Its result must not be cached."""
+    `has_omitted_finding`: whether a part omitted a finding because of an earlier one. Its result must not be cached."""
 
     has_omitted_finding = False
 
@@ -68,7 +68,9 @@ class _UnknownNames(dict[tuple[str, ...], list[Span]]):
 
 
 class CheckMemo:
-    """Cached results of parts by their inputs. Entries that a complete check did not use are removed after it."""
+    """Cached results of the checks of parts of a program, by the inputs of each check.
+
+    After a complete check, entries that it did not use are removed."""
 
     def __init__(self) -> None:
         self.known: dict[_PartKey, _CachedPart] = {}

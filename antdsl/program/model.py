@@ -102,11 +102,11 @@ class Give:
 @expression_class
 class Play:
     """Plays a clip as long as the state lasts.
-    - `group`: the transform group that it moves; "" for all joints.
-    - `speed`, `weight`: factor on the clip's own speed, and its share of the pose; None: 1.
+    - `group`: the transform group that the clip moves; "" for all joints.
+    - `speed`: the factor on the clip's own speed (None: 1). `weight`: the share of the clip in the pose (None: 1).
     - `restart_condition`: if this holds as an agent enters the state, the clip restarts.
-    - `add`: it is added to other clips that play.
-    - `blend_clips`: the clips for turning left and right, and for going up and down; "" if absent."""
+    - `is_additive`: the clip is added to other clips that play.
+    - `blend_clips`: the clips for turning left, turning right, going up and going down; "" if absent."""
 
     clip: str
     group: str
@@ -114,7 +114,7 @@ class Play:
     weight: Expr | None
     span: Span
     restart_condition: Expr | None = None
-    add: bool = False
+    is_additive: bool = False
     blend_clips: tuple[str, str, str, str] = ("", "", "", "")  # turning left, turning right, going up, going down
 
 
@@ -140,7 +140,7 @@ class Channel:
 
 @expression_class
 class Look:
-    """Turns a transform group towards a point.
+    """Turns a transform group towards the point `at`.
     - `max_angle`: the largest angle from straight ahead (None: 60 deg).
     - `time_constant`: the time constant of the turn (None: 0.2 s)."""
 
@@ -192,7 +192,11 @@ class Transition:
 
 @expression_class
 class State:
-    """A state of a machine: its transitions, its actions on entry and exit, and the statements of each step."""
+    """A state of a machine.
+
+    - `label`: the display name. `colour`: the display colour, RGB from 0 to 1.
+    - `min_duration`: the time for which an agent stays at least; None: no time.
+    - `enter`, `exit`: the actions as an agent enters or leaves the state. `body`: the statements of each step."""
 
     name: str
     index: int
@@ -250,8 +254,10 @@ class Param:
 
 @expression_class
 class Handler:
-    """The actions for an event. `event`: spawn, collision, or the name of an emitted event.
-    In a collision, `other` is bound to the other agent, which is of the species `other_species`."""
+    """The actions for an event.
+
+    - `event`: spawn, collision, or the name of an emitted event.
+    - `other`: in a collision, the binding of the other agent. `other_species`: the species of that agent."""
 
     event: str
     other: Binding | None
@@ -262,15 +268,18 @@ class Handler:
 
 @expression_class
 class Layer:
-    """A line of the layers. `push` None: the word `state`, which stands for the pushes that states steer.
-    `faces`: a `face` line. Its `push` only turns the body."""
+    """A line of the layers.
+
+    - `push`: the push of the line; None for the word `state`, which stands for the pushes of the current states.
+    - `text`: the text of the line without its condition. `key`: the stable name of the layer, such as `separate#2`.
+    - `is_face_line`: whether it is a `face` line, in which `push` only turns the body."""
 
     push: Expr | None
     condition: Expr | None
     text: str
     span: Span
     key: str = ""
-    faces: bool = False
+    is_face_line: bool = False
 
 
 @expression_class
@@ -310,12 +319,12 @@ class Species:
     span: Span
     rest: RestingPush | None = None  # None: every state steers, or none does
     edition: int = 1  # of the file that declares it
-    clears_body: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
+    has_body_clearance: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
     has_whole_body: bool = False  # whether head, abdomen and load take room in contacts
 
     @property
     def own_types(self) -> Mapping[str, ValueType]:
-        """Return the types of the values that each agent has by name: attributes, lets and latches."""
+        """Return the types of the attributes, lets and latches of each agent, by name."""
         lines: tuple[AttributeDecl | Binding, ...] = (*self.attributes, *self.lets, *self.latches)
         return {each.name: each.type for each in reversed(lines)}
 
@@ -345,8 +354,11 @@ class WorldThing:
 @expression_class
 class Field:
     """A field. Absent settings are None.
-    - `keeps`: a factor per step.
-    - `combine`: add or max. `stencil`: 4 or 8. `deposits`: last or first."""
+
+    - `cell`: the cell size. `keeps`: the factor per step. `limit`: the largest value of a cell.
+    - `combine`: how deposits combine with the value of a cell, add or max.
+    - `stencil`: the number of neighbour cells that diffusion uses, 4 or 8.
+    - `deposits`: whether deposits are added first or last, relative to diffusion and evaporation."""
 
     name: str
     surfaces: tuple[str, ...]

@@ -50,7 +50,7 @@ def find_bindings(expr: model.Expr) -> set[model.Binding]:
     return {part.binding for part in iterate_parts(expr) if isinstance(part, model.BindingRef)}
 
 
-_WRITTEN_FIELDS: dict[type, tuple[str, ...]] = {}
+_NODE_FIELDS: dict[type, tuple[str, ...]] = {}
 
 
 def iterate_nodes(root: object) -> Iterator[tuple[object, int]]:
@@ -61,11 +61,11 @@ def iterate_nodes(root: object) -> Iterator[tuple[object, int]]:
         if isinstance(part, tuple):
             stack += [(each, depth) for each in reversed(part)]
             continue
-        names = _WRITTEN_FIELDS.get(type(part))
+        names = _NODE_FIELDS.get(type(part))
         if names is None:
             if not is_dataclass(part) or isinstance(part, (Span, Source)):
                 continue
-            names = _WRITTEN_FIELDS[type(part)] = tuple(
+            names = _NODE_FIELDS[type(part)] = tuple(
                 f.name for f in fields(part) if f.name not in ("span", "op_span", "unit_span", "comments")
             )
         yield part, depth

@@ -11,6 +11,7 @@ from antdsl.source import Span
 
 @dataclass_transform(eq_default=False, frozen_default=True)
 def expression_class(cls: type) -> type:
+    """Make a class of expressions a frozen dataclass with slots. Its objects compare by identity."""
     return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
@@ -25,7 +26,9 @@ class Expr:
 
 @expression_class
 class Constant(Expr):
-    """A number in base units (mm, s, g, rad; bool as 0 or 1), times `unit ** u` (mm per scene unit) and `dt ** step`."""
+    """A constant number in base units (mm, s, g, rad; a bool as 0 or 1).
+
+    The value is `number * u ** unit_power * dt ** step`. `u`: mm per scene unit. `dt`: seconds per step."""
 
     number: float
     unit_power: float = 0
@@ -47,8 +50,9 @@ class StateConstant(Expr):
 
 @expression_class
 class ClipTest(Expr):
-    """Tests the clip of a machine. With `mark` "", it is true if the clip has been played to its end; otherwise if the clip
-    passed the mark in the last step."""
+    """A test of the clip that a machine plays.
+
+    It is true if the clip passed the mark `mark` in the last step or, if `mark` is "", if the clip has played to its end."""
 
     machine: str
     mark: str
@@ -108,17 +112,19 @@ class BindingRef(Expr):
 
 @expression_class
 class ThingRef(Expr):
-    """A thing of the world or a species as an argument, by name. The type has the kind of the thing. `self` (AGENT) is the
-    agent."""
+    """The name of a thing of the world or of a species, as an argument. The type has the kind of the thing.
+
+    The name `self` with the kind AGENT is the agent itself."""
 
     name: str
 
 
 @expression_class
 class OperationExpr(Expr):
-    """A built-in operation of the vocabulary, with its arguments in the vocabulary's order and defaults filled in. An absent
-    optional argument is None.
-    `site`: the stable identity of a draw (`….uniform#1`) or of a ray, else empty."""
+    """A built-in operation of the vocabulary.
+
+    - `args`: the arguments and defaults in the order of the vocabulary; None for an absent optional argument.
+    - `site`: the stable identity of a random draw (`….uniform#1`) or of a ray; "" for other operations."""
 
     name: str
     args: tuple[Expr | None, ...]
@@ -145,9 +151,9 @@ class ReduceExpr(Expr):
     """A reduction over a set.
 
     - `reducer`: sum, mean, min, max, count, any, every, best (the element with the greatest `body`) or nearest (the nearest
-      element;
-      `body` is None).
-    - `element`: the name bound in `body`. It may differ from `over.element`, the name bound in the condition of the set."""
+      element; `body` is None).
+    - `elements`: the set.
+    - `element`: the name bound in `body`. It may differ from `elements.element`, which is bound in the condition of the set."""
 
     reducer: str
     elements: SetExpr

@@ -19,7 +19,7 @@ Insertion = tuple[int, str]  # offset in the text, and the inserted text
 
 
 def upgrade(source: Source, edition: int) -> tuple[Source | None, Report]:
-    """Return the text of a file in an edition, with the same meaning, and the report of parsing.
+    """Return the text of a file rewritten for an edition, with the same meaning, and the report of parsing.
 
     The layout is not standard. Returns None if the text has errors, or names that the newer edition reserves. A file of this
     edition or a newer one is returned unchanged."""
@@ -33,7 +33,7 @@ def upgrade(source: Source, edition: int) -> tuple[Source | None, Report]:
     for item in file.items:
         if isinstance(item, nodes.Species):
             _report_reserved(item, previous, edition, report)
-            insertions += list(_explicit_lines(source, item, previous, edition))
+            insertions += list(_iterate_default_lines(source, item, previous, edition))
     if not report.ok:
         return None, report
     text = source.text
@@ -43,14 +43,16 @@ def upgrade(source: Source, edition: int) -> tuple[Source | None, Report]:
     return Source(source.path, f"{text[: span.start]}{edition}{text[span.end :]}"), report
 
 
-def _explicit_lines(source: Source, species: nodes.Species, previous_edition: int, edition: int) -> Iterator[Insertion]:
-    """Yield the lines that set the defaults of the previous edition, where they differ and the species does not set them."""
+def _iterate_default_lines(source: Source, species: nodes.Species, previous_edition: int, edition: int) -> Iterator[Insertion]:
+    """Yield an insertion with the lines that set the defaults of the previous edition.
+
+    Defaults that are equal in both editions, and settings that the species has already, are left out."""
     properties = [member for member in species.members if isinstance(member, nodes.AnimalProperty)]
     written = {member.name.text for member in properties}
     lines = [
-        row.explicit_line(previous_edition)
+        row.format_setting_line(previous_edition)
         for row in EDITION_DEFAULTS
-        if row.setting not in written and row.in_edition(previous_edition) != row.in_edition(edition)
+        if row.setting not in written and row.get_default(previous_edition) != row.get_default(edition)
     ]
     if not lines or not species.members:
         return
@@ -66,7 +68,7 @@ def _explicit_lines(source: Source, species: nodes.Species, previous_edition: in
 
 
 def _report_reserved(species: nodes.Species, previous_edition: int, edition: int, report: Report) -> None:
-    """Report names of a species that are built in since a newer edition."""
+    """Report declared names of a species that are built-in names in `edition`, but not in `previous_edition`."""
     reserved = (builtin_attributes(edition).keys() - builtin_attributes(previous_edition).keys()) | SWITCH_HELP.keys()
     for member in species.members:
         own = member.declaration if isinstance(member, nodes.ParamDecl) else member

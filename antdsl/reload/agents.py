@@ -26,7 +26,7 @@ from antdsl.scene.setting import WorldSetting
 
 _REGISTER_READS = frozenset(("snap", "load"))
 RowIndices = NDArray[np.intp]
-_MIGRATED_COLUMNS = [name for name, column in FIXED_COLUMN_BY_NAME.items() if column.is_migrated]
+_MIGRATED_COLUMNS = [name for name, column in FIXED_COLUMN_BY_NAME.items() if column.survives_reload]
 
 
 @dataclass(slots=True)

@@ -55,8 +55,8 @@ def test_the_same_operation_is_the_same_node():
 def test_algebra_leaves_out_what_changes_nothing():
     b = PlanBuilder()
     x = b("snap", attrs=("x",), kind=ValueKind.F32)
-    c = b("lt", x, b.number(3))
-    one, zero = b.number(1), b.number(0)
+    c = b("lt", x, b.add_number(3))
+    one, zero = b.add_number(1), b.add_number(0)
     assert b("mul", x, one) is x and b("add", zero, x) is x and b("div", x, one) is x
     assert b("neg", b("neg", x)) is x
     assert b("mul", x, zero).op == "mul"  # nothing times infinity is NaN
@@ -69,8 +69,9 @@ def test_algebra_leaves_out_what_changes_nothing():
 
 def test_operands_are_held_to_the_table():
     b = PlanBuilder()
-    for op, args, attrs in [("add", (b.true, b.true), ()), ("add", (b.number(1),), ()), ("nonsense", (), ()), ("snap", (), ()),
-                            ("eq", (b.row(1), b.number(1)), ()), ("where", (b.true, b.row(1), b.number(1)), ())]:  # fmt: skip
+    for op, args, attrs in [("add", (b.true, b.true), ()), ("add", (b.add_number(1),), ()), ("nonsense", (), ()),
+                            ("snap", (), ()), ("eq", (b.add_row(1), b.add_number(1)), ()),
+                            ("where", (b.true, b.add_row(1), b.add_number(1)), ())]:  # fmt: skip
         with pytest.raises(PlanError):
             b(op, *args, attrs=attrs)
 

@@ -88,7 +88,7 @@ def test_upgrades_write_the_old_defaults_and_preserve_comments() -> None:
 def test_upgrades_of_short_species_are_valid(text: str) -> None:
     program, report = checked(upgraded(f"ant 1\n{text}\n"))
     assert report.ok, str(report)
-    assert not program.species["a"].clears_body and program.species["a"].edition == 2
+    assert not program.species["a"].has_body_clearance and program.species["a"].edition == 2
 
 
 def test_an_upgrade_reports_names_that_become_built_in() -> None:
@@ -107,9 +107,9 @@ def test_a_file_without_an_edition_has_the_newest() -> None:
 def test_switches_have_the_default_of_the_edition_and_are_true_or_false() -> None:
     for members, edition, expected in (("", 1, False), ("", 2, True), ("body_clearance false", 2, False)):
         program, report = checked(species(members, edition))
-        assert report.ok and program.species["a"].clears_body is expected
+        assert report.ok and program.species["a"].has_body_clearance is expected
         plan, report = lower(program)
-        assert report.ok and plan.species["a"].clears_body is expected
+        assert report.ok and plan.species["a"].has_body_clearance is expected
         assert not any("body_clearance" in register for register in plan.species["a"].registers)
 
 

@@ -130,7 +130,9 @@ def test_uniform_conditions_and_values():
     late = t("gt", t("step", attrs=("frame",)), 2.0)
     act = plans.block(
         plans.when(
-            late, plans.store("mood", t("add", t.snap("mood"), t("step", attrs=("frame",)))), plans.store("first", t.b.number(4))
+            late,
+            plans.store("mood", t("add", t.snap("mood"), t("step", attrs=("frame",)))),
+            plans.store("first", t.b.add_number(4)),
         ),
         plans.store("second", t("mul", t("run", attrs=("dt",)), 24.0)),
     )
@@ -154,7 +156,7 @@ def test_a_crowd_on_one_spot_has_a_capped_number_of_neighbours():
     near = t("set.agents", 5.0, -1.0, attrs=("ant", True))
     act = plans.block(
         plans.store("mood", t("reduce.count", near, t.b.true)),
-        plans.store("first", t("reduce.max", near, t.b.true, t("number", t("eq", t("other.id"), t.b.agent_id(299))))),
+        plans.store("first", t("reduce.max", near, t.b.true, t("number", t("eq", t("other.id"), t.b.add_agent_id(299))))),
     )
     world = bind(plans.bare(act, "mood", "first"), plans.crowd(300, radius=0.0), Options(chunk=50, backend="numpy"))
     step(world)

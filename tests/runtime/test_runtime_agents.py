@@ -66,7 +66,7 @@ def test_nothing_is_lost_or_made(amount):
 def test_the_last_crumb_goes_to_one():
     items = {"food": (ItemData("a", (0, 0, 0), 1.0, {"load": 3.0}), ItemData("b", (9, 0, 0), 1.0))}
     t = plans.Text()
-    decide = plans.block(ir.Claim("food", "load", t.b.row(0), t.b.number(1), "won", "load", "a", None))
+    decide = plans.block(ir.Claim("food", "load", t.b.add_row(0), t.b.add_number(1), "won", "load", "a", None))
     plan = plans.bare(
         plans.block(),
         "load",
@@ -88,11 +88,11 @@ def test_the_last_crumb_goes_to_one():
 def test_claims_on_nothing_win_nothing():
     t = plans.Text()
     decide = plans.block(
-        ir.Claim("food", "load", t.b.row(-1), t.b.number(1), "won", "load", "a", None),
-        ir.Claim("food", "load", t.b.row(7), t.b.number(1), "won", "load", "b", None),
-        ir.Claim("food", "load", t.b.row(0), t.b.number(-1), "won", "load", "c", None),
+        ir.Claim("food", "load", t.b.add_row(-1), t.b.add_number(1), "won", "load", "a", None),
+        ir.Claim("food", "load", t.b.add_row(7), t.b.add_number(1), "won", "load", "b", None),
+        ir.Claim("food", "load", t.b.add_row(0), t.b.add_number(-1), "won", "load", "c", None),
     )
-    act = plans.block(ir.Give("food", "load", t.b.row(-1), None, "load", None))
+    act = plans.block(ir.Give("food", "load", t.b.add_row(-1), None, "load", None))
     plan = plans.bare(
         act,
         "load",
@@ -110,10 +110,10 @@ def test_claims_on_nothing_win_nothing():
 
 def test_an_event_is_seen_once_a_step_later_by_those_in_reach():
     t = plans.Text()
-    first = t("and", t("eq", t("step", attrs=("frame",)), 1.0), t("eq", t("id"), t.b.agent_id(0)))
+    first = t("and", t("eq", t("step", attrs=("frame",)), 1.0), t("eq", t("id"), t.b.add_agent_id(0)))
     act = plans.block(
         plans.when(
-            first, ir.Request("emit", "alarm", (t.b.number(20), None), None), ir.Request("emit", "self", (None, None), None)
+            first, ir.Request("emit", "alarm", (t.b.add_number(20), None), None), ir.Request("emit", "self", (None, None), None)
         ),
         plans.when(t("event", attrs=("alarm",)), plans.store("heard", t("add", t.snap("heard"), 1.0))),
         plans.when(t("event", attrs=("self",)), plans.store("felt", t("add", t.snap("felt"), 1.0))),
@@ -145,7 +145,7 @@ def breeders() -> ir.Plan:
             t("and", even, t("eq", frame, 2.0)), *(ir.Request("spawn", "ant", (), None, site=site) for site in ("one", "two"))
         ),
         plans.when(t("and", t("eq", t.snap("third"), 0.0), t("eq", frame, 3.0)), ir.Request("die", "", (), None)),
-        plans.when(t("eq", frame, 1.0), plans.store("friend", t.b.agent_id(3))),
+        plans.when(t("eq", frame, 1.0), plans.store("friend", t.b.add_agent_id(3))),
         plans.store("sees", t("number", t("agent.alive", t.snap("friend", L), attrs=("ant",)))),
     )
     number = t("number", t("id"))
@@ -218,7 +218,7 @@ def faulty() -> ir.Plan:
     t.b.span = Span(SOURCE, 7, 26)
     value = t("div", t.snap("calm"), below)
     statement = ir.Store("fear", value, Span(SOURCE, 0, 26))
-    born = plans.block(plans.store("calm", t.b.number(3)), plans.store("fear", t.b.number(7)))
+    born = plans.block(plans.store("calm", t.b.add_number(3)), plans.store("fear", t.b.add_number(7)))
     return plans.bare(plans.block(statement), "calm", "fear", born=born)
 
 
@@ -243,7 +243,7 @@ def test_the_quarantined_stand_still_and_the_others_go_on(backend):
     t = plans.Text()
     plan = faulty()
     ant = plan.species["ant"]
-    plan = replace(plan, species={"ant": replace(ant, blend=plans.block(plans.store("push.x", t.b.number(1))))})
+    plan = replace(plan, species={"ant": replace(ant, blend=plans.block(plans.store("push.x", t.b.add_number(1))))})
     world = bind(plan, plans.crowd(30), Options(backend=backend, on_fault="quarantine"))
     for _ in range(3):
         step(world)
@@ -259,7 +259,7 @@ def test_the_quarantined_stand_still_and_the_others_go_on(backend):
 def test_a_param_changes_without_compiling():
     t = plans.Text()
     act = plans.block(plans.store("mood", t("mul", t("param", attrs=("ant.gain",)), 2.0)))
-    world = bind(plans.bare(act, "mood", params={"ant.gain": ir.ParamPlan("ant.gain", t.b.number(4))}), plans.crowd(3))
+    world = bind(plans.bare(act, "mood", params={"ant.gain": ir.ParamPlan("ant.gain", t.b.add_number(4))}), plans.crowd(3))
     step(world)
     assert world.populations["ant"].now["mood"].tolist() == [8.0] * 3
     set_param(world, "ant.gain", 0.5)

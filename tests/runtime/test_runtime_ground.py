@@ -36,7 +36,7 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
         plans.store("hits", t("add", t.snap("hits"), t("number", t.get(ray, 0)))),
         plans.store("close", t("max", t.snap("close"), t("where", t.get(near, 0), t("sub", 6.0, t.get(near, 1)), 0.0))),
         plans.when(t("surface.touching", attrs=("ground",)), ir.Request("deposit", "trail", (rate,), None)),
-        plans.when(t("surface.touching", attrs=("lid",)), plans.store("hits", t.b.number(-1000))),
+        plans.when(t("surface.touching", attrs=("lid",)), plans.store("hits", t.b.add_number(-1000))),
         plans.store("smell", t("add", t("add", t("field.value", attrs=("trail",)), ahead), t("map.value", attrs=("damp",)))),
     )
     push = []
@@ -58,7 +58,7 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
         )
     fields = {
         "trail": ir.FieldPlan(
-            "trail", ("ground", "boulder"), t.b.number(cell), t.b.number(0.98), t.b.number(diffuse), "add", None, None
+            "trail", ("ground", "boulder"), t.b.add_number(cell), t.b.add_number(0.98), t.b.add_number(diffuse), "add", None, None
         )  # type: ignore[arg-type]
     }
     names = ("ground", "boulder")

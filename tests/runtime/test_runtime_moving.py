@@ -20,8 +20,8 @@ def world_of(plan: ir.Plan, count: int = 1, **setting):
 
 def store_plan(push: tuple[float, float, float], **registers: float) -> ir.Plan:
     t = plans.Text()
-    blend = plans.block(*(plans.store(f"push.{a}", t.b.number(p)) for a, p in zip("xyz", push, strict=True)))
-    born = plans.block(*(plans.store(name, t.b.number(v), infinite=True) for name, v in registers.items()))
+    blend = plans.block(*(plans.store(f"push.{a}", t.b.add_number(p)) for a, p in zip("xyz", push, strict=True)))
+    born = plans.block(*(plans.store(name, t.b.add_number(v), infinite=True) for name, v in registers.items()))
     return plans.bare(plans.block(), blend=blend, born=born)
 
 

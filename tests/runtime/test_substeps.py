@@ -67,7 +67,7 @@ def people(ground: MeshGround, seed: int, facing: bool) -> People:
     start = {name: array.copy() for name, array in now.items()}
     place, alone = ground.position(footing), rng.random(N) < 0.05
     stands = {"normal": normal, "footing": footing, "position": place}
-    plan = SimpleNamespace(settings=(), clears_body=False)
+    plan = SimpleNamespace(settings=(), has_body_clearance=False)
     return People(now=now, start=start, laid=None, buffers={}, quarantined=alone, plan=plan, **stands)
 
 

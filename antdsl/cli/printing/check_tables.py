@@ -10,7 +10,7 @@ from antdsl.diagnostics.text_positions import escape_text
 from antdsl.program.cost import StateCost, estimate_costs
 from antdsl.program.kinds import TypeKind
 from antdsl.program.model import Constant, Param, Program, Species
-from antdsl.program.tables.editions import STANDING_SETTING, setting_defaults
+from antdsl.program.tables.editions import STANDING_SETTING, find_setting_defaults
 from antdsl.program.tables.units import find_unit_measure
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -64,7 +64,7 @@ def _setting_rows(source: nodes.File, program: Program, listed_spans: set[Span])
             continue
         listed_spans.add(species.span)
         lines = {each.name.text: each for each in species.members if isinstance(each, nodes.AnimalProperty)}
-        for name, default in setting_defaults(edition, STANDING_SETTING in lines).items():
+        for name, default in find_setting_defaults(edition, STANDING_SETTING in lines).items():
             line = lines.get(name)
             value = default if line is None else " ".join(line.value.span.text.split())
             origin = f"edition {edition}" if line is None else f"line {source.source.find_line_column(line.span.start)[0]}"

@@ -22,7 +22,7 @@ from antdsl.lsp.word_descriptions import FORM_HELP, SETTING_HELP
 from antdsl.lsp.workspace import OpenDocument, Workspace
 from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.program.tables.colours import COLOUR_BY_NAME
-from antdsl.program.tables.editions import SWITCH_EDITION, SWITCH_HELP, setting_defaults
+from antdsl.program.tables.editions import SWITCH_EDITION, SWITCH_HELP, find_setting_defaults
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, list_replacements
 from antdsl.program.tables.vocabulary import TYPE_BY_WORD, builtin_attributes
@@ -84,7 +84,7 @@ def _propose_line_start(request: CompletionRequest, rule: str) -> Iterator[Compl
         for word, setting in SETTING_HELP.items():
             yield CompletionItem(word, "property", "setting of a field", setting.help)
     elif rule == "member":
-        defaults = setting_defaults(request.edition, False)
+        defaults = find_setting_defaults(request.edition, False)
         for word, row in builtin_attributes(request.edition).items():
             default = defaults.get(word, row.default)
             if row.is_settable:

@@ -287,7 +287,7 @@ def _make_species_entry(
             name=machine.name,
             states=tuple(
                 StateEntry(name=name, label=label, colour=colour)
-                for name, label, colour in zip(machine.states, machine.labels, machine.colours, strict=True)
+                for name, label, colour in zip(machine.states, machine.state_labels, machine.colours, strict=True)
             ),
         )
         for machine in population.plan.machines

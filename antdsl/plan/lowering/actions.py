@@ -59,12 +59,12 @@ def _lower_face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
 
 
 def store_face_direction(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
-    """Store a direction to face in a temp, unless an earlier line has set one."""
+    """Store the direction that a `face` line requests in the temp `register`, unless an earlier line has stored one."""
     for axis in AXES:
         w.declare_register(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
     w.store_vector(
-        register, values.choose_vector(w.b, w.b("gt", values.length(w.b, previous), w.b.number(0)), previous, direction), span
+        register, values.choose_vector(w.b, w.b("gt", values.length(w.b, previous), w.b.add_number(0)), previous, direction), span
     )
 
 
@@ -87,7 +87,7 @@ def _lower_assign(w: PlanWriter, s: model.Assign, site: str) -> None:
     if s.attribute == "heading" and isinstance(value, VectorNodes):
         size = values.length(b, value)
         value = values.choose_vector(
-            b, b("gt", size, b.number(values.MIN_VECTOR_LENGTH)), values.divide(b, value, size), w.read_vector("heading")
+            b, b("gt", size, b.add_number(values.MIN_VECTOR_LENGTH)), values.divide(b, value, size), w.read_vector("heading")
         )
     w.store_value(s.attribute, value, s.span, allows_infinity=is_limit(s.attribute))
 
@@ -95,7 +95,7 @@ def _lower_assign(w: PlanWriter, s: model.Assign, site: str) -> None:
 def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
     to = lower_expression(w, s.receiver)
     if isinstance(to, NamedThing):
-        every = w.b("set.items", w.b.number(float("inf")), attrs=(to.name,))
+        every = w.b("set.items", w.b.add_number(float("inf")), attrs=(to.name,))
         to = EntityRef(model.TypeKind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
     if not isinstance(to, EntityRef) or to.kind is not model.TypeKind.ITEM:
         raise PlanError(f"a gift to a {type(to).__name__}")
@@ -128,7 +128,7 @@ def _lower_operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode
 
 
 def _compute_carve_ball(w: PlanWriter, radius_expr: model.Expr | None, direction_expr: model.Expr | None) -> OperandTuple:
-    """Return the operands of a ball to carve.
+    """Return the operands of a request to carve a ball from the ground.
 
     Its centre is half a body length plus half its radius ahead of the agent. Its lowest point is level with the feet, so an agent
     that moves ahead stays level."""
@@ -139,8 +139,8 @@ def _compute_carve_ball(w: PlanWriter, radius_expr: model.Expr | None, direction
     ahead = heading if direction_expr is None else values.normalise(b, lower_vector(w, direction_expr))
     if direction_expr is not None:
         size = values.length(b, ahead)
-        ahead = values.choose_vector(b, b("gt", size, b.number(0.5)), ahead, heading)
-    reach = b("mul", b("add", w.read("size"), radius), b.number(0.5))
+        ahead = values.choose_vector(b, b("gt", size, b.add_number(0.5)), ahead, heading)
+    reach = b("mul", b("add", w.read("size"), radius), b.add_number(0.5))
     middle = values.add(b, w.read_vector("position"), values.scale(b, w.read_vector("up"), radius))
     middle = values.add(b, middle, values.scale(b, ahead, reach))
     return radius, middle.x, middle.y, middle.z

@@ -64,21 +64,23 @@ def write_state_appearance(w: PlanWriter, state: model.State) -> None:
 
 
 def apply_appearance(w: PlanWriter) -> None:
-    """Store the requested layers and channels after all machines have acted, and turn look directions by one step."""
-    store_display(w)
+    """Store the layers and channels that the states of all machines request. Turn the look directions by one step.
+
+    Call this after all machines have acted."""
+    store_layers_and_channels(w)
     b = w.b
     for group in list_look_groups(w.species):
         name = f"look#{group}"
         now, wish = w.read_vector(name), w.read_vector(f"~{name}")
         least = b("max", w.read(f"~{name}.over"), w.run("dt"))
-        share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), least))))
+        share = b("sub", b.add_number(1), b("exp", b("neg", b("div", w.run("dt"), least))))
         turned = values.normalise(b, values.add(b, now, values.scale(b, values.sub(b, wish, now), share)))
-        has_direction = b("gt", values.dot(b, turned, turned), b.number(0.5))
+        has_direction = b("gt", values.dot(b, turned, turned), b.add_number(0.5))
         w.store_vector(name, values.choose_vector(b, has_direction, turned, now), None)
 
 
-def store_display(w: PlanWriter) -> None:
-    """Store the layers and channels that were requested."""
+def store_layers_and_channels(w: PlanWriter) -> None:
+    """Store the layers and channels that states have requested in this step, from the temps to their registers."""
     for layer in list_worn_layers(w.species):
         w.store(f"wear#{layer}", w.read(f"~wear#{layer}"), None)
     for name in list_channels(w.species):
@@ -106,18 +108,18 @@ def _lower_look(w: PlanWriter, line: model.Look, site: str) -> None:
     heading, up = w.read_vector("heading"), w.read_vector("up")
     side = values.cross(b, heading, up)
     local_direction = VectorNodes(values.dot(b, direction, heading), values.dot(b, direction, up), values.dot(b, direction, side))
-    limit = b.number(DEFAULT_LOOK_ANGLE) if line.max_angle is None else lower_scalar(w, line.max_angle)
+    limit = b.add_number(DEFAULT_LOOK_ANGLE) if line.max_angle is None else lower_scalar(w, line.max_angle)
     least, widest = b("cos", limit), b("sin", limit)
-    aside = values.length(b, VectorNodes(b.number(0), local_direction.y, local_direction.z))
-    far = b("div", widest, b("max", aside, b.number(1e-6)))
+    aside = values.length(b, VectorNodes(b.add_number(0), local_direction.y, local_direction.z))
+    far = b("div", widest, b("max", aside, b.add_number(1e-6)))
     held = VectorNodes(least, b("mul", local_direction.y, far), b("mul", local_direction.z, far))
     wish = values.choose_vector(b, b("lt", local_direction.x, least), held, local_direction)
-    ahead = VectorNodes(*(b.number(part) for part in _LOOK_AHEAD))
-    known = b("and", is_present, b("gt", aside, b.number(1e-6)))  # for a point straight behind, neither side is nearer
+    ahead = VectorNodes(*(b.add_number(part) for part in _LOOK_AHEAD))
+    known = b("and", is_present, b("gt", aside, b.add_number(1e-6)))  # for a point straight behind, neither side is nearer
     w.store_vector(register, values.choose_vector(b, known, wish, ahead), line.span)
     w.store(
         f"{register}.over",
-        b.number(DEFAULT_LOOK_SECONDS) if line.time_constant is None else lower_scalar(w, line.time_constant),
+        b.add_number(DEFAULT_LOOK_SECONDS) if line.time_constant is None else lower_scalar(w, line.time_constant),
         line.span,
     )
 

@@ -7,7 +7,7 @@ from graphlib import TopologicalSorter
 from math import inf
 
 from antdsl.plan.builder import PlanBuilder
-from antdsl.plan.ir import PlanNode, ValueKind, birth_register
+from antdsl.plan.ir import PlanNode, ValueKind, name_birth_register
 from antdsl.plan.lowering import appearance, clips, pair_values
 from antdsl.plan.lowering.actions import report_unsupported, write_statements
 from antdsl.plan.lowering.expressions import convert_to_condition, lower_expression, needs_register
@@ -42,11 +42,11 @@ def declare_registers(w: PlanWriter) -> None:
     for name in VECTOR_ATTRIBUTES:
         for axis in "xyz":
             w.declare_register(f"{name}.{axis}", ValueKind.F32, "attribute")
-    for name in (*_birth_attributes(w.species), "group"):
+    for name in (*_order_birth_attributes(w.species), "group"):
         w.declare_register(name, ValueKind.F32, "attribute")
     if w.has_moved_register:
         w.declare_register("moved", ValueKind.F32, "attribute")
-    if w.species.clears_body:
+    if w.species.has_body_clearance:
         for name in CLEARANCE_REGISTERS:
             w.declare_register(name, ValueKind.F32, "attribute")
     for attribute in w.species.attributes:
@@ -56,7 +56,7 @@ def declare_registers(w: PlanWriter) -> None:
         if attribute.name == "push":
             w.report.error("reserved-name", "`push` is reserved", attribute.span, "rename the attribute")
             continue
-        if not attribute.is_builtin and attribute.name not in _birth_attributes(w.species):
+        if not attribute.is_builtin and attribute.name not in _order_birth_attributes(w.species):
             w.declare_typed(attribute.name, attribute.type, "attribute")
 
 
@@ -65,22 +65,22 @@ def compute_builtin_default(w: PlanWriter, name: str) -> PlanNode:
     "given"."""
     b: PlanBuilder = w.b
     if name == CRAWLING_SETTING and is_standing(w.species):
-        return b("mul", w.read(STANDING_SETTING), b.number(w.proportions.size_per_height))
+        return b("mul", w.read(STANDING_SETTING), b.add_number(w.proportions.size_per_height))
     if name == "radius" and is_standing(w.species):
-        return b("mul", w.read("size"), b.number(w.proportions.radius_per_size))
+        return b("mul", w.read("size"), b.add_number(w.proportions.radius_per_size))
     if name in OPTIONAL_ATTRIBUTES:
-        return b.number(OPTIONAL_ATTRIBUTES[name])
+        return b.add_number(OPTIONAL_ATTRIBUTES[name])
     if name in _PLAIN_DEFAULTS:
-        return b.number(_PLAIN_DEFAULTS[name])
+        return b.add_number(_PLAIN_DEFAULTS[name])
     if name == "radius":
-        return b("mul", w.read("size"), b.number(0.5))
+        return b("mul", w.read("size"), b.add_number(0.5))
     # `max_force` reaches full speed within `response`. A kinematic agent (response of at most one step) may reverse at once,
     # which needs twice the force.
     dt = w.run("dt")
     time = b("max", w.read("response"), dt)
     strength = b("div", b("mul", w.read("mass"), w.read("max_speed")), time)
-    is_instant = b("le", w.read("response"), b("mul", dt, b.number(1.0001)))
-    return b("mul", strength, b("where", is_instant, b.number(2), b.number(1)))
+    is_instant = b("le", w.read("response"), b("mul", dt, b.add_number(1.0001)))
+    return b("mul", strength, b("where", is_instant, b.add_number(2), b.add_number(1)))
 
 
 # Attributes that the default of another one reads, if agents have them.
@@ -88,16 +88,16 @@ _DEFAULT_OPERANDS = {"size": ("height",), "radius": ("size",), "max_force": ("ma
 _PLAIN_DEFAULTS = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0, "response": 0.15, "max_turn": inf}
 
 
-def _birth_attributes(species: model.Species) -> list[str]:
+def _order_birth_attributes(species: model.Species) -> list[str]:
     """Return the built-in attributes that agents of a species have, each after those that its default reads."""
     known = builtin_attributes(species.edition)
     names = [name for name in BIRTH_ATTRIBUTES if name in known and needs_register(species, name)]
     return [name for name in names if name != STANDING_SETTING or is_standing(species)]
 
 
-def newer_attributes(species: model.Species) -> tuple[str, ...]:
+def list_newer_attributes(species: model.Species) -> tuple[str, ...]:
     """Return the built-in attributes of a species that edition 1 does not have."""
-    return tuple(name for name in _birth_attributes(species) if name not in builtin_attributes(1))
+    return tuple(name for name in _order_birth_attributes(species) if name not in builtin_attributes(1))
 
 
 def is_standing(species: model.Species) -> bool:
@@ -106,9 +106,9 @@ def is_standing(species: model.Species) -> bool:
 
 
 def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
-    """Write the block `born`."""
+    """Write the statements that set the registers of a new agent, and its entry into the start states."""
     for machine in machines:
-        machine.begin()
+        machine.write_start_state()
     for name in _order_attributes(w):
         _write_attribute(w, name)
     for number, handler in enumerate(h for h in w.species.handlers if h.event == "spawn"):
@@ -116,8 +116,8 @@ def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
     for machine in machines:
         machine.write_start_actions()
     for machine in machines:
-        machine.write_for_start(partial(appearance.write_state_appearance, w))
-    appearance.store_display(w)
+        machine.write_per_start_state(partial(appearance.write_state_appearance, w))
+    appearance.store_layers_and_channels(w)
     clips.store_start_heading(w)
 
 
@@ -125,15 +125,17 @@ def _prefer_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> Lowe
     """Return the scene's value of an attribute if there is one, else the default. Attributes computed later use this value."""
     if name not in w.scene_attributes or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
         return default
-    w.declare_register(birth_register(name), ValueKind.F32, "temp", inf)
-    b, scene_value = w.b, w.read(birth_register(name))
-    value = scene_value if default.kind is ValueKind.F32 else b("ne", scene_value, b.number(0))
-    return b("where", b("lt", scene_value, b.number(inf)), value, default)
+    w.declare_register(name_birth_register(name), ValueKind.F32, "temp", inf)
+    b, scene_value = w.b, w.read(name_birth_register(name))
+    value = scene_value if default.kind is ValueKind.F32 else b("ne", scene_value, b.add_number(0))
+    return b("where", b("lt", scene_value, b.add_number(inf)), value, default)
 
 
 def _find_author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
-    """Return the attributes in the author's text, and those with a default of a newer edition. Any other built-in attribute with
-    the span of the species' name is not in the text; its default is made in this module, where the step length is known."""
+    """Return the attributes with a default in the program, by name: those in the author's text, and defaults of newer editions.
+
+    Other built-in attributes have the span of the species' name. This module computes their defaults, because here the step
+    length is known."""
     mine = [a for a in w.species.attributes if not a.pair_species and a.name != "push"]
     newer = (DEFAULT_BY_SETTING.keys() | STANDING_DEFAULTS.keys()) if w.species.edition > 1 else ()
     return {a.name: a for a in mine if a.name in newer or not (a.is_builtin and a.span == w.species.span)}
@@ -160,7 +162,7 @@ def _order_attributes(w: PlanWriter) -> list[str]:
     """Return the names of all attributes, each after the attributes that its default reads. The checker has already rejected
     cycles."""
     declared = _find_author_attributes(w)
-    needs: dict[str, list[str]] = {name: [] for name in (*_birth_attributes(w.species), *declared)}
+    needs: dict[str, list[str]] = {name: [] for name in (*_order_birth_attributes(w.species), *declared)}
     for name in needs:
         if name in declared:
             needs[name] = [n for n in find_attributes_read(declared[name].default) if n in needs]

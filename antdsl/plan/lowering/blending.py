@@ -18,10 +18,12 @@ PUSH_REGISTER, BUDGET_LEFT_REGISTER, FACE_REGISTER = "push", "~left", "~face"
 
 
 def blend_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
-    """Write the layers in order. The result is in the register `push`."""
+    """Write the statements that combine the layers into the register `push`. Return the layers in the order of evaluation.
+
+    `order`: the names of the layers in the order of the scene; None: the order of the source."""
     mode = w.species.layers.mode
     every = order_layers(w, order)
-    layers = [layer for layer in every if not layer.faces]
+    layers = [layer for layer in every if not layer.is_face_line]
     w.declare_register(BUDGET_LEFT_REGISTER, ValueKind.F32, "temp", 1.0)
     if not layers:
         _spend_budget(w, _read_state_push(w), w.species.span, is_last=True)
@@ -33,7 +35,7 @@ def blend_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan,
             report_unsupported(w, missing)
     if mode == "sum":
         w.store_vector(
-            PUSH_REGISTER, values.limit_length(w.b, w.read_vector(PUSH_REGISTER), w.b.number(1)), w.species.layers.span
+            PUSH_REGISTER, values.limit_length(w.b, w.read_vector(PUSH_REGISTER), w.b.add_number(1)), w.species.layers.span
         )
     _write_face_direction(w, every)
     return tuple(LayerPlan(layer.text, layer.span) for layer in every)
@@ -42,7 +44,7 @@ def blend_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan,
 def _write_layer(w: PlanWriter, layer: model.Layer, mode: str, is_last: bool) -> None:
     b = w.b
     strength = w.read(BUDGET_LEFT_REGISTER)
-    left = b.true if mode == "sum" else b("gt", strength, b.number(0))
+    left = b.true if mode == "sum" else b("gt", strength, b.add_number(0))
     with w.open_region(left, layer.span):
         condition = b.true if layer.condition is None else lower_condition(w, layer.condition)
         with w.open_region(condition, layer.span):
@@ -65,7 +67,7 @@ def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
     if not layers and states:
         store_face_direction(w, FACE_REGISTER, w.read_vector(GAZE_TEMP), w.species.span)
     for number, layer in enumerate(layers, 1):
-        if not layer.faces and not (layer.push is None and states):
+        if not layer.is_face_line and not (layer.push is None and states):
             continue
         w.b.span = layer.span
         try:
@@ -91,21 +93,21 @@ def _spend_budget(w: PlanWriter, push: VectorNodes, span: object, is_last: bool)
     b = w.b
     left, size = w.read(BUDGET_LEFT_REGISTER), values.length(b, push)
     too_much = b("gt", size, left)
-    cut = values.scale(b, push, b("where", too_much, b("div", left, size), b.number(1)))
+    cut = values.scale(b, push, b("where", too_much, b("div", left, size), b.add_number(1)))
     place = b.span
     w.store_vector(PUSH_REGISTER, values.add(b, w.read_vector(PUSH_REGISTER), cut), place)
     if not is_last:
-        w.store(BUDGET_LEFT_REGISTER, b("where", too_much, b.number(0), b("sub", left, size)), place)
+        w.store(BUDGET_LEFT_REGISTER, b("where", too_much, b.add_number(0), b("sub", left, size)), place)
 
 
 def _store_first_push(w: PlanWriter, push: VectorNodes, layer: model.Layer, is_last: bool) -> None:
     """Use the first push that is not zero as the result, limited to length 1."""
     b = w.b
-    is_nonzero = b("gt", values.length(b, push), b.number(0))
+    is_nonzero = b("gt", values.length(b, push), b.add_number(0))
     with w.open_region(is_nonzero, layer.span):
-        w.store_vector(PUSH_REGISTER, values.limit_length(b, push, b.number(1)), layer.span)
+        w.store_vector(PUSH_REGISTER, values.limit_length(b, push, b.add_number(1)), layer.span)
         if not is_last:
-            w.store(BUDGET_LEFT_REGISTER, b.number(0), layer.span)
+            w.store(BUDGET_LEFT_REGISTER, b.add_number(0), layer.span)
 
 
 # --- an order from the scene -----------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Lowers `lower_play`: the clip that each machine plays, its progress, and the cross-fade from the previous clip.
+"""Lowers `play`: the clip that each machine plays, its progress, and the cross-fade from the previous clip.
 
 Progress is counted in turns: 0 at the start of a clip, 1 after it has played once, and so on if it loops. So bodies with faster
 or slower clips of the same names continue at the same progress. A clip that covers ground advances with the distance that the
@@ -57,7 +57,7 @@ def list_clips(species: model.Species) -> tuple[ir.ClipPlan, ...]:
 
 
 def _make_clip_plan(line: model.Play) -> ir.ClipPlan:
-    return ir.ClipPlan(line.clip, line.group, line.add, *line.blend_clips)
+    return ir.ClipPlan(line.clip, line.group, line.is_additive, *line.blend_clips)
 
 
 def plays_clips(machine: model.Machine) -> bool:
@@ -85,16 +85,18 @@ def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) 
     b, name, clip = w.b, machine.name, _find_clip_number(w, line)
     draw = b("draw", attrs=(f"{w.species.name}.{name}.clip", 0))
     w.store(f"{name}.clip", clip, line.span)
-    w.store(f"{name}.clip_turns", b("where", _is_looping(w, clip), draw, b.number(0)), line.span)
-    w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.number(_START_OFFSET_TURNS)), line.span)
-    w.store(f"{name}.clip_weight", b.number(1), line.span)
+    w.store(f"{name}.clip_turns", b("where", _is_looping(w, clip), draw, b.add_number(0)), line.span)
+    w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.add_number(_START_OFFSET_TURNS)), line.span)
+    w.store(f"{name}.clip_weight", b.add_number(1), line.span)
 
 
 def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr | None, span: Span) -> None:
     """Store the fade time of the current clip, because a transition leaves its state. `fade_time`: the time; None: the
     default."""
     w.store(
-        f"{machine.name}.clip_over", w.b.number(DEFAULT_FADE_SECONDS) if fade_time is None else lower_scalar(w, fade_time), span
+        f"{machine.name}.clip_over",
+        w.b.add_number(DEFAULT_FADE_SECONDS) if fade_time is None else lower_scalar(w, fade_time),
+        span,
     )
     w.store(f"{machine.name}.clip_waits", w.b.false, span)
 
@@ -102,7 +104,7 @@ def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr
 def restart_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
     """Request a restart of the clip of a state, for agents that enter the state.
 
-    If `again` holds, the clip also restarts if it is playing already."""
+    If the line's `restart_condition` holds, the clip also restarts if it is playing already."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.restart_condition is not None:
         w.store(f"{machine.name}.clip_waits", lower_condition(w, line.restart_condition), line.span)
@@ -111,26 +113,30 @@ def restart_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> N
 def fade_out_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
     """Fade out the previous clip in a state without a clip, if the machine has clips in other states."""
     if plays_clips(machine) and not any(isinstance(line, model.Play) for line in state.body):
-        _write_clip_step(w, machine.name, w.b.row(NO_CLIP), None, w.b.number(0), state.span)
+        _write_clip_step(w, machine.name, w.b.add_row(NO_CLIP), None, w.b.add_number(0), state.span)
 
 
 def lower_play(w: PlanWriter, machine: str, line: model.Play) -> None:
-    """Write a `lower_play` line of the agent's current state."""
+    """Write a `play` line of the agent's current state."""
     b = w.b
     speed = None if line.speed is None else lower_scalar(w, line.speed)
-    weight = b.number(1) if line.weight is None else b("min", b("max", lower_scalar(w, line.weight), b.number(0)), b.number(1))
+    weight = (
+        b.add_number(1)
+        if line.weight is None
+        else b("min", b("max", lower_scalar(w, line.weight), b.add_number(0)), b.add_number(1))
+    )
     _write_clip_step(w, machine, _find_clip_number(w, line), speed, weight, line.span)
 
 
 def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, weight: PlanNode, span: Span) -> None:
     """Write one step of a machine that requests `clip`: the clip begins, waits until it can begin, or continues."""
     b, now, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
-    none = clip is b.row(NO_CLIP)
+    none = clip is b.add_row(NO_CLIP)
     wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read(f"{machine}.clip_waits"))
     shares = (w.read(f"{machine}.{share}") for share in ("clip_fade", "clip_earlier_fade"))
-    three = b("and", *(b("gt", share, b.number(0)) for share in shares))
-    own = b.number(1) if speed is None else speed
-    first = _compute_first_turns(w, machine, clip, b("mul", b("mul", _compute_turn_rate(w, clip), own), w.run("dt")))
+    three = b("and", *(b("gt", share, b.add_number(0)) for share in shares))
+    own = b.add_number(1) if speed is None else speed
+    first = _compute_first_turns(w, machine, clip, b("mul", b("mul", _compute_play_rate(w, clip), own), w.run("dt")))
     held = (
         (_BEGINS_REGISTER, ValueKind.BOOL, b("and", wished, b("not", three))), (_WAITS_REGISTER, ValueKind.BOOL, b("and",
         wished, three)),
@@ -140,9 +146,9 @@ def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNod
         w.declare_register(name, kind, "temp")
         w.store(name, node, span)
     begins, waits = w.read(_BEGINS_REGISTER), w.read(_WAITS_REGISTER)
-    pace = b("mul", _compute_turn_rate(w, now), b("where", waits, b.number(1), own))
+    pace = b("mul", _compute_play_rate(w, now), b("where", waits, b.add_number(1), own))
     goes_on = b("add", turns, b("mul", pace, w.run("dt")))
-    further = b("where", _is_looping(w, now), goes_on, b("min", goes_on, b.number(1)))
+    further = b("where", _is_looping(w, now), goes_on, b("min", goes_on, b.add_number(1)))
     w.store(f"{machine}.clip_waits", waits, span)
     w.store(f"{machine}.clip_last", turns, span)
     w.store(f"{machine}.clip_turns", b("where", waits if none else b("not", begins), further, turns), span)
@@ -160,75 +166,76 @@ def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
     turns, last = w.read(f"{machine}.clip_turns"), w.read(f"{machine}.clip_last")
     has_begun = b("not", w.read(f"{machine}.clip_waits"))
     if not e.mark:
-        return b("and", has_begun, b("ge", turns, b.number(1)))
+        return b("and", has_begun, b("ge", turns, b.add_number(1)))
     mark = b("clip.value", w.read(f"{machine}.clip"), attrs=(f"mark {e.mark}",))
     cycles = [b("floor", b("sub", each, mark)) for each in (turns, last)]
     crosses_mark = b("and", b("lt", last, mark), b("ge", turns, mark))
     passed = b("or", b("and", _is_looping(w, w.read(f"{machine}.clip")), b("gt", cycles[0], cycles[1])), crosses_mark)
-    return b("and", has_begun, b("and", passed, b("ge", mark, b.number(0))))
+    return b("and", has_begun, b("and", passed, b("ge", mark, b.add_number(0))))
 
 
 def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) -> tuple[PlanNode, PlanNode]:
-    """Return the turns at which a new clip begins, and the turns one step earlier.
+    """Return the progress (in turns) that a new clip has after this step, and its progress before this step.
 
-    It begins at 0. If both clips cover ground, it begins at the progress of the previous clip and advances by `step` turns."""
+    A new clip begins at 0. If both clips cover ground, it continues at the progress of the previous clip, plus `step` turns."""
     b, previous_clip, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
     both = b("and", b("ne", previous_clip, clip), b("and", _is_covering_ground(w, previous_clip), _is_covering_ground(w, clip)))
     part = b("sub", turns, b("floor", turns))
-    return b("where", both, b("add", part, step), b.number(0)), b("where", both, part, b.number(-_START_OFFSET_TURNS))
+    return b("where", both, b("add", part, step), b.add_number(0)), b("where", both, part, b.add_number(-_START_OFFSET_TURNS))
 
 
 def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) -> None:
-    """Start another clip. The clips before it move back by one place."""
+    """Start another clip. The current clip becomes the previous one, and the previous clip the one before it."""
     b = w.b
     with w.open_region(w.read(_BEGINS_REGISTER), span or w.species.span):
         for to, source in _FADE_REGISTER_COPIES:
             w.store(f"{machine}.{to}", w.read(f"{machine}.{source}"), span)
-        w.store(f"{machine}.clip_fade", b.number(1), span)
+        w.store(f"{machine}.clip_fade", b.add_number(1), span)
         w.store(f"{machine}.clip_last", w.read(_LAST_REGISTER), span)
         w.store(f"{machine}.clip", clip, span)
         w.store(f"{machine}.clip_turns", w.read(_START_REGISTER), span)
 
 
 def _advance_fades(w: PlanWriter, machine: str, span: Span | None) -> None:
-    """Reduce the shares of the previous clips and advance them."""
+    """Reduce the shares of the previous clips in the pose, and advance the progress of these clips."""
     b, dt = w.b, w.run("dt")
-    with w.open_region(b("gt", w.read(f"{machine}.clip_fade"), b.number(0)), span or w.species.span):
+    with w.open_region(b("gt", w.read(f"{machine}.clip_fade"), b.add_number(0)), span or w.species.span):
         for which, share, over in (
             ("clip_earlier", "clip_earlier_fade", "clip_earlier_fading"),
             ("clip_before", "clip_fade", "clip_fading"),
         ):
             previous_clip = w.read(f"{machine}.{which}")
             left = b("sub", w.read(f"{machine}.{share}"), b("div", dt, b("max", w.read(f"{machine}.{over}"), dt)))
-            turns = b("add", w.read(f"{machine}.{which}_turns"), b("mul", _compute_turn_rate(w, previous_clip), dt))
-            held = b("where", _is_looping(w, previous_clip), turns, b("min", turns, b.number(1)))
+            turns = b("add", w.read(f"{machine}.{which}_turns"), b("mul", _compute_play_rate(w, previous_clip), dt))
+            held = b("where", _is_looping(w, previous_clip), turns, b("min", turns, b.add_number(1)))
             w.store(f"{machine}.{which}_turns", held, span)
-            w.store(f"{machine}.{share}", b("max", left, b.number(0)), span)
+            w.store(f"{machine}.{share}", b("max", left, b.add_number(0)), span)
 
 
-def _compute_turn_rate(w: PlanWriter, clip: PlanNode) -> PlanNode:
-    """Return turns per second. For a clip that covers ground, they come from the agent's speed in body lengths, else from the
-    clip's duration."""
+def _compute_play_rate(w: PlanWriter, clip: PlanNode) -> PlanNode:
+    """Return the number of times per second that a clip is played.
+
+    For a clip that covers ground, it follows from the agent's speed in body lengths; for others, from the clip's duration."""
     b = w.b
     stride, seconds = b("clip.value", clip, attrs=("stride",)), b("clip.value", clip, attrs=("seconds",))
     x, y, z = w.read_vector("velocity")
     speed = b("sqrt", b("add", b("add", b("mul", x, x), b("mul", y, y)), b("mul", z, z)))
-    ground = b("mul", stride, b("max", w.read("size"), b.number(1e-6)))
-    by_ground = b("div", speed, b("where", b("gt", ground, b.number(0)), ground, b.number(1)))
-    return b("where", b("gt", stride, b.number(0)), by_ground, b("div", b.number(1), b("max", seconds, w.run("dt"))))
+    ground = b("mul", stride, b("max", w.read("size"), b.add_number(1e-6)))
+    by_ground = b("div", speed, b("where", b("gt", ground, b.add_number(0)), ground, b.add_number(1)))
+    return b("where", b("gt", stride, b.add_number(0)), by_ground, b("div", b.add_number(1), b("max", seconds, w.run("dt"))))
 
 
 def _find_clip_number(w: PlanWriter, line: model.Play) -> PlanNode:
     """Return the number of the clip of a line."""
-    return w.b.row(list_clips(w.species).index(_make_clip_plan(line)))
+    return w.b.add_row(list_clips(w.species).index(_make_clip_plan(line)))
 
 
 def _is_looping(w: PlanWriter, clip: PlanNode) -> PlanNode:
-    return w.b("gt", w.b("clip.value", clip, attrs=("loop",)), w.b.number(0.5))
+    return w.b("gt", w.b("clip.value", clip, attrs=("loop",)), w.b.add_number(0.5))
 
 
 def _is_covering_ground(w: PlanWriter, clip: PlanNode) -> PlanNode:
-    return w.b("gt", w.b("clip.value", clip, attrs=("stride",)), w.b.number(0))
+    return w.b("gt", w.b("clip.value", clip, attrs=("stride",)), w.b.add_number(0))
 
 
 def _list_play_lines(machine: model.Machine) -> list[model.Play]:
@@ -254,19 +261,19 @@ def store_start_heading(w: PlanWriter) -> None:
 
 
 def update_leaning(w: PlanWriter) -> None:
-    """Store, once per step, the turn since the previous step about the body's up, and the slope of the heading."""
+    """Store the turn of the body since the previous step, and the slope of its heading. Call this once per step."""
     if not has_lean_clips(w):
         return
     b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")
     turned = b("div", values.dot(b, values.cross(b, w.read_vector("lean#was"), heading), w.read_vector("up")), dt)
     climb = values.dot(b, heading, VectorNodes(*(w.run(f"up_{axis}") for axis in AXES)))
-    share = b("sub", b.number(1), b("exp", b("neg", b("div", dt, b.number(LEAN_SMOOTHING_SECONDS)))))
+    share = b("sub", b.add_number(1), b("exp", b("neg", b("div", dt, b.add_number(LEAN_SMOOTHING_SECONDS)))))
     for name, measure, full_value in (("turn", turned, FULL_LEAN_TURN), ("slope", climb, FULL_LEAN_SLOPE)):
         now = w.read(f"lean#{name}")
-        wish = _clamp_to_unit(w, b("div", measure, b.number(full_value)))
+        wish = _clamp_to_unit(w, b("div", measure, b.add_number(full_value)))
         w.store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
     w.store_vector("lean#was", heading, None)
 
 
 def _clamp_to_unit(w: PlanWriter, measure: PlanNode) -> PlanNode:
-    return w.b("min", w.b("max", measure, w.b.number(-1)), w.b.number(1))
+    return w.b("min", w.b("max", measure, w.b.add_number(-1)), w.b.add_number(1))

@@ -67,7 +67,7 @@ def convert_to_condition(w: PlanWriter, value: LoweredValue, expr: model.Expr) -
     if isinstance(value, PlanNode) and value.kind is ValueKind.BOOL:
         return value
     if isinstance(value, PlanNode) and value.kind is ValueKind.F32:
-        return w.b("gt", value, w.b.number(0))
+        return w.b("gt", value, w.b.add_number(0))
     return lower_presence(w, value, expr)
 
 
@@ -97,7 +97,7 @@ def lower_presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> Plan
 def _lower_constant(w: PlanWriter, e: model.Constant) -> LoweredValue:
     if e.type.kind is model.TypeKind.BOOL:
         return w.b.add_boolean(bool(e.number))
-    node = w.b.number(e.number)
+    node = w.b.add_number(e.number)
     for name, exponent in (("u", e.unit_power), ("dt", e.step)):
         if exponent:
             node = w.b("mul" if exponent > 0 else "div", node, _lower_unit_power(w, w.run(name), abs(exponent)))
@@ -110,27 +110,27 @@ def _lower_unit_power(w: PlanWriter, base: PlanNode, exponent: float) -> PlanNod
         for _ in range(int(exponent) - 1):
             node = w.b("mul", node, base)
         return node
-    return w.b("sqrt", base) if exponent == 0.5 else w.b("pow", base, w.b.number(exponent))
+    return w.b("sqrt", base) if exponent == 0.5 else w.b("pow", base, w.b.add_number(exponent))
 
 
 def _lower_none(w: PlanWriter, e: model.NoneRef) -> LoweredValue:
     if e.type.kind is model.TypeKind.ITEM:
-        return EntityRef(e.type.kind, e.type.referent or "", w.b.row(-1))
+        return EntityRef(e.type.kind, e.type.referent or "", w.b.add_row(-1))
     if e.type.kind is model.TypeKind.AGENT:
-        return EntityRef(e.type.kind, e.type.referent or "", w.b.agent_id(-1))
+        return EntityRef(e.type.kind, e.type.referent or "", w.b.add_agent_id(-1))
     if e.type.kind is model.TypeKind.HIT:
         nothing = values.zero_vector(w.b)
-        return RayHit(w.b.false, w.b.number(float("inf")), nothing, nothing)
+        return RayHit(w.b.false, w.b.add_number(float("inf")), nothing, nothing)
     raise PlanError(f"none of a {e.type.kind.value}")
 
 
 def _lower_state(w: PlanWriter, e: model.StateConstant) -> LoweredValue:
-    return w.b.row(e.index)
+    return w.b.add_row(e.index)
 
 
 def _lower_param(w: PlanWriter, e: model.ParamRef) -> LoweredValue:
     node = w.b("param", attrs=(e.name,))
-    return w.b("ne", node, w.b.number(0)) if e.type.kind is model.TypeKind.BOOL else node
+    return w.b("ne", node, w.b.add_number(0)) if e.type.kind is model.TypeKind.BOOL else node
 
 
 def _lower_thing(w: PlanWriter, e: model.ThingRef) -> LoweredValue:
@@ -150,7 +150,7 @@ def _lower_binding(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
             raise UnsupportedConstruct(f"`{binding.name}` inside a second set", e.span, "let each set read its own elements only")
         return value
     if binding.role == "latch":
-        return w.read_now(binding.key or binding.name)
+        return w.read_current(binding.key or binding.name)
     if binding.role == "let":
         return _lower_let(w, binding)
     raise PlanError(f"{binding.role} `{binding.name}` is used outside of its place")
@@ -294,7 +294,7 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
     if e.name in OPTIONAL_ATTRIBUTES:
         species = w.program.species.get(owner.owner or "")
         if species is not None and not needs_register(species, e.name):
-            return w.b.number(OPTIONAL_ATTRIBUTES[e.name])
+            return w.b.add_number(OPTIONAL_ATTRIBUTES[e.name])
     if e.type.kind is model.TypeKind.VECTOR:
         prefix = "" if owner.kind is model.TypeKind.ITEM and e.name == "position" else f"{e.name}."
         return VectorNodes(*(_read_other_register(w, owner, f"{prefix}{axis}", ValueKind.F32) for axis in AXES))
@@ -307,7 +307,7 @@ def convert_to_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType)
     """Convert a register's node to a value of the language. A number that represents a bool becomes a bool."""
     if type.kind in NONE_BY_KIND:
         return EntityRef(type.kind, type.referent or "", node)
-    return w.b("ne", node, w.b.number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node
+    return w.b("ne", node, w.b.add_number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node
 
 
 def read_own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredValue:
@@ -321,7 +321,7 @@ def read_own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> Lower
     if f"{name}.x" in w.registers:
         return w.read_vector(name)
     if name in OPTIONAL_ATTRIBUTES and name not in w.registers:
-        return w.b.number(OPTIONAL_ATTRIBUTES[name])
+        return w.b.add_number(OPTIONAL_ATTRIBUTES[name])
     return convert_to_typed_value(w, w.read(name), type)
 
 
@@ -351,12 +351,12 @@ def _read_other_register(
     node = w.b("agent.get", owner.node, attrs=(owner.owner, register), kind=kind)
     if none_id is None:
         return node
-    return w.b("where", w.b("agent.alive", owner.node, attrs=(owner.owner,)), node, w.b.constant_of_kind(kind, none_id))
+    return w.b("where", w.b("agent.alive", owner.node, attrs=(owner.owner,)), node, w.b.add_constant(kind, none_id))
 
 
 def _read_hit_attribute(w: PlanWriter, hit: RayHit, e: model.AttributeRef) -> LoweredValue:
     if e.name == "distance":
-        return w.b("where", hit.hit, hit.distance, w.b.number(float("inf")))
+        return w.b("where", hit.hit, hit.distance, w.b.add_number(float("inf")))
     if e.name == "normal":
         return values.select_or_zero(w.b, hit.hit, hit.normal)
     reach = values.select_or_zero(w.b, hit.hit, values.scale(w.b, hit.direction, hit.distance))
@@ -374,11 +374,11 @@ def _lower_operation(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_clip_test(w: PlanWriter, e: model.ClipTest) -> LoweredValue:
-    return w.rules.clip(w, e)
+    return w.rules.lower_clip_test(w, e)
 
 
 def _lower_set(w: PlanWriter, e: model.SetExpr) -> LoweredValue:
-    return w.rules.gather(w, e)
+    return w.rules.lower_set(w, e)
 
 
 def _lower_reduction(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:

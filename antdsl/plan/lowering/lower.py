@@ -124,7 +124,7 @@ def _lower_species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan
         {a.name: pair_values.lower_rest_value(w, a) for a in species.attributes if a.pair_species},
         clips.list_clips(species), appearance.list_worn_layers(species), appearance.list_channels(species),
         appearance.list_look_groups(species),
-        species.clears_body, species.has_whole_body, birth.newer_attributes(species),
+        species.has_body_clearance, species.has_whole_body, birth.list_newer_attributes(species),
     )  # fmt: skip
 
 
@@ -162,7 +162,7 @@ def _write_relaxation(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     b = w.b
     assert attribute.relax_to is not None and attribute.relax_time is not None
     b.span = attribute.span
-    share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), lower_scalar(w, attribute.relax_time)))))
+    share = b("sub", b.add_number(1), b("exp", b("neg", b("div", w.run("dt"), lower_scalar(w, attribute.relax_time)))))
     now = read_own_attribute(w, attribute.name, attribute.type)
     if isinstance(now, VectorNodes):
         rest = lower_vector(w, attribute.relax_to)
@@ -191,7 +191,7 @@ def _write_handler(w: PlanWriter, handler: model.Handler, number: int, partners:
         return
     if handler.event == "collision":
         bind_partner(w, handler, partners[handler.other_species])
-        noticed = w.b("ne", partners[handler.other_species], w.b.agent_id(-1))
+        noticed = w.b("ne", partners[handler.other_species], w.b.add_agent_id(-1))
     else:
         noticed = w.b("event", attrs=(handler.event,))
     with w.open_region(noticed, handler.span):
@@ -243,7 +243,7 @@ def _compute_decay_factor(b: PlanBuilder, declared_field: model.Field, lower_nod
     assert callable(lower_node)
     dt = b("run", attrs=("dt",))
     if declared_field.half_life is not None:
-        return b("exp", b("div", b("mul", b.number(-log(2)), dt), lower_node(declared_field.half_life)))
+        return b("exp", b("div", b("mul", b.add_number(-log(2)), dt), lower_node(declared_field.half_life)))
     if declared_field.evaporate is not None:
         return b("exp", b("neg", b("mul", lower_node(declared_field.evaporate), dt)))
     if declared_field.keeps is None:
@@ -266,7 +266,7 @@ def write_resting_push(w: PlanWriter, machines: Sequence[MachineWriter]) -> None
         w.declare_register(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
     with w.open_region(silent, rest.span):
         push = lower_vector(w, rest.push)
-        w.note_rest(rest, push)
+        w.note_resting_push(rest, push)
         w.store_vector(STEER_TEMP, push, rest.span)
 
 

@@ -75,42 +75,42 @@ class MachineWriter:
     def _is_in_state(self, state: model.State) -> PlanNode:
         if len(self.machine.states) == 1:
             return self.w.b.true
-        return self.w.b("eq", self.w.read(f"{self.name}.state"), self.w.b.row(state.index))
+        return self.w.b("eq", self.w.read(f"{self.name}.state"), self.w.b.add_row(state.index))
 
     def is_in_any_state(self, states: Iterable[int]) -> PlanNode:
         """Return whether the current state is one of these states."""
         state = self.w.read(f"{self.name}.state")
         is_among = self.w.b.false
         for index in states:
-            is_among = self.w.b("or", is_among, self.w.b("eq", state, self.w.b.row(index)))
+            is_among = self.w.b("or", is_among, self.w.b("eq", state, self.w.b.add_row(index)))
         return is_among
 
     # --- birth -------------------------------------------------------------------------------------------------------
 
-    def begin(self) -> None:
-        """Write the start state, before all other parts of birth."""
+    def write_start_state(self) -> None:
+        """Write the statements that set the state at birth. Call this before all other parts of birth."""
         first = self._choose_start()
         for part in ("state", "previous", "next"):
             self.w.store(f"{self.name}.{part}", first, self.machine.span)
-        self.write_for_start(partial(clips.write_start_clip, self.w, self.machine))
+        self.write_per_start_state(partial(clips.write_start_clip, self.w, self.machine))
 
     def _choose_start(self) -> PlanNode:
         """Return the index of the state at birth: the scene's if it sets one, else that of the start state."""
         b = self.w.b
-        first = b.row(self.machine.start)
+        first = b.add_row(self.machine.start)
         if self._scene_key in self.w.scene_attributes:
-            self.w.declare_register(ir.birth_register(self._scene_key), ValueKind.F32, "temp", inf)
-            scene_value = self.w.read(ir.birth_register(self._scene_key))
+            self.w.declare_register(ir.name_birth_register(self._scene_key), ValueKind.F32, "temp", inf)
+            scene_value = self.w.read(ir.name_birth_register(self._scene_key))
             for state in self.machine.states:
-                first = b("where", b("eq", scene_value, b.number(state.index)), b.row(state.index), first)
+                first = b("where", b("eq", scene_value, b.add_number(state.index)), b.add_row(state.index), first)
         return first
 
     @property
     def _scene_key(self) -> str:
         return f"{self.name}.state"
 
-    def write_for_start(self, write: Callable[[model.State], None]) -> None:
-        """Write what depends on the state at birth: for the start state alone, or for each state that the scene may set."""
+    def write_per_start_state(self, write: Callable[[model.State], None]) -> None:
+        """Call `write` for each state that an agent can have at birth: the start state, or all if the scene may set it."""
         if self._scene_key in self.w.scene_attributes:
             self._write_per_state(self.machine.states, write)
         else:
@@ -118,7 +118,7 @@ class MachineWriter:
 
     def write_start_actions(self) -> None:
         """Write the enter actions of the state at birth."""
-        self.write_for_start(lambda state: write_statements(self.w, state.enter, f"{self.site}.{state.name}.enter"))
+        self.write_per_start_state(lambda state: write_statements(self.w, state.enter, f"{self.site}.{state.name}.enter"))
 
     # --- decide ------------------------------------------------------------------------------------------------------
 
@@ -126,25 +126,26 @@ class MachineWriter:
         """Check the transitions of each state in order; the first one that holds wins. Winners with a take emit claims."""
         by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
         self.w.write_alternatives([(self._is_in_state(s), s.span, partial(self._write_winner, cs)) for s, cs in by_state if cs])
-        self._write_per_change([c for c in self.changes if c.transition.take_action], self._write_claim)
+        self._write_per_transition([c for c in self.changes if c.transition.take_action], self._write_claim)
 
     def _write_per_state(self, states: Iterable[model.State], write: Callable[[model.State], None]) -> None:
         self.w.write_alternatives([(self._is_in_state(s), s.span, partial(write, s)) for s in states])
 
-    def _write_per_change(self, changes: Iterable[_StateChange], write: Callable[[_StateChange], None]) -> None:
-        self.w.write_alternatives([(self._is_change(c), c.transition.span, partial(write, c)) for c in changes])
+    def _write_per_transition(self, changes: Iterable[_StateChange], write: Callable[[_StateChange], None]) -> None:
+        self.w.write_alternatives([(self._is_winning(c), c.transition.span, partial(write, c)) for c in changes])
 
-    def _is_change(self, change: _StateChange) -> PlanNode:
-        return self.w.b("eq", self.w.read(self.pending_register), self.w.b.row(change.number))
+    def _is_winning(self, change: _StateChange) -> PlanNode:
+        """Return whether a transition is the winning one of this step."""
+        return self.w.b("eq", self.w.read(self.pending_register), self.w.b.add_row(change.number))
 
     def _write_winner(self, changes: list[_StateChange]) -> None:
         """Store the number of the first transition of a state that holds."""
-        winner = self.w.b.row(0)
+        winner = self.w.b.add_row(0)
         weighed = [(c, self._lower_firing_condition(c)) for c in changes]
         for change, fires in weighed:
             self.w.note_transition(self.name, change.number, change.state, change.transition, fires)
         for change, fires in reversed(weighed):
-            winner = self.w.b("where", fires, self.w.b.row(change.number), winner)
+            winner = self.w.b("where", fires, self.w.b.add_row(change.number), winner)
         self.w.store(self.pending_register, winner, changes[0].state.span)
 
     def _lower_firing_condition(self, change: _StateChange) -> PlanNode:
@@ -154,7 +155,7 @@ class MachineWriter:
         try:
             holds = w.b.true if t.condition is None else lower_condition(w, t.condition)
             if t.hold_time is not None:
-                holds = self._has_held(t, holds, t.hold_time)
+                holds = self._has_held_for(t, holds, t.hold_time)
             if t.delay is not None:
                 holds = w.b("and", has_passed(w, self.name, t.delay), holds)
             if change.state.min_duration is not None and not t.is_interrupt:
@@ -174,12 +175,13 @@ class MachineWriter:
         Such a transition never leads into the current state, which may be known only at run time."""
         return transition.key.startswith(f"{self.site}.{model.FROM_ANY_KEY}->")
 
-    def _has_held(self, transition: model.Transition, condition: PlanNode, duration: model.Expr) -> PlanNode:
-        """Return whether the condition `condition` is true now, and was true in all steps of `duration` before. Write its step
-        counter."""
+    def _has_held_for(self, transition: model.Transition, condition: PlanNode, duration: model.Expr) -> PlanNode:
+        """Return whether a condition is true in this step, and was true in all steps of the time `duration` before.
+
+        Write the statement that counts these steps."""
         b, counter = self.w.b, _name_counter(transition)
         previous_count = self.w.read_previous(counter)
-        count = b("where", condition, b("add", previous_count, b.number(1)), b.number(0))
+        count = b("where", condition, b("add", previous_count, b.add_number(1)), b.add_number(0))
         self.w.store(counter, count, transition.span)
         return b("and", condition, b("ge", previous_count, count_steps(self.w, lower_scalar(self.w, duration))))
 
@@ -216,13 +218,13 @@ class MachineWriter:
 
     def _is_changing(self) -> PlanNode:
         b = self.w.b
-        chosen = b("ne", self.w.read(self.pending_register), b.row(0))
+        chosen = b("ne", self.w.read(self.pending_register), b.add_row(0))
         taking = [c for c in self.changes if c.transition.take_action]
         if not taking:
             return chosen
         is_requested = b.false
         for change in taking:
-            is_requested = b("or", is_requested, self._is_change(change))
+            is_requested = b("or", is_requested, self._is_winning(change))
         return b("and", chosen, b("or", b("not", is_requested), self.w.read(self.won_register)))
 
     def _write_state_change(self) -> None:
@@ -230,20 +232,20 @@ class MachineWriter:
         old = w.read(f"{name}.state")
         target = old
         for change in reversed(self.changes):
-            target = b("where", self._is_change(change), self._lower_target(change), target)
+            target = b("where", self._is_winning(change), self._lower_target(change), target)
         w.store(f"{name}.next", target, self.machine.span)
         self._write_per_state(
             (s for s in self.machine.states if s.exit), lambda s: write_statements(w, s.exit, f"{self.site}.{s.name}.exit")
         )
         if clips.plays_clips(self.machine):
-            self._write_per_change(
+            self._write_per_transition(
                 self.changes, lambda c: clips.store_fade_time(w, self.machine, c.transition.fade_time, c.transition.span)
             )
         acting = (c for c in self.changes if c.transition.actions)
-        self._write_per_change(acting, lambda c: write_statements(w, c.transition.actions, c.transition.key))
+        self._write_per_transition(acting, lambda c: write_statements(w, c.transition.actions, c.transition.key))
         w.store(f"{name}.previous", old, self.machine.span)
         w.store(f"{name}.state", w.read(f"{name}.next"), self.machine.span)
-        w.store(f"{name}.time_in_state", b.number(0), self.machine.span)
+        w.store(f"{name}.time_in_state", b.add_number(0), self.machine.span)
         self._write_per_state(self.machine.states, self._write_entry)
 
     def _lower_target(self, change: _StateChange) -> PlanNode:
@@ -252,18 +254,18 @@ class MachineWriter:
         if t.targets_previous:
             return w.read(f"{self.name}.previous")
         if not t.choices:
-            return b.row(t.target if t.target is not None else change.state.index)
-        weights = [(index, b("max", lower_scalar(w, weight), b.number(0))) for index, weight in t.choices]
-        bounds, total = [], b.number(0)
+            return b.add_row(t.target if t.target is not None else change.state.index)
+        weights = [(index, b("max", lower_scalar(w, weight), b.add_number(0))) for index, weight in t.choices]
+        bounds, total = [], b.add_number(0)
         for index, weight in weights:
             total = b("add", total, weight)
             bounds.append((index, total))
         draw = b("draw", attrs=(f"{t.key}.choose", 0))
-        w.note_choice(t.key, draw, weights)
+        w.note_state_choice(t.key, draw, weights)
         place = b("mul", draw, total)
-        target = b.row(t.choices[-1][0])
+        target = b.add_row(t.choices[-1][0])
         for index, bound in reversed(bounds[:-1]):
-            target = b("where", b("lt", place, bound), b.row(index), target)
+            target = b("where", b("lt", place, bound), b.add_row(index), target)
         return target
 
     def _write_entry(self, state: model.State) -> None:
@@ -273,7 +275,7 @@ class MachineWriter:
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.hold_time is not None):
             counter = f"{key}.held"
             if (self.key_counts[key] == 1) == (key in own_keys):
-                self.w.store(counter, self.w.b.number(0), state.span)
+                self.w.store(counter, self.w.b.add_number(0), state.span)
         write_statements(self.w, state.enter, f"{self.site}.{state.name}.enter")
         clips.restart_clip(self.w, self.machine, state)
 
@@ -289,14 +291,14 @@ def _name_counter(transition: model.Transition) -> str:
 def count_steps(w: PlanWriter, duration: PlanNode) -> PlanNode:
     """Return the smallest whole number of steps that lasts at least `duration`."""
     b = w.b
-    ratio = b("mul", b("div", duration, w.run("dt")), b.number(STEP_COUNT_SLACK))
+    ratio = b("mul", b("div", duration, w.run("dt")), b.add_number(STEP_COUNT_SLACK))
     return b("neg", b("floor", b("neg", ratio)))
 
 
 def has_passed(w: PlanWriter, machine: str, duration: model.Expr) -> PlanNode:
     """Return whether the agent has been in the machine's current state for at least `duration`."""
     b = w.b
-    nearly = b("sub", count_steps(w, lower_scalar(w, duration)), b.number(0.5))
+    nearly = b("sub", count_steps(w, lower_scalar(w, duration)), b.add_number(0.5))
     return b("ge", w.read(f"{machine}.time_in_state"), b("mul", nearly, w.run("dt")))
 
 
@@ -304,5 +306,5 @@ def advance_state_time(w: PlanWriter, machine: str) -> None:
     """Add one step to the time in the state. The time is a whole number of steps, so no rounding errors accumulate."""
     b, dt = w.b, w.run("dt")
     name = f"{machine}.time_in_state"
-    step_count = b("floor", b("add", b("div", w.read(name), dt), b.number(1.5)))
+    step_count = b("floor", b("add", b("div", w.read(name), dt), b.add_number(1.5)))
     w.store(name, b("mul", step_count, dt), None)

@@ -41,7 +41,7 @@ def read_pair_attribute(w: PlanWriter, attribute: model.AttributeDecl, other: mo
         result = w.b("where", w.b("eq", who, other_id), value, result)
     if other_id.op == "other.id":
         return result
-    return w.b("where", w.b("eq", other_id, w.b.agent_id(-1)), lower_rest_value(w, attribute), result)
+    return w.b("where", w.b("eq", other_id, w.b.add_agent_id(-1)), lower_rest_value(w, attribute), result)
 
 
 def relax_values(w: PlanWriter, attribute: model.AttributeDecl) -> None:
@@ -49,16 +49,16 @@ def relax_values(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     b = w.b
     b.span = attribute.span
     rest = lower_rest_value(w, attribute)
-    keep = b.number(1)
+    keep = b.add_number(1)
     if attribute.relax_time is not None:
         keep = b("exp", b("neg", b("div", w.run("dt"), lower_scalar(w, attribute.relax_time))))
     for (who, value), names in zip(
         _read_slots(w, attribute), name_slot_registers(attribute.name, attribute.slot_count), strict=True
     ):
         away = b("mul", b("sub", value, rest), keep)
-        is_expired = b("or", b("eq", who, b.agent_id(-1)), b("le", b("abs", away), b.number(REST_TOLERANCE)))
-        w.store(names[0], b("where", is_expired, b.agent_id(-1), who), attribute.span)
-        w.store(names[1], b("where", is_expired, b.number(0), b("add", rest, away)), attribute.span)
+        is_expired = b("or", b("eq", who, b.add_agent_id(-1)), b("le", b("abs", away), b.add_number(REST_TOLERANCE)))
+        w.store(names[0], b("where", is_expired, b.add_agent_id(-1), who), attribute.span)
+        w.store(names[1], b("where", is_expired, b.add_number(0), b("add", rest, away)), attribute.span)
 
 
 def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
@@ -70,7 +70,7 @@ def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeD
         raise PlanError(f"a value per pair without another agent: {s.span.text!r}")
     other_id = _lower_agent_id(w, lower_expression(w, s.pair_agent))
     value = _compute_changed_value(w, s, read_pair_attribute(w, attribute, s.pair_agent), lower_scalar(w, s.value))
-    with w.open_region(w.b("ne", other_id, w.b.agent_id(-1)), s.span):
+    with w.open_region(w.b("ne", other_id, w.b.add_agent_id(-1)), s.span):
         held = _freeze_value(w, f"~{attribute.name}.id", other_id, s)
         _store_in_slot(w, attribute, held, value, s, has_slot=True)
 
@@ -85,35 +85,35 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
     over = lower_set(w, s.other_agents)
     if not isinstance(over, ElementGroup):
         raise PlanError(f"a value per pair about hits: {s.span.text!r}")
-    rest, zero = lower_rest_value(w, attribute), b.number(0)
+    rest, zero = lower_rest_value(w, attribute), b.add_number(0)
     amount = run_with_binding(w, s.element, over.element, lambda: _compute_changed_value(w, s, zero, lower_scalar(w, s.value)))
     strength = b("abs", b("sub", amount, rest if s.op == "=" else zero))
     other, slots = b("other.id"), _read_slots(w, attribute)
     sound = b("eq", b("finite", amount), amount)
     wrong = b("reduce.any", over.nodes, b("and", over.condition, b("not", sound)))
-    w.store(attribute.name, b("where", wrong, b.number(nan), zero), s.span)
+    w.store(attribute.name, b("where", wrong, b.add_number(nan), zero), s.span)
     holds = b("and", over.condition, sound)
     changed_values = []
     for k, (who, value) in enumerate(slots):
         matched_amount = b("reduce.max", over.nodes, b("and", holds, b("eq", other, who)), amount)
         changed = b(
             "where",
-            b("gt", matched_amount, b.number(-inf)),
+            b("gt", matched_amount, b.add_number(-inf)),
             matched_amount if s.op == "=" else b("add", value, matched_amount),
             value,
         )
         changed_values.append(_freeze_value(w, f"~{attribute.name}.{k}", changed, s))
-    new = b.all(holds, b("gt", strength, b.number(REST_TOLERANCE)), *(b("ne", other, who) for who, _ in slots))
+    new = b.add_conjunction(holds, b("gt", strength, b.add_number(REST_TOLERANCE)), *(b("ne", other, who) for who, _ in slots))
     coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.slot_count)]
     for names in coming:
         w.declare_register(names[0], ValueKind.I64, "temp", -1)
         w.declare_register(names[1], ValueKind.F32, "temp")
-        w.store(names[0], b.agent_id(-1), s.span)
+        w.store(names[0], b.add_agent_id(-1), s.span)
 
     def find_strongest(new: PlanNode, left: int) -> None:
         """Find the strongest of the agents that have no slot yet, then recursively the next one."""
         other_id = b("reduce.agent", over.nodes, new, b("neg", strength))
-        with w.open_region(b("ne", other_id, b.agent_id(-1)), s.span):
+        with w.open_region(b("ne", other_id, b.add_agent_id(-1)), s.span):
             matched_amount = b("reduce.max", over.nodes, b("eq", other, other_id), amount)
             who, value = coming[-left]
             w.store(who, other_id, s.span)
@@ -123,7 +123,7 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
 
     def come_in(left: int) -> None:
         who, value = coming[-left]
-        with w.open_region(b("ne", w.read(who), b.agent_id(-1)), s.span):
+        with w.open_region(b("ne", w.read(who), b.add_agent_id(-1)), s.span):
             _store_in_slot(w, attribute, w.read(who), w.read(value), s, has_slot=False)
             if left > 1:
                 come_in(left - 1)
@@ -144,10 +144,11 @@ def _freeze_value(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) ->
 def _store_in_slot(
     w: PlanWriter, attribute: model.AttributeDecl, other_id: PlanNode, value: PlanNode, s: model.Assign, has_slot: bool
 ) -> None:
-    """Store a value about an agent. Each slot in turn retains the stronger value and passes the weaker one to the next slot. The
-    weakest value is dropped.
+    """Store a value about another agent in the slots of a pair value.
 
-    `has_slot`: the agent may have a slot already, which is freed first."""
+    From the first slot on, each retains the stronger of two values and passes the weaker one to the next slot. The last value
+    that is passed on is dropped.
+    `has_slot`: whether the other agent may have a slot already, which is then freed first."""
     b, rest = w.b, lower_rest_value(w, attribute)
     carried, amount = other_id, _freeze_value(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
@@ -155,8 +156,8 @@ def _store_in_slot(
     for who, stored_value in _read_slots(w, attribute):
         if has_slot:
             freed = b("eq", who, other_id)
-            who, stored_value = b("where", freed, b.agent_id(-1), who), b("where", freed, b.number(0), stored_value)
-        held = b("where", b("eq", who, b.agent_id(-1)), b.number(-1), b("abs", b("sub", stored_value, rest)))
+            who, stored_value = b("where", freed, b.add_agent_id(-1), who), b("where", freed, b.add_number(0), stored_value)
+        held = b("where", b("eq", who, b.add_agent_id(-1)), b.add_number(-1), b("abs", b("sub", stored_value, rest)))
         tie = b("and", b("eq", strength, held), b("lt", carried, who))
         stays = b("or", b("gt", strength, held), tie)
         changed.append((b("where", stays, carried, who), b("where", stays, amount, stored_value)))

@@ -23,8 +23,9 @@ _MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # index of the argument with 
 
 
 def choose_quantum_exponent(dim: Dimension) -> int:
-    """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**exponent base units, so that a sum is
-    exact in any order.
+    """Return the exponent of the rounding unit for sums of values of a dimension.
+
+    Terms are rounded to a multiple of 2**exponent base units, so that their sum is exact in any order.
 
     A float64 has 53 bits: with exponent -24, the sum may reach 2**28. Lengths, speeds and forces have four bits less resolution
     for more range (1e-6 mm, sums up to 4 million metres). Areas have 14 bits less, volumes 24 bits less, and densities 6 bits
@@ -48,12 +49,14 @@ def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
         radius, fov = lower_agent_scalar(w, e.args[0], e), lower_agent_scalar(w, e.args[1], e)
         nodes = b("set.agents", radius, *compute_min_cosine(w, fov), attrs=(e.source_name, _is_full_circle(fov)))
     elif kind is model.TypeKind.ITEM:
-        within = b.number(inf) if not e.args or e.args[0] is None else lower_agent_scalar(w, e.args[0], e)
+        within = b.add_number(inf) if not e.args or e.args[0] is None else lower_agent_scalar(w, e.args[0], e)
         nodes = b("set.items", within, attrs=(e.source_name,))
     elif not e.args or e.args[0] is None:
         nodes = b("set.every", attrs=(e.source_name,))
     else:
-        nodes = b("set.agents", lower_agent_scalar(w, e.args[0], e), b.number(ANY_DIRECTION_COSINE), attrs=(e.source_name, True))
+        nodes = b(
+            "set.agents", lower_agent_scalar(w, e.args[0], e), b.add_number(ANY_DIRECTION_COSINE), attrs=(e.source_name, True)
+        )
     element = SetElement(kind, e.source_name)
     condition = run_with_binding(
         w, e.element, element, lambda: b.true if e.condition is None else lower_condition(w, e.condition)
@@ -74,8 +77,8 @@ def _is_among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind:
     label = b("other.row") if of_items else b("other.id")
     far = b("reduce.min", nodes, b("eq", label, last), away)
     nearer = b("or", b("lt", away, far), b("and", b("eq", away, far), b("le", label, last)))
-    every = b("eq", last, b.constant_of_kind(last.kind, -1))
-    return b("and", b("ge", max_count, b.number(1)), b("or", every, nearer))
+    every = b("eq", last, b.add_constant(last.kind, -1))
+    return b("and", b("ge", max_count, b.add_number(1)), b("or", every, nearer))
 
 
 def _is_item_group(w: PlanWriter, name: str) -> bool:
@@ -103,9 +106,9 @@ def compute_min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
     """Return the smallest cosine between the heading and any direction inside a field of view (an angle in rad)."""
     b = w.b
     if _is_full_circle(fov):
-        return (b.number(ANY_DIRECTION_COSINE),)
-    narrow = b("cos", b("mul", fov, b.number(0.5)))
-    return (b("where", b("ge", fov, b.number(FULL_TURN_ANGLE)), b.number(ANY_DIRECTION_COSINE), narrow),)
+        return (b.add_number(ANY_DIRECTION_COSINE),)
+    narrow = b("cos", b("mul", fov, b.add_number(0.5)))
+    return (b("where", b("ge", fov, b.add_number(FULL_TURN_ANGLE)), b.add_number(ANY_DIRECTION_COSINE), narrow),)
 
 
 def run_with_binding(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
@@ -162,7 +165,7 @@ def _reduce_numbers(w: PlanWriter, reducer: str, elements: ElementGroup, body: P
     if reducer != "mean":
         raise PlanError(f"no such reduction: {reducer}")
     count = b("reduce.count", elements.nodes, elements.condition)
-    return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
+    return b("where", b("gt", count, b.add_number(0)), b("div", total, count), b.add_number(0))
 
 
 def _select_least_element(w: PlanWriter, elements: ElementGroup, body: PlanNode) -> EntityRef:
@@ -174,7 +177,7 @@ def _select_least_element(w: PlanWriter, elements: ElementGroup, body: PlanNode)
 
 
 def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
-    """Return the rays of feelers around the heading, spread evenly about up from one side's `spread` to the other's (Reynolds
+    """Return the rays of feelers: directions about the heading, at equal angles from `-spread` to `spread` about up (Reynolds
     1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
@@ -188,7 +191,7 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
     hits = []
     for k in range(n):
         share = 0.0 if n == 1 else 2 * k / (n - 1) - 1
-        angle = b("mul", spread, b.number(share))
+        angle = b("mul", spread, b.add_number(share))
         ahead = heading
         if share != 0:
             ahead = values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
@@ -231,11 +234,11 @@ def _reduce_hits(w: PlanWriter, e: model.ReduceExpr, elements: RayHits) -> Lower
         if e.reducer not in ("count", "any", "every"):
             return _reduce_hit_numbers(w, e.reducer, elements, bodies)
         if e.reducer == "every":
-            return b.all(*(b("or", b("not", hit.hit), body) for hit, body in zip(elements.hits, bodies, strict=True)))  # type: ignore[arg-type]
+            return b.add_conjunction(*(b("or", b("not", hit.hit), body) for hit, body in zip(elements.hits, bodies, strict=True)))  # type: ignore[arg-type]
         conditions = [b("and", hit.hit, body) for hit, body in zip(elements.hits, bodies, strict=True)]  # type: ignore[arg-type]
     if e.reducer == "any":
         return _fold_nodes(w, "or", conditions, b.false)
-    return _fold_nodes(w, "add", [b("number", each) for each in conditions], b.number(0))
+    return _fold_nodes(w, "add", [b("number", each) for each in conditions], b.add_number(0))
 
 
 def _fold_nodes(w: PlanWriter, op: str, nodes: list[PlanNode], start: PlanNode) -> PlanNode:
@@ -249,14 +252,14 @@ def _reduce_hit_numbers(w: PlanWriter, reducer: str, elements: RayHits, bodies: 
     nothing = {"min": inf, "max": -inf}.get(reducer, 0.0)
 
     def reduce_component(parts: list[PlanNode]) -> PlanNode:
-        terms = [b("where", hit.hit, part, b.number(nothing)) for hit, part in zip(elements.hits, parts, strict=True)]
+        terms = [b("where", hit.hit, part, b.add_number(nothing)) for hit, part in zip(elements.hits, parts, strict=True)]
         if reducer in ("min", "max"):
             return _fold_nodes(w, reducer, terms[1:], terms[0])
-        total = _fold_nodes(w, "add", terms, b.number(0))
+        total = _fold_nodes(w, "add", terms, b.add_number(0))
         if reducer == "sum":
             return total
-        count = _fold_nodes(w, "add", [b("number", hit.hit) for hit in elements.hits], b.number(0))
-        return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
+        count = _fold_nodes(w, "add", [b("number", hit.hit) for hit in elements.hits], b.add_number(0))
+        return b("where", b("gt", count, b.add_number(0)), b("div", total, count), b.add_number(0))
 
     if isinstance(bodies[0], VectorNodes):
         return values.zip_with(lambda *parts: reduce_component(list(parts)), *bodies)  # type: ignore[arg-type]

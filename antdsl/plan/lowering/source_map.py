@@ -29,12 +29,12 @@ _NUMBER_TYPE = model.ValueType(model.TypeKind.NUMBER)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartNote:
-    """A part of an expression.
+    """A part of an expression in the source, with the nodes that compute it.
 
     - `nodes`: one node, or three for a vector.
     - `unit`: a unit that the author wrote in the same expression, or a default one.
-    - `role`: `draw`: the random number of a `chance`. `bar`: the limit that it is compared with. `joined`: an operation such as
-      `and` or `<` that only joins its parts. "" otherwise."""
+    - `role`: `draw` for the random number of a `chance`, `bar` for the limit that it is compared with. `joined` for an operation
+      such as `and` or `<` that only joins its parts. "" for other parts."""
 
     text: str
     type: model.ValueType
@@ -46,10 +46,10 @@ class PartNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimerNote:
-    """A waiting time.
+    """A waiting time of a transition.
 
-    `timer_kind`: held, after or at least. `elapsed`, `required`: the elapsed and the required time, in steps for held, in seconds
-    otherwise."""
+    `timer_kind`: held, after or at least. `elapsed`, `required`: the nodes of the elapsed and the required time, in steps for
+    `held`, otherwise in seconds. `is_over`: the node of whether the required time has elapsed."""
 
     timer_kind: str
     elapsed: PlanNode
@@ -59,8 +59,9 @@ class TimerNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangeNote:
-    """A transition of a state. `number`: its number in the machine, from 1. `condition`: None is always true. `is_taken`:
-    whether it happens."""
+    """A transition of a state. `number`: its number in the machine, from 1. `is_taken`: the node of whether it happens.
+
+    `condition`, `condition_value`: the parts of the condition, and the node of its value; None for no condition."""
 
     machine: str
     number: int
@@ -115,7 +116,7 @@ class SteerNote:
 
 @dataclass(slots=True, eq=False)
 class SourceNotes:
-    """The notes about one species."""
+    """The nodes of the parts of one species' source text: transitions, choices by key, layers, and `steer` and `face` lines."""
 
     changes: list[ChangeNote] = field(default_factory=list)
     choices: dict[str, ChoiceNote] = field(default_factory=dict)
@@ -170,7 +171,7 @@ class NotingWriter(PlanWriter):
                 "at least", time_in_state, lower_scalar(self, state.min_duration), has_passed(self, machine, state.min_duration)
             )
 
-    def note_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
+    def note_state_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
         self.notes.choices[key] = ChoiceNote(key, draw, tuple(weights))
 
     def note_layer(
@@ -193,7 +194,7 @@ class NotingWriter(PlanWriter):
     ) -> None:
         self.notes.steers.append(SteerNote(site, _join_lines(s.span.text), (push.x, push.y, push.z), condition_value))
 
-    def note_rest(self, rest: model.RestingPush, push: values.VectorNodes) -> None:
+    def note_resting_push(self, rest: model.RestingPush, push: values.VectorNodes) -> None:
         self.notes.steers.append(SteerNote(make_resting_site(self.species.name), RESTING_TEXT, (push.x, push.y, push.z)))
 
     # --- parts -------------------------------------------------------------------------------------------------------

@@ -31,8 +31,9 @@ _ITEM_VALUES_HELP = "items have a position, a radius and their own values"
 class AggregatePlan:
     """A number about all agents of a species, items of a name, cells of a field, or a solid. Nodes read it by `name`.
 
-    `where_register` and `body_register` are registers that `decide` has filled. `amount` is an item's attribute that is read as
-    stored."""
+    - `kind`, `subject`: the kind and the name of what the number is about.
+    - `where_register`, `body_register`: the registers in which `decide` stores the condition and the value of each member.
+    - `amount`: the attribute of items that is aggregated without conversion to float32."""
 
     name: str
     reducer: str
@@ -45,8 +46,10 @@ class AggregatePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartValuePlan:
-    """A number at the start. For a number about the complete run, nodes read the start value of the node `value` by `name`. For a
-    number of each agent, the start value of the register `source_register` is stored in the register `name`."""
+    """A number that a spec compares with its value at the start.
+
+    For a number about the complete run, `value` is the node of the number. Other nodes read its start value by `name`. For a
+    number of each agent of `species`, the register `name` receives the value of `source_register` in the agent's first frame."""
 
     name: str
     value: PlanNode | None = None
@@ -79,8 +82,7 @@ class JudgementPlan:
     """One expectation.
 
     - `condition`, `start_condition` (of a `when`): for a `species`, registers that `act` fills for each agent; otherwise nodes
-      about the
-      complete run.
+      about the complete run.
     - `time`, `hold_time`: nodes with one value for the run."""
 
     kind: str
@@ -99,8 +101,9 @@ class JudgementPlan:
 class SpecPlan:
     """A lowered spec.
 
-    - `plan`: has the judged species, and each group of items under its name as another species.
-    - `body_measures`: by species, the names in GEOMETRY of registers. The judge fills these registers before the evaluation."""
+    - `plan`: the plan with the judged species, and with each group of items as another species of this name.
+    - `body_measures`: by species, the names in GEOMETRY_MEASURES that have registers. The judge fills these registers before the
+      evaluation."""
 
     spec: expectations.Spec
     plan: ir.Plan
@@ -132,16 +135,16 @@ class _SpecWriter(PlanWriter):
         if isinstance(e, expectations.MotionMeasure):
             return self.b("told", attrs=(f"motion.{e.name}",))
         if isinstance(e, expectations.ReferenceRunValue):
-            return self.lowering.lower_other_run(e)
+            return self.lowering.lower_reference_run_value(e)
         if isinstance(e, expectations.BodyMeasure):
             return self.read_body_register(e)
         if isinstance(e, expectations.CellValue):
             return self.b("snap", attrs=("value",), kind=ValueKind.F32)
         assert isinstance(e, expectations.StartValue)
-        return self.lowering.start(self, e)
+        return self.lowering.lower_start_value(self, e)
 
     def read_body_register(self, e: expectations.BodyMeasure) -> PlanNode:
-        """Return the register of a body measure. It is filled before the evaluation."""
+        """Return the node of a body measure's register, which the judge fills before the evaluation."""
         name = f"geometry.{e.name}"
         self.registers[name] = Register(name, ValueKind.F32, "attribute")
         self.lowering.body_measures.setdefault(self.species.name, set()).add(e.name)
@@ -234,15 +237,15 @@ class _SpecLowering:
                     amount = node.attrs[0]
         self.aggregates.append(AggregatePlan(name, e.reducer, kind, of, where, body, amount))
         result = self.b("told", attrs=(name,))
-        return self.b("ne", result, self.b.number(0)) if e.type.kind is model.TypeKind.BOOL else result
+        return self.b("ne", result, self.b.add_number(0)) if e.type.kind is model.TypeKind.BOOL else result
 
-    def start(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
-        """Return the value at the start, of the complete run or stored for each agent."""
+    def lower_start_value(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
+        """Return the node of a number's value at the start: of the run, or of each agent's life."""
         if e not in self.known:
-            self.known[e] = self._lower_new_at_start(w, e)
+            self.known[e] = self._lower_new_start_value(w, e)
         return self.known[e]
 
-    def _lower_new_at_start(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
+    def _lower_new_start_value(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
         node = lower_scalar(w, e.value)
         name = f"start#{len(self.start_values) + 1}"
         if node.rate <= UpdateRate.STEP:
@@ -253,8 +256,8 @@ class _SpecLowering:
         self.start_values.append(StartValuePlan(name, species=w.species.name, source_register=source_register))
         return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
-    def lower_other_run(self, e: expectations.ReferenceRunValue) -> PlanNode:
-        """Return the value in the reference run."""
+    def lower_reference_run_value(self, e: expectations.ReferenceRunValue) -> PlanNode:
+        """Return the node of a number's value in the reference run."""
         if e not in self.known:
             self.reference_values.append(
                 ReferenceValuePlan(f"other#{len(self.reference_values) + 1}", lower_scalar(self.run_writer, e.value))

@@ -15,6 +15,8 @@ MIN_VECTOR_LENGTH = 1e-30  # mm, mm/s, …; shorter vectors have no direction, s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VectorNodes:
+    """The nodes of the three components of a vector."""
+
     x: PlanNode
     y: PlanNode
     z: PlanNode
@@ -95,7 +97,7 @@ def zip_with(function: Callable[..., PlanNode], *vectors: VectorNodes) -> Vector
 
 def zero_vector(b: PlanBuilder) -> VectorNodes:
     """Return the zero vector."""
-    return VectorNodes(b.number(0), b.number(0), b.number(0))
+    return VectorNodes(b.add_number(0), b.add_number(0), b.add_number(0))
 
 
 def add(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
@@ -134,8 +136,8 @@ def length(b: PlanBuilder, v: VectorNodes) -> PlanNode:
 
 
 def divide(b: PlanBuilder, v: VectorNodes, size: PlanNode) -> VectorNodes:
-    """Return v / size; zero if `size` cannot be a divisor."""
-    inverse = b("where", b("gt", size, b.number(MIN_VECTOR_LENGTH)), b("div", b.number(1), size), b.number(0))
+    """Return v / size; a zero vector if `size` is too small as a divisor."""
+    inverse = b("where", b("gt", size, b.add_number(MIN_VECTOR_LENGTH)), b("div", b.add_number(1), size), b.add_number(0))
     return scale(b, v, inverse)
 
 
@@ -147,7 +149,7 @@ def normalise(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
 def limit_length(b: PlanBuilder, v: VectorNodes, max_length: PlanNode) -> VectorNodes:
     """Return v, shortened to the length `max_length` if it is longer."""
     size = length(b, v)
-    factor = b("where", b("gt", size, max_length), b("div", max_length, size), b.number(1))
+    factor = b("where", b("gt", size, max_length), b("div", max_length, size), b.add_number(1))
     return scale(b, v, factor)
 
 
@@ -166,7 +168,7 @@ def rotate(b: PlanBuilder, v: VectorNodes, axis: VectorNodes, angle: PlanNode) -
     cos, sin = b("cos", angle), b("sin", angle)
     ahead = scale(b, v, cos)
     side = scale(b, cross(b, axis, v), sin)
-    rest = scale(b, axis, b("mul", dot(b, axis, v), b("sub", b.number(1), cos)))
+    rest = scale(b, axis, b("mul", dot(b, axis, v), b("sub", b.add_number(1), cos)))
     return add(b, add(b, ahead, side), rest)
 
 

@@ -47,18 +47,21 @@ class BodyProportions(NamedTuple):
 
 
 class LoweringRules(NamedTuple):
-    """The functions that lower compound expressions: operations by name, sets, reductions, pair values and clip tests. These
-    functions lower their own parts, so a PlanWriter receives them as an argument."""
+    """The functions that lower compound expressions. `operation_rules` has those of operations, by the name of the operation.
+
+    These functions call the PlanWriter, so it receives them as an argument instead of importing them."""
 
     operation_rules: Mapping[str, Callable[[PlanWriter, model.OperationExpr], values.LoweredValue]]
-    gather: Callable[[PlanWriter, model.SetExpr], values.LoweredValue]
+    lower_set: Callable[[PlanWriter, model.SetExpr], values.LoweredValue]
     lower_reduction: Callable[[PlanWriter, model.ReduceExpr], values.LoweredValue]
     read_pair_value: Callable[[PlanWriter, model.AttributeDecl, model.Expr], PlanNode]
-    clip: Callable[[PlanWriter, model.ClipTest], PlanNode]
+    lower_clip_test: Callable[[PlanWriter, model.ClipTest], PlanNode]
 
 
 class PlanWriter:
-    """Collects the statements of one species. `is_birth`: the block of birth is written, in which every read is a `load`."""
+    """Collects the statements and registers of the plan of one species.
+
+    `is_birth`: whether the block of birth is written, in which every read is a `load`."""
 
     def __init__(
         self, builder: PlanBuilder, program: model.Program, species: model.Species, report: Report, rules: LoweringRules
@@ -119,9 +122,10 @@ class PlanWriter:
         """Return the value of a register at the current place."""
         return self._read(name, self.is_snapshot)
 
-    def read_now(self, name: str) -> PlanNode:
-        """Return a register's current value, even inside a snapshot. This is for latches, which are set before any other code
-        reads them."""
+    def read_current(self, name: str) -> PlanNode:
+        """Return the value of a register after all stores so far, even inside a snapshot.
+
+        Latches are read like this, because they are set before any other code reads them."""
         return self._read(name, False)
 
     def _read(self, name: str, snapshot: bool) -> PlanNode:
@@ -131,14 +135,14 @@ class PlanWriter:
             return self.b("load", attrs=(name, version), kind=register.kind)
         if snapshot or name not in self._written:
             if register.role == "temp":
-                return self.b.constant_of_kind(register.kind, register.initial_value)
+                return self.b.add_constant(register.kind, register.initial_value)
             return self.b("snap", attrs=(name,), kind=register.kind)
         return self.b("load", attrs=(name, version), kind=register.kind)
 
     def read_previous(self, name: str) -> PlanNode:
         """Return a register's value before this step. The current place does not matter."""
         if self.is_birth:
-            return self.b.constant_of_kind(self.registers[name].kind, self.registers[name].initial_value)
+            return self.b.add_constant(self.registers[name].kind, self.registers[name].initial_value)
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
 
     def read_vector(self, name: str) -> VectorNodes:
@@ -172,20 +176,20 @@ class PlanWriter:
     ) -> None:
         """Record a transition of a state, and whether it fires."""
 
-    def note_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
+    def note_state_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
         """Record a transition's choice of a state: the random draw and the weight of each state."""
 
     def note_layer(
         self, layer: model.Layer, budget_left: PlanNode, has_budget: PlanNode, condition_value: PlanNode, push: VectorNodes
     ) -> None:
-        """Record a layer: the remaining strength, whether there is any, whether its condition holds, and its push."""
+        """Record a layer: the strength left for it, whether this is above 0, whether its condition holds, and its push."""
 
     def note_steering(
         self, s: model.Steer | model.FaceLine | model.Layer, site: str, push: VectorNodes, condition_value: PlanNode | None = None
     ) -> None:
         """Record a `steer` line, or a `face` line of a state or of the layers, and whether the line's condition holds."""
 
-    def note_rest(self, rest: model.RestingPush, push: VectorNodes) -> None:
+    def note_resting_push(self, rest: model.RestingPush, push: VectorNodes) -> None:
         """Record the push of agents without a `steer` line."""
 
     # --- statements --------------------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ def check_draws(context: CheckContext, report: Report) -> None:
         tests += [layer.condition for layer in species.layers.layers]
         for test in tests:
             if test is not None:
-                _check_test(test, report)
+                _check_condition(test, report)
 
 
 def _check_steering(species: Species, has_library: bool, report: Report) -> None:
@@ -100,9 +100,9 @@ def _find_step_draws(root: Expr, draws_by_attribute: dict[str, list[OperationExp
 
 
 def _format_jitter(draw: OperationExpr) -> str | None:
-    """Return `jitter(73.5 deg)` for `normal(0 deg, 15 deg)` or an even draw about 0; None for other draws.
+    """Return the call of `jitter` that replaces a draw of an angle, such as `jitter(73.5 deg)` for `normal(0 deg, 15 deg)`.
 
-    The spread of a second at film's frame rate is the same."""
+    Returns None unless the draw is `normal` or `uniform` about 0. At 24 frames a second, both spread equally in a second."""
     if draw.name not in ("uniform", "normal") or len(draw.args) < 2:
         return None
     first, second = draw.args[:2]
@@ -116,7 +116,8 @@ def _format_jitter(draw: OperationExpr) -> str | None:
     return f"jitter({spread:.3g} {written[2]})"
 
 
-def _check_test(test: Expr, report: Report) -> None:
+def _check_condition(test: Expr, report: Report) -> None:
+    """Report comparisons in a condition that draw a new random number in every step."""
     within = [part for part in _iterate_reachable_parts(test, ("and", "or", "not")) if isinstance(part, OperationExpr)]
     if any(part.name == "event" for part in within):
         return  # an event lasts one step
@@ -158,7 +159,7 @@ def _iterate_reachable_parts(root: Expr, entered_operations: Collection[str]) ->
 
 
 def _format_chance_rate(part: OperationExpr) -> str | None:
-    """Return the text of `uniform(0, 1) < 0.1` as a chance per second."""
+    """Return a `chance` per second that replaces a comparison such as `uniform(0, 1) < 0.1`; None for other comparisons."""
     left, right = part.args
     assert left is not None and right is not None
     name = part.name
@@ -170,9 +171,10 @@ def _format_chance_rate(part: OperationExpr) -> str | None:
     low, high = ends if len(ends) == 2 else (None, None)
     if low is None or high is None or not low.number < edge.number < high.number:
         return None
-    share = _compute_true_share(low, edge, high)
+    share = _compute_probability_below(low, edge, high)
     return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * FILM_FPS:.3g} /s"
 
 
-def _compute_true_share(low: Constant, edge: Constant, high: Constant) -> float:
+def _compute_probability_below(low: Constant, edge: Constant, high: Constant) -> float:
+    """Return the probability that a uniform draw from `low` to `high` is below `edge`."""
     return (edge.number - low.number) / (high.number - low.number)

@@ -56,6 +56,7 @@ def _check_pair(
 
 
 def _has_wait(state: State, change: Transition) -> bool:
+    """Return whether a transition cannot happen in every step: it needs a waiting time, or a `take` that may fail."""
     return (
         change.delay is not None
         or change.hold_time is not None
@@ -77,8 +78,9 @@ def _can_both_hold(reader: ConditionReader, first: Expr, second: Expr) -> bool:
 
 
 def _affects_test(machine: Machine, transition: tuple[State, Transition], test: Expr) -> bool:
-    """Return whether a transition sets a value that the condition `test` of the opposite transition reads, or restarts its
-    clock."""
+    """Return whether a transition changes a value that the condition `test` of the opposite transition reads.
+
+    The time in the state is such a value, because each transition resets it."""
     state, change = transition
     assert change.target is not None
     blocks = (state.exit, change.actions, machine.states[change.target].enter)

@@ -8,7 +8,7 @@ import math
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.analysis.check_context import CheckContext
-from antdsl.program.checks.analysis.conditions import ConditionReader, is_always, is_never
+from antdsl.program.checks.analysis.conditions import ConditionReader, is_always_false, is_always_true
 from antdsl.program.model import (
     AttributeRef,
     BindingRef,
@@ -44,7 +44,11 @@ def check_idle_layers(context: CheckContext, report: Report) -> None:
     reader = ConditionReader(context.program.params)
     for species in context.program.species.values():
         for layer in species.layers.layers:
-            if layer.condition is not None and not isinstance(layer.condition, Constant) and is_never(reader, layer.condition):
+            if (
+                layer.condition is not None
+                and not isinstance(layer.condition, Constant)
+                and is_always_false(reader, layer.condition)
+            ):
                 message = f"{quote_source(layer.condition.span)} can never hold"
                 report.warning("idle-layer", message, layer.condition.span, "change one of its numbers, or delete the line")
         _check_priorities(reader, species, report)
@@ -52,12 +56,12 @@ def check_idle_layers(context: CheckContext, report: Report) -> None:
 
 def _check_priorities(reader: ConditionReader, species: Species, report: Report) -> None:
     """Report layers below a layer that always uses the complete priority budget. Summed layers are not reported."""
-    lines = tuple(layer for layer in species.layers.layers if not layer.faces)  # `face` lines use no strength
+    lines = tuple(layer for layer in species.layers.layers if not layer.is_face_line)  # `face` lines use no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:
         return
     for place, layer in enumerate(lines[:-1]):
-        if is_always(reader, layer.condition) and _compute_min_layer_strength(species, layer) >= enough:
+        if is_always_true(reader, layer.condition) and _compute_min_layer_strength(species, layer) >= enough:
             for below in lines[place + 1 :]:
                 report.warning(
                     "idle-layer", f"earlier layers never leave strength for {quote_source(below.span)}", below.span,

@@ -13,12 +13,12 @@ import re
 from antdsl.diagnostics import Fix, Label, Report
 from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.checks.analysis.timestep_limits import (
-    OwnValue,
+    UpdateTarget,
     depends_on_step,
-    find_changers,
-    is_own_value,
+    find_rate_dependent_operations,
     is_rate,
-    reads_own_value,
+    is_update_target,
+    reads_update_target,
 )
 from antdsl.program.checks.steps import FILM_FPS
 from antdsl.program.model import Assign, Binding, Dimension, EffectRequest, Expr, Give, OperationExpr, State, TypeKind
@@ -51,14 +51,14 @@ def _check_lines(state: State, report: Report) -> None:
         if isinstance(line, Assign) and line.op == "=" and line.pair_agent is None:
             _check_assignment(line, line.attribute in driven, report)
         elif isinstance(line, Assign):
-            _check_rate(line, line.value, line.attribute, line.per_second, f"{line.attribute} {line.op} ", report)
+            _check_added_amount(line, line.value, line.attribute, line.per_second, f"{line.attribute} {line.op} ", report)
         elif isinstance(line, Give) and line.amount is not None:
-            _check_rate(line, line.amount, line.attribute, line.per_second, "", report)
+            _check_added_amount(line, line.amount, line.attribute, line.per_second, "", report)
         elif isinstance(line, EffectRequest) and line.args and line.args[0] is not None:
-            _check_rate(line, line.args[0], line.target, line.per_second, "", report)
+            _check_added_amount(line, line.args[0], line.target, line.per_second, "", report)
 
 
-def _check_rate(
+def _check_added_amount(
     line: Assign | EffectRequest | Give, amount: Expr, attribute: str, per_second: bool, line_start: str, report: Report
 ) -> None:
     """Report an amount that a state adds, if it is not an amount per second. The language multiplies such amounts by `dt`."""
@@ -82,7 +82,7 @@ def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> N
     """Report an assignment with an effect that depends on the frame rate. `has_other_change`: another line of the state adds to
     the attribute."""
     name, value = line.attribute, line.value
-    makers = find_changers(value, name, has_other_change)
+    makers = find_rate_dependent_operations(value, name, has_other_change)
     if not makers:
         return
     added = "" if depends_on_step(value) else _format_added_rate(value, name)
@@ -106,7 +106,7 @@ def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> N
 
 
 def _check_memory(memory: Binding, next_value: Expr, report: Report) -> None:
-    makers = find_changers(next_value, memory)
+    makers = find_rate_dependent_operations(next_value, memory)
     if not makers:
         return
     text = _format_rate_free(makers[0], memory) if len(makers) == 1 and _is_inside(makers[0].span, next_value.span) else ""
@@ -125,21 +125,22 @@ def _check_memory(memory: Binding, next_value: Expr, report: Report) -> None:
 
 
 def _format_added_rate(value: Expr, own_name: str) -> str:
-    """Return a rewrite that adds a rate: `+= 24 /s` for `x + 1`, `+= (gain - 0.1) * 24 /s` for `x + gain - 0.1`. Empty for other
-    forms."""
+    """Return the text that adds a rate instead of a fixed amount: `+= 24 /s` for the value `x + 1` of `own_name` `x`.
+
+    For `x + gain - 0.1` it is `+= (gain - 0.1) * 24 /s`. Empty for a value of another form."""
     if not isinstance(value, OperationExpr) or value.name not in ("add", "sub"):
         return ""
     left, right = value.args
     assert left is not None and right is not None
-    if value.name == "add" and is_own_value(right, own_name) and not reads_own_value(left, own_name):
+    if value.name == "add" and is_update_target(right, own_name) and not reads_update_target(left, own_name):
         return f"+= {_convert_to_per_second(_join_source_lines(left.span))}"
     spine = [value]  # left operands in turn: `x + a - b` is (x + a) - b
     while isinstance(inner := spine[-1].args[0], OperationExpr) and inner.name in ("add", "sub"):
         spine.append(inner)
     first, rest = spine[-1].args
-    if first is None or rest is None or not is_own_value(first, own_name) or not _is_inside(first.span, value.span):
+    if first is None or rest is None or not is_update_target(first, own_name) or not _is_inside(first.span, value.span):
         return ""
-    if any(op.args[1] is None or reads_own_value(op.args[1], own_name) for op in spine):
+    if any(op.args[1] is None or reads_update_target(op.args[1], own_name) for op in spine):
         return ""
     if len(spine) == 1:
         return f"{'+=' if value.name == 'add' else '-='} {_convert_to_per_second(_join_source_lines(rest.span))}"
@@ -147,27 +148,27 @@ def _format_added_rate(value: Expr, own_name: str) -> str:
     return f"+= {_convert_to_per_second(text)}" if spine[-1].name == "add" and text.count("(") == text.count(")") else ""
 
 
-def _format_rate_free(op: Expr, own_value: OwnValue) -> str:
+def _format_rate_free(op: Expr, update_target: UpdateTarget) -> str:
     """Return the text of an operation with the same effect per second at any step length. Empty if the source does not determine
     it."""
     if not isinstance(op, OperationExpr) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
     assert left is not None and right is not None
-    if any(depends_on_step(each) for each in op.args if each is not None and not reads_own_value(each, own_value)):
+    if any(depends_on_step(each) for each in op.args if each is not None and not reads_update_target(each, update_target)):
         return ""
-    if op.name in ("add", "sub") and is_own_value(left, own_value) and not reads_own_value(right, own_value):
+    if op.name in ("add", "sub") and is_update_target(left, update_target) and not reads_update_target(right, update_target):
         return (
             f"{left.span.text} {'+' if op.name == 'add' else '-'} {_convert_to_per_second(_join_source_lines(right.span))} * dt"
         )
-    if op.name == "add" and is_own_value(right, own_value) and not reads_own_value(left, own_value):
+    if op.name == "add" and is_update_target(right, update_target) and not reads_update_target(left, update_target):
         return f"{right.span.text} + {_convert_to_per_second(_join_source_lines(left.span))} * dt"
-    if op.name in ("mul", "div") and is_own_value(left, own_value):
-        return _format_decay(left, right, -1 if op.name == "div" else 1)
-    if op.name == "mul" and is_own_value(right, own_value):
-        return _format_decay(right, left, 1)
+    if op.name in ("mul", "div") and is_update_target(left, update_target):
+        return _format_decaying_value(left, right, -1 if op.name == "div" else 1)
+    if op.name == "mul" and is_update_target(right, update_target):
+        return _format_decaying_value(right, left, 1)
     if op.name == "mix" and op.args[2] is not None:
-        return _format_mix(op, own_value)
+        return _format_mix(op, update_target)
     return ""
 
 
@@ -176,35 +177,36 @@ def _is_scaled_by_dt(op: Expr, own_name: str) -> bool:
     return (
         isinstance(op, OperationExpr)
         and op.name == "mul"
-        and any(e is not None and depends_on_step(e) and not reads_own_value(e, own_name) for e in op.args)
+        and any(e is not None and depends_on_step(e) and not reads_update_target(e, own_name) for e in op.args)
     )
 
 
-def _format_decay(target: Expr, factor: Expr, power: int) -> str:
-    part = _format_share(factor, power)
+def _format_decaying_value(target: Expr, factor: Expr, power: int) -> str:
+    """Return the text of `target` times the decay factor that replaces `factor ** power` per step. Empty if there is none."""
+    part = _format_decay_factor(factor, power)
     return f"{target.span.text} * {part}" if part else ""
 
 
-def _format_mix(op: OperationExpr, own_value: OwnValue) -> str:
-    """Return a rewrite of `mix(x, goal, 0.1)` that does not depend on the frame rate. Empty if there is none.
+def _format_mix(op: OperationExpr, update_target: UpdateTarget) -> str:
+    """Return the text of a call that replaces `mix(x, goal, 0.1)` and does not depend on the frame rate. Empty if there is none.
 
-    The original covers a tenth of the distance per step."""
+    In each step, `mix(x, goal, 0.1)` moves `x` towards `goal` by a tenth of the remaining distance."""
     a, z, share = op.args
     assert a is not None and z is not None and share is not None
     known = find_constant(share)
-    if known is None or not 0 < known.number < 1 or reads_own_value(share, own_value):
+    if known is None or not 0 < known.number < 1 or reads_update_target(share, update_target):
         return ""
-    if is_own_value(a, own_value) and not reads_own_value(z, own_value):
+    if is_update_target(a, update_target) and not reads_update_target(z, update_target):
         left_over = _format_exponential(math.log1p(-known.number))
         return f"mix({_join_source_lines(a.span)}, {_join_source_lines(z.span)}, 1 - {left_over})"
-    if not is_own_value(z, own_value) or reads_own_value(a, own_value):
+    if not is_update_target(z, update_target) or reads_update_target(a, update_target):
         return ""
     return f"mix({_join_source_lines(a.span)}, {_join_source_lines(z.span)}, {_format_exponential(math.log(known.number))})"
 
 
-def _format_share(factor: Expr, power: int) -> str:
-    """Return a text such as `exp(-dt / 0.4 s)`, which replaces a constant factor per step. Empty if the factor has no such
-    form."""
+def _format_decay_factor(factor: Expr, power: int) -> str:
+    """Return a text such as `exp(-dt / 0.4 s)`, which replaces the constant `factor ** power` per step. Empty if the factor is
+    not a positive number without a unit."""
     known = find_constant(factor)
     if known is None or known.unit_power or known.number <= 0 or known.number == 1 or known.type.dimension != Dimension():
         return ""
@@ -212,6 +214,7 @@ def _format_share(factor: Expr, power: int) -> str:
 
 
 def _format_exponential(rate: float) -> str:
+    """Return the text of the exponential of `dt` with the growth `rate` per step at 24 frames a second."""
     return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / FILM_FPS:.3g} s)"
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.analysis.check_context import CheckContext
-from antdsl.program.checks.analysis.conditions import ConditionReader, implies, is_always, is_never
+from antdsl.program.checks.analysis.conditions import ConditionReader, implies, is_always_false, is_always_true
 from antdsl.program.model import ClipTest, Constant, EffectRequest, Expr, Machine, OperationExpr, Play, Species, State, Transition
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.types.descriptions import quote_source
@@ -49,7 +49,9 @@ def _report_unreachable(machine: Machine, state: State, report: Report) -> None:
 
 
 def _is_stuck(state: State) -> bool:
-    leaves = any(isinstance(line, EffectRequest) and EFFECT_BY_OPERATION[line.op].last for line in (*state.body, *state.enter))
+    leaves = any(
+        isinstance(line, EffectRequest) and EFFECT_BY_OPERATION[line.op].removes_agent for line in (*state.body, *state.enter)
+    )
     return not state.transitions and not leaves
 
 
@@ -72,7 +74,7 @@ def check_shadowed_transitions(context: CheckContext, report: Report) -> None:
 
 
 def _report_shadowed(reader: ConditionReader, change: Transition, first: Transition, report: Report) -> None:
-    certain = first.delay is None and first.hold_time is None and is_always(reader, first.condition)
+    certain = first.delay is None and first.hold_time is None and is_always_true(reader, first.condition)
     label = "this one always happens" if certain else "this one happens whenever the later one could"
     advice = f"move it above the one that {'always happens' if certain else 'comes first'}"
     report.warning("shadowed-change", "this transition never happens", change.span, advice, labels=(Label(first.span, label),))
@@ -88,7 +90,7 @@ def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition
         or not _is_wait_shorter(first.hold_time, change.hold_time)
     ):
         return False
-    if change.condition is not None and is_never(reader, change.condition):
+    if change.condition is not None and is_always_false(reader, change.condition):
         return False  # a condition that never holds is already reported
     return implies(reader, change.condition, first.condition)
 
@@ -108,18 +110,18 @@ def check_constant_conditions(context: CheckContext, report: Report) -> None:
         for machine in species.machines:
             for state in machine.states:
                 for change in state.transitions:
-                    _check_change(reader, change, report)
+                    _check_transition(reader, change, report)
                 _check_clip_waits(species, machine, state, report)
 
 
-def _check_change(reader: ConditionReader, change: Transition, report: Report) -> None:
+def _check_transition(reader: ConditionReader, change: Transition, report: Report) -> None:
     test = change.condition
     if test is None or _is_truth_word(test):
         return
-    if is_never(reader, test):
+    if is_always_false(reader, test):
         message = f"{quote_source(test.span)} can never hold"
         report.warning("never-fires", message, test.span, "change one of its numbers, or delete the transition")
-    elif is_always(reader, test):
+    elif is_always_true(reader, test):
         message = f"{quote_source(test.span)} always holds"
         report.warning("always-fires", message, test.span, "change one of its numbers, or write `when true` if that is meant")
 

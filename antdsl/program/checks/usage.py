@@ -19,7 +19,7 @@ from antdsl.program.types.descriptions import quote_source
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-_DECLARING_NODES = re.compile(r"\b(species|behaviour)\b")
+_DECLARATION_WORD_PATTERN = re.compile(r"\b(species|behaviour)\b")
 
 
 def check_empty_program(context: CheckContext, report: Report) -> None:
@@ -29,7 +29,7 @@ def check_empty_program(context: CheckContext, report: Report) -> None:
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
         # such a word means that a declaration could not be parsed, which is already reported
-        if not any(_DECLARING_NODES.search(line.partition("#")[0]) for line in source.text.splitlines()):
+        if not any(_DECLARATION_WORD_PATTERN.search(line.partition("#")[0]) for line in source.text.splitlines()):
             report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")
 
 

@@ -61,8 +61,8 @@ def check_attributes(scope: NameScope, node: nodes.Species) -> list[model.Attrib
     declared: dict[str, nodes.Declaration | nodes.AnimalProperty] = {}
     assert scope.species is not None
     for name, row in scope.builtins.items():
-        default = default_text(name, scope.species) if row.is_settable else None
-        if default is not None and default != NO_LIMIT_WORD and not has_usual_value(name, scope.species):
+        default = get_default_text(name, scope.species) if row.is_settable else None
+        if default is not None and default != NO_LIMIT_WORD and not has_default_without_register(name, scope.species):
             declared[name] = nodes.AnimalProperty(
                 nodes.Name(name, node.name.span), parse_default(default, node.name.span), None, node.name.span
             )
@@ -118,23 +118,25 @@ def _check_speeds(
     scope.report.error("out-of-range", f"`min_speed` is more than `max_speed`, which is {text}", place, f"write {text} or less")
 
 
-def default_text(name: str, species: SpeciesNames) -> str | None:
-    """Return the default of a setting of a species, as in the source. None if it has none."""
+def get_default_text(name: str, species: SpeciesNames) -> str | None:
+    """Return the default of the setting `name` of a species, as text of the language. None if it has no default."""
     if species.has_standing_bodies and name in STANDING_DEFAULTS:
         return STANDING_DEFAULTS[name]
     row = DEFAULT_BY_SETTING.get(name)
-    return BUILTIN_ATTRIBUTE_BY_NAME[name].default if row is None else row.in_edition(species.edition) or None
+    return BUILTIN_ATTRIBUTE_BY_NAME[name].default if row is None else row.get_default(species.edition) or None
 
 
-def has_usual_value(name: str, species: SpeciesNames) -> bool:
-    """Return whether the default of an attribute equals its value in species without a register for it."""
+def has_default_without_register(name: str, species: SpeciesNames) -> bool:
+    """Return whether an attribute has its default even in species without a register for it, so that none is needed."""
     return name in OPTIONAL_ATTRIBUTES and not (species.has_standing_bodies and name in STANDING_DEFAULTS)
 
 
 def find_switches(scope: NameScope, node: nodes.Species) -> dict[str, bool]:
-    """Return the switches of a species by name: those in the text, and the defaults of its edition for the others."""
+    """Return whether each switch of a species, such as `body_clearance`, is on, by the name of the switch.
+
+    A switch without a line in the text has the default of the edition."""
     assert scope.species is not None
-    values = {name: default_text(name, scope.species) == "true" for name in SWITCH_HELP}
+    values = {name: get_default_text(name, scope.species) == "true" for name in SWITCH_HELP}
     for member in node.members:
         if not isinstance(member, nodes.AnimalProperty) or member.name.text not in SWITCH_HELP:
             continue
@@ -212,7 +214,7 @@ def _check_attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalPro
     help = node.help.text if node.help else ""
     if isinstance(node, nodes.AnimalProperty):
         type = parse_type_words(BUILTIN_ATTRIBUTE_BY_NAME[name].type) or BAD_TYPE
-        default = make_bad_expression(node.value.span) if is_circular else _builtin_default(inner, node, type)
+        default = make_bad_expression(node.value.span) if is_circular else _type_builtin_default(inner, node, type)
         _check_positive(scope, node, default)
         return model.AttributeDecl(name, type, default, True, help, node.name.span)
     stated = resolve_declared_type(scope, node.type) if node.type is not None else None
@@ -235,9 +237,9 @@ def _check_attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalPro
     return model.AttributeDecl(name, type, default, False, help, node.name.span)
 
 
-def _builtin_default(scope: NameScope, node: nodes.AnimalProperty, type: model.ValueType) -> Expr:
-    """Return the initial value of a built-in attribute. `none` means no limit and gives an infinite value."""
-    name, limits = node.name.text, BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].limits
+def _type_builtin_default(scope: NameScope, node: nodes.AnimalProperty, type: model.ValueType) -> Expr:
+    """Return the initial value of a built-in attribute that a species sets. It is infinite for `none`, which means no limit."""
+    name, limits = node.name.text, BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].can_be_unlimited
     if limits and isinstance(node.value, nodes.NoneOf) and node.value.of is None:
         return model.Constant(type, model.ChangeRate.CONST, node.value.span, inf)
     return type_value_as(scope, node.value, type, f"`{name}`")

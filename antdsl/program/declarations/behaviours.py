@@ -43,17 +43,17 @@ def measure_behaviour(report: Report, info: BehaviourInfo) -> None:
     while stack:
         each, step = stack.pop()
         if step == 0:
-            if each.state != "new":
+            if each.check_state != "new":
                 continue
-            each.state = "sizing"
+            each.check_state = "sizing"
             path.append(each)
             _measure_calls(each)
         if step < len(each.calls):
             stack.append((each, step + 1))
             called = each.calls[step]
-            if called.state == "sizing":
+            if called.check_state == "sizing":
                 _report_call_cycle(report, path[path.index(called) :])
-            elif called.state == "new":
+            elif called.check_state == "new":
                 stack.append((called, 0))
             continue
         path.pop()
@@ -87,7 +87,7 @@ def _find_behaviour(info: BehaviourInfo, call: nodes.Call) -> BehaviourInfo | No
 
 
 def _add_call_sizes(report: Report, info: BehaviourInfo) -> None:
-    if info.state == "circular":
+    if info.check_state == "circular":
         return
     info.operation_count = min(
         limits.MAX_TREE_NODES * 2, info.operation_count + sum(called.operation_count for called in info.calls)
@@ -95,11 +95,11 @@ def _add_call_sizes(report: Report, info: BehaviourInfo) -> None:
     info.depth += max((called.depth for called in info.calls), default=0)
     info.has_memory = info.has_memory or any(called.has_memory for called in info.calls)
     info.has_draws = info.has_draws or any(called.has_draws for called in info.calls)
-    info.state = "circular" if any(called.state == "circular" for called in info.calls) else "sized"
-    if info.state == "sized" and info.depth > _MAX_NESTED_OPERATIONS + limits.MAX_EXPRESSION_DEPTH:
+    info.check_state = "circular" if any(called.check_state == "circular" for called in info.calls) else "sized"
+    if info.check_state == "sized" and info.depth > _MAX_NESTED_OPERATIONS + limits.MAX_EXPRESSION_DEPTH:
         message = f"behaviour `{info.node.name.text}` calls others too many levels deep"
         report.error("too-deep", message, info.node.name.span, "merge some of them")
-        info.state = "circular"
+        info.check_state = "circular"
 
 
 def _report_call_cycle(report: Report, cycle: list[BehaviourInfo]) -> None:
@@ -107,7 +107,7 @@ def _report_call_cycle(report: Report, cycle: list[BehaviourInfo]) -> None:
     message = f"behaviours call each other in a circle: {names}"
     report.error("circle", message, cycle[0].node.name.span, "a behaviour cannot call itself; remove one of the calls")
     for each in cycle:
-        each.state = "circular"
+        each.check_state = "circular"
 
 
 # --- a behaviour alone -----------------------------------------------------------------------------------------------
@@ -115,25 +115,25 @@ def _report_call_cycle(report: Report, cycle: list[BehaviourInfo]) -> None:
 
 def check_behaviour(declarations: Declarations, info: BehaviourInfo, report_errors: bool = True) -> bool:
     """Check a behaviour once, with the declared types of its arguments; return whether it has no errors."""
-    if info.state in ("ok", "broken"):
-        return info.state == "ok"
+    if info.check_state in ("ok", "broken"):
+        return info.check_state == "ok"
     report = Report()
     measure_behaviour(report, info)
     for called in info.calls:
-        if called.state == "sized" and called is not info:
+        if called.check_state == "sized" and called is not info:
             check_behaviour(declarations, called)
-    sound = info.state == "sized"
+    sound = info.check_state == "sized"
     if sound:
-        info.state = "ok"  # cycles were rejected earlier, so the recursion ends
-        _check_parts(declarations, info, report)
+        info.check_state = "ok"  # cycles were rejected earlier, so the recursion ends
+        _check_arguments_and_body(declarations, info, report)
         sound = report.ok
-    info.state = "ok" if sound else "broken"
+    info.check_state = "ok" if sound else "broken"
     if report_errors:
         declarations.report.extend(report)
     return sound
 
 
-def _check_parts(declarations: Declarations, info: BehaviourInfo, report: Report) -> None:
+def _check_arguments_and_body(declarations: Declarations, info: BehaviourInfo, report: Report) -> None:
     node, name = info.node, info.node.name.text
     scope = NameScope(declarations, info.file, StableKeys(name), report, behaviour=name, is_generic=True)
     local: dict[str, Binding | Expr] = {}
@@ -234,7 +234,7 @@ def call_behaviour(scope: NameScope, node: nodes.Call, expected_type: ValueType 
     name = info.node.name.text
     scope.mark_used("behaviour", f"{info.node.name.span}")
     _bind_call_names(scope, info, node)
-    if not check_behaviour(scope.declared, info):
+    if not check_behaviour(scope.declarations, info):
         type_arguments(scope, node)
         return make_bad_expression(node.span)
     slots = [ArgumentSlot(a.name.text, a.default is None) for a in info.node.arguments]
@@ -249,10 +249,11 @@ def call_behaviour(scope: NameScope, node: nodes.Call, expected_type: ValueType 
     return _expand_call(scope, info, node, {slot: arguments[0].value for slot, arguments in arguments_by_slot.items()})
 
 
-def call_implicitly(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> Expr:
-    """Return the expansion of a behaviour without arguments, for a call that the language itself makes. `node` gives its
-    location."""
-    if not check_behaviour(scope.declared, info) or not _is_allowed(scope, info, node):
+def expand_implicit_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> Expr:
+    """Return the expansion of a behaviour without arguments, for a call that the language itself makes.
+
+    `node`: a call with the location that errors refer to."""
+    if not check_behaviour(scope.declarations, info) or not _is_allowed(scope, info, node):
         return make_bad_expression(node.span)
     return _expand_call(scope, info, node, {})
 
@@ -294,7 +295,7 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
     """Return whether the call is allowed at this place; report an error if not.
 
     Memory and draws are not allowed everywhere, and the expanded size is limited."""
-    name, declared = info.node.name.text, scope.declared
+    name, declared = info.node.name.text, scope.declarations
     if info.has_memory and scope.no_keep_reason:
         help = "call it in a separate line: `steer …`, or a line of `layers`"
         scope.report.error("keep-inside", f"`{name}` remembers something, and {scope.no_keep_reason}", node.span, help)
@@ -315,8 +316,9 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
 
 
 def _check_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
-    """Return the type of a call inside a behaviour that is checked alone. Only the arguments are checked; the called body is
-    checked separately."""
+    """Check the arguments of a call inside a behaviour that is checked alone. Return an expression with the type of the result.
+
+    The body of the called behaviour is checked separately."""
     quiet = scope.with_changes(report=Report())
     for argument in info.node.arguments:
         if argument.name.text in argument_nodes:

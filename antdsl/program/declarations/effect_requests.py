@@ -25,7 +25,7 @@ WrittenArguments = dict[str, nodes.Expr]
 
 
 def check_request(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.EffectRequest | None:
-    """Return the checked statement, or None after an error."""
+    """Check a line with a verb of the world, such as `deposit trail 2 /s`. Return None after an error."""
     row = EFFECT_BY_OPERATION[line.verb]
     of = line.name.text if line.name is not None else ""
     form = f"{row.op} {of}".rstrip()
@@ -40,7 +40,7 @@ def check_request(scope: NameScope, line: nodes.VerbLine, block: StatementContex
         ),
         None,
     )
-    if not _is_declared(scope, row, line.name) or written is None or _reports_missing(scope, row, line, written, form):
+    if not _is_declared(scope, row, line.name) or written is None or _report_missing_arguments(scope, row, line, written, form):
         return None
     if row.state_body_error and block.is_state_body:
         advice = f"do it once: `enter {{ {row.op} … }}`, or in a change: `when chance 10 %/s -> … {{ {row.op} … }}`"
@@ -78,7 +78,7 @@ def _match_arguments(scope: NameScope, row: Effect, line: nodes.VerbLine, form: 
     if not line.arguments:
         return behind
     slots = [
-        ArgumentSlot(arg.name, is_required=arg.default is None and not arg.optional) for arg in row.args if arg.type != "agent"
+        ArgumentSlot(arg.name, is_required=arg.default is None and not arg.is_optional) for arg in row.args if arg.type != "agent"
     ]
     arguments_by_slot = arrange_arguments(scope, row.op, slots, line, form)
     if arguments_by_slot is None:
@@ -138,7 +138,7 @@ def _find_own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: n
     if name:
         scope.bind_own(node.span, name)
     if type == want:
-        scope.declared.written_attributes.add(f"{species.name}.{name}")
+        scope.declarations.written_attributes.add(f"{species.name}.{name}")
         return name
     who = f"`{arg.name}` of `{row.op}`"
     if type is not None:
@@ -150,9 +150,11 @@ def _find_own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: n
     return None
 
 
-def _reports_missing(scope: NameScope, row: Effect, line: nodes.VerbLine, written_arguments: WrittenArguments, form: str) -> bool:
-    """Report required arguments that a line lacks. Return whether there are any."""
-    missing = [arg for arg in row.args if arg.default is None and not arg.optional and arg.name not in written_arguments]
+def _report_missing_arguments(
+    scope: NameScope, row: Effect, line: nodes.VerbLine, written_arguments: WrittenArguments, form: str
+) -> bool:
+    """Report the required arguments that a line lacks. Return whether at least one is missing."""
+    missing = [arg for arg in row.args if arg.default is None and not arg.is_optional and arg.name not in written_arguments]
     if missing:
         shape = ", ".join(f"{arg.name}: {arg.sample or '…'}" for arg in missing)
         wants = " and ".join(f"a {arg.name}" for arg in missing)
@@ -166,7 +168,7 @@ def _is_declared(scope: NameScope, row: Effect, name: nodes.Name | None) -> bool
     An event needs no declaration, but must not be a built-in one."""
     if name is None:
         return True
-    declared, text = scope.declared, name.text
+    declared, text = scope.declarations, name.text
     scope.mark_used(row.op, text)
     match row.target:
         case "event":
@@ -195,6 +197,6 @@ def _has_max_combination(scope: NameScope, name: str) -> bool:
     """Return whether a field has `combine max`.
 
     Such a field adds no amounts, so a state's line may give a minimum for the agent's cell."""
-    field = scope.declared.fields.get(name)
+    field = scope.declarations.fields.get(name)
     said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
     return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)

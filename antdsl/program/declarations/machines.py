@@ -41,26 +41,26 @@ def check_machine(scope: NameScope, names: MachineNames, members: Sequence[objec
     known = (names.key, *(scope.species.bindings.values() if scope.species is not None else ()))
     changes = tuple(node for node in members if isinstance(node, nodes.Change))
     anywhere = get_or_compute_part(
-        scope.declared, ("anywhere", changes, known), lambda: _check_any_changes(scope, names, changes)
+        scope.declarations, ("anywhere", changes, known), lambda: _check_from_any_transitions(scope, names, changes)
     )
     machine_states: list[model.State] = []
     for index, state in enumerate(_drop_duplicate_states(states)):
         general = [
-            change for node, change in anywhere if change is not None and _applies_to(node, change, state.name.text, index)
+            change for node, change in anywhere if change is not None and _applies_in_state(node, change, state.name.text, index)
         ]
         key = ("state", state, index, *general, *known)
         machine_states.append(
-            get_or_compute_part(scope.declared, key, partial(_check_state, scope, names, state, index, general))
+            get_or_compute_part(scope.declarations, key, partial(_check_state, scope, names, state, index, general))
         )
     return model.Machine(names.name, _find_start_index(scope, names, members, span), tuple(machine_states), span)
 
 
-def _check_any_changes(
+def _check_from_any_transitions(
     scope: NameScope, names: MachineNames, changes: Sequence[nodes.Change]
 ) -> list[tuple[nodes.Change, model.Transition | None]]:
-    """Return the transitions `from any`, each with its checked form or None after an error."""
+    """Return each transition `from any` as its syntax node and its checked form, which is None after an error."""
     scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.FROM_ANY_KEY}"))
-    return [(node, _check_any_change(scope, names, node)) for node in changes]
+    return [(node, _check_from_any_transition(scope, names, node)) for node in changes]
 
 
 def _drop_duplicate_states(states: Sequence[nodes.State]) -> list[nodes.State]:
@@ -100,7 +100,7 @@ def _check_state(
     path = f"{names.key}.{node.name.text}"
     scope = scope.with_changes(keys=StableKeys(path))
     scope = scope.with_changes(local_names=_check_lets(scope, node))
-    own = [_check_change(scope, names, line, path) for line in node.body if isinstance(line, nodes.Change)]
+    own = [_check_transition(scope, names, line, path) for line in node.body if isinstance(line, nodes.Change)]
     changes = [c for c in own if c is not None]
     check_single_clip(scope, node)
     check_duplicates(scope, node)
@@ -124,7 +124,7 @@ def _check_lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr
             continue
         name = line.name
         if name.text in scope.species.attributes or name.text in scope.species.bindings or name.text in local:
-            report_duplicate(scope.report, "name", name, _find_first_span(node, scope, name))
+            report_duplicate(scope.report, "name", name, _find_earlier_declaration(node, scope, name))
         keys = StableKeys(f"{scope.keys.path}.{name.text}")
         expr = scope.with_changes(local_names=local, keys=keys, no_keep_reason="a `let` only names a value").type_expression(
             line.value
@@ -133,7 +133,8 @@ def _check_lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr
     return local
 
 
-def _find_first_span(node: nodes.State, scope: NameScope, name: nodes.Name) -> Span:
+def _find_earlier_declaration(node: nodes.State, scope: NameScope, name: nodes.Name) -> Span:
+    """Return the location of an earlier declaration of the name of a state's let: in the species, or in the state."""
     assert scope.species is not None
     own = scope.species.bindings.get(name.text)
     earlier = [
@@ -178,20 +179,20 @@ def _type_duration(scope: NameScope, node: nodes.Expr | None, subject: str) -> E
 # --- one change ------------------------------------------------------------------------------------------------------
 
 
-def _check_any_change(scope: NameScope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
+def _check_from_any_transition(scope: NameScope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
     for name in node.any_except or ():
         _find_state_index(scope, names, name)
-    return _check_change(scope, names, node, scope.keys.path)
+    return _check_transition(scope, names, node, scope.keys.path)
 
 
-def _applies_to(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
-    """Return whether a transition applies in a state.
+def _applies_in_state(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
+    """Return whether a transition `from any` applies in the state with this name and index.
 
-    A transition `from any` omits its excepted states, and never leads into the current state."""
+    It does not apply in its excepted states, and never leads into the current state."""
     return change.target != index and all(name.text != state for name in node.any_except or ())
 
 
-def _check_change(scope: NameScope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
+def _check_transition(scope: NameScope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
     key = scope.keys.make_key(_format_target(node.target), "->")
     scope = scope.with_changes(keys=StableKeys(key))
     delay = _type_delay(scope, node.delay)
@@ -249,12 +250,14 @@ def _format_target(target: nodes.Target) -> str:
 
 
 def _find_target_index(scope: NameScope, names: MachineNames, target: nodes.Target) -> int | None:
+    """Return the index of the state that a transition leads to; None for `previous`, `choose`, or after an error."""
     if target.name is None or target.is_previous:
         return None
     return _find_state_index(scope, names, target.name)
 
 
 def _type_choices(scope: NameScope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
+    """Return the states of a `choose`, each as its index and its weight. Empty for other targets."""
     choices: list[tuple[int, Expr]] = []
     for choice in target.choices:
         weight = type_value_as(

@@ -24,7 +24,7 @@ from antdsl.syntax import nodes
 
 @dataclass(frozen=True, slots=True)
 class _ParamNumber:
-    """The value or one end of the range: its syntax node and its constant."""
+    """The value of a param, or one end of its range: the syntax node and the constant."""
 
     node: nodes.Expr
     constant: Constant
@@ -79,7 +79,9 @@ def _type_constant(scope: NameScope, node: nodes.Expr, subject: str) -> Constant
 
 
 def _unify_types(scope: NameScope, node: nodes.Declaration, param_numbers: list[_ParamNumber]) -> list[_ParamNumber]:
-    """Return the value and both ends with one type. A number of another type is reported, and gets the type of the others."""
+    """Return the value, the lower end and the upper end with one type.
+
+    A number of another type is reported, and gets the type of the others."""
     types = [each.constant.type for each in param_numbers]
     if types[0] == types[1] == types[2]:
         _check_order(scope, node, param_numbers)
@@ -99,10 +101,10 @@ def _unify_types(scope: NameScope, node: nodes.Declaration, param_numbers: list[
             reference = param_numbers[odd - 1].constant
             who = f"the range of `{node.name.text}`" if odd else f"`{node.name.text}`, which has such a range,"
             _report_differing_type(scope, param_numbers, odd, reference.type, who)
-    return [replace(each, constant=_convert_type(each.constant, reference)) for each in param_numbers]
+    return [replace(each, constant=_convert_to_type_of(each.constant, reference)) for each in param_numbers]
 
 
-def _convert_type(const: Constant, reference: Constant) -> Constant:
+def _convert_to_type_of(const: Constant, reference: Constant) -> Constant:
     if const.type == reference.type:
         return const
     return Constant(reference.type, const.rate, const.span, const.number, reference.unit_power, reference.step)
@@ -111,7 +113,7 @@ def _convert_type(const: Constant, reference: Constant) -> Constant:
 def _report_differing_type(
     scope: NameScope, param_numbers: Sequence[_ParamNumber], odd_index: int, expected_type: ValueType, subject: str
 ) -> None:
-    """Report the number `three[odd]`, which has another type than the other two."""
+    """Report the number at `odd_index`, which has another type than the other two of value, lower end and upper end."""
     node, type = param_numbers[odd_index].node, param_numbers[odd_index].constant.type
     if (type.kind, expected_type.kind) != (TypeKind.NUMBER, TypeKind.NUMBER):
         report_mismatch(scope.report, node, type, expected_type, subject)
@@ -125,9 +127,9 @@ def _report_differing_type(
 
 
 def _suggest_number(param_numbers: Sequence[_ParamNumber], odd_index: int) -> str | None:
-    """Return a replacement for the number `three[odd]` that makes all three match.
+    """Return the text that replaces the number at `odd_index`, so that value, lower end and upper end have one type.
 
-    It is the number with another unit, or else the nearer of the other two numbers."""
+    It is the number with another unit, or else the nearer of the other two numbers. None if there is no such text."""
     others = [each for each in param_numbers if each is not param_numbers[odd_index]]
 
     def is_consistent_with(const: Constant) -> bool:
@@ -247,7 +249,7 @@ def _check_order(scope: NameScope, node: nodes.Declaration, param_numbers: list[
             odd.node.span if odd else node.range.span,
             f"write the lower end first: `{swapped}`"
             if odd is None
-            else f"{_format_limit(odd, low)} {quote_source(value.node.span)}",
+            else f"{_format_order_advice(odd, low)} {quote_source(value.node.span)}",
             fix=Fix(node.range.span, swapped) if odd is None else None,
         )
         return
@@ -258,7 +260,7 @@ def _check_order(scope: NameScope, node: nodes.Declaration, param_numbers: list[
         scope.report.error(
             "out-of-range", f"{quote_source(end.node.span)} leaves {quote_source(value.node.span)} outside of the range",
             end.node.span,
-            f"{_format_limit(end, low)} {quote_source(value.node.span)}",
+            f"{_format_order_advice(end, low)} {quote_source(value.node.span)}",
             labels=(Label(value.node.span, "the value it starts with"),),
         )  # fmt: skip
         return
@@ -268,7 +270,7 @@ def _check_order(scope: NameScope, node: nodes.Declaration, param_numbers: list[
     scope.report.error("out-of-range", message, value.node.span, advice, fix=Fix(value.node.span, better) if better else None)
 
 
-def _format_limit(end: _ParamNumber, low: _ParamNumber) -> str:
+def _format_order_advice(end: _ParamNumber, low: _ParamNumber) -> str:
     return "write a beginning below" if end is low else "write an upper end above"
 
 

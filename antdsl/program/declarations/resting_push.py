@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from antdsl.program import model
-from antdsl.program.declarations.behaviours import call_implicitly
+from antdsl.program.declarations.behaviours import expand_implicit_call
 from antdsl.program.names.scope import NameScope
 from antdsl.syntax import nodes
 
@@ -25,11 +25,11 @@ def find_resting_push(scope: NameScope, machines: Sequence[model.Machine], name:
             silent[machine.name] = quiet
     if not silent or not all(silent.values()):
         return None
-    halt = scope.declared.find_library_behaviour(HALT_LIBRARY, HALT_BEHAVIOUR)
+    halt = scope.declarations.find_library_behaviour(HALT_LIBRARY, HALT_BEHAVIOUR)
     if halt is None:
         return None
     call = nodes.Call(nodes.NameRef(name, name.span), (), name.span)
-    return model.RestingPush(silent, call_implicitly(scope, halt, call), name.span)
+    return model.RestingPush(silent, expand_implicit_call(scope, halt, call), name.span)
 
 
 def is_steering(state: model.State) -> bool:

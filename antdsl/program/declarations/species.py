@@ -117,7 +117,7 @@ def complete_species(species_draft: SpeciesDraft) -> model.Species:
     names, node = species_draft.names, species_draft.node
     key = ("species", node.name, names.edition, node.help, node.members, *species_draft.attributes, *species_draft.params)
     species, names.bindings = get_or_compute_part(
-        species_draft.scope.declared, key, lambda: (_check_members(species_draft), names.bindings)
+        species_draft.scope.declarations, key, lambda: (_check_members(species_draft), names.bindings)
     )
     names.untyped_names.clear()
     return species
@@ -131,18 +131,22 @@ def _check_members(species_draft: SpeciesDraft) -> model.Species:
             declarations.setdefault(member.name.text, member)
     attributes = [_add_relaxation(scope, a, declarations.get(a.name)) for a in species_draft.attributes]
     named = tuple(_list_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy))
-    bindings = get_or_compute_part(scope.declared, ("bindings", names.name, named), lambda: _check_bindings(scope, node))
+    bindings = get_or_compute_part(scope.declarations, ("bindings", names.name, named), lambda: _check_bindings(scope, node))
     names.bindings = {binding.name: binding for binding in bindings}
     names.untyped_names.clear()
     machines = _check_machines(scope.with_changes(no_keep_reason=None), node)
     known = (names.name, *bindings)
     handling = tuple(m for m in node.members if isinstance(m, nodes.On))
     handlers = get_or_compute_part(
-        scope.declared, ("handlers", handling, known), lambda: _check_handlers(scope.with_changes(no_keep_reason=None), handling)
+        scope.declarations,
+        ("handlers", handling, known),
+        lambda: _check_handlers(scope.with_changes(no_keep_reason=None), handling),
     )
     blocks = tuple(m for m in node.members if isinstance(m, nodes.Layers))
     layers = get_or_compute_part(
-        scope.declared, ("layers", node.name, blocks, known), lambda: _check_layers(scope.with_changes(no_keep_reason=None), node)
+        scope.declarations,
+        ("layers", node.name, blocks, known),
+        lambda: _check_layers(scope.with_changes(no_keep_reason=None), node),
     )
     switched = find_switches(scope, node)
     return model.Species(
@@ -290,8 +294,8 @@ def _find_partner_species(scope: NameScope, node: nodes.On) -> str:
     assert scope.species is not None
     if node.species is None:
         return scope.species.name
-    name, known = node.species, list(scope.declared.species)
-    thing = scope.declared.things.get(name.text)
+    name, known = node.species, list(scope.declarations.species)
+    thing = scope.declarations.things.get(name.text)
     if name.text in known:
         scope.mark_used("species", name.text)
         scope.bind(name.span, "species", name.text)
@@ -307,7 +311,7 @@ def _find_partner_species(scope: NameScope, node: nodes.On) -> str:
 
 def _check_distinct_name(scope: NameScope, variable: nodes.Name) -> None:
     """Report a name in the brackets of `on collision(…)` that already has another meaning."""
-    if variable.text in scope.declared.species:
+    if variable.text in scope.declarations.species:
         message = f"`{variable.text}` is a species, but the name in brackets is the other agent"
         scope.report.error("wrong-argument", message, variable.span, f"write `on collision(other: {variable.text})`")
     elif variable.text == "self":

@@ -41,7 +41,7 @@ _SETTING_WORDS = ("seeds", "pass", "set", "until")  # words of lines that set up
 class _SpecCheck:
     """The state of the check of one spec."""
 
-    declared: Declarations
+    declarations: Declarations
     names: FileNames
     params: Mapping[str, Param]
     fields: Mapping[str, Field]
@@ -77,7 +77,7 @@ def check_spec(
 def _check_line(work: _SpecCheck, line: nodes.SpecLine) -> None:
     if line.kind == "for" and line.condition is None:
         _check_repeat(work, line, work.duration is not None)
-        work.duration = _type_time(work, line, make_outer_scope(work.declared, work.names, "spec"))
+        work.duration = _type_time(work, line, make_outer_scope(work.declarations, work.names, "spec"))
     elif line.kind == "seeds":
         _read_seeds(work, line)
     elif line.kind == "pass":
@@ -97,7 +97,7 @@ def _check_line(work: _SpecCheck, line: nodes.SpecLine) -> None:
 def _check_repeat(work: _SpecCheck, line: nodes.SpecLine, is_repeated: bool) -> None:
     if is_repeated:
         words = f"`{line.kind}` appears twice in one spec"
-        work.declared.report.error("duplicate-name", words, line.span, "keep one of them")
+        work.declarations.report.error("duplicate-name", words, line.span, "keep one of them")
 
 
 def _type_time(
@@ -106,12 +106,12 @@ def _type_time(
     node, word = node or line.time, word or line.kind
     assert node is not None
     expr = type_value_as(scope, node, TIME_TYPE, f"`{word}`")
-    if expr.type.kind is TypeKind.BAD or not is_run_constant(work.declared.report, expr, f"`{word}`"):
+    if expr.type.kind is TypeKind.BAD or not is_run_constant(work.declarations.report, expr, f"`{word}`"):
         return None
     known = find_constant(expr)
     if known is not None and known.number <= 0:
         message = f"`{word}` needs a time above 0"
-        work.declared.report.error("out-of-range", message, node.span, "write a time above 0, such as `20 s`")
+        work.declarations.report.error("out-of-range", message, node.span, "write a time above 0, such as `20 s`")
         return None
     return expr
 
@@ -119,19 +119,21 @@ def _type_time(
 def _read_pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
     """Return the share of the seeds that must pass, from 0 to 1; None after an error."""
     assert line.condition is not None
-    expr = type_value_as(make_outer_scope(work.declared, work.names, "spec"), line.condition, NUMBER_TYPE, "`pass`")
+    expr = type_value_as(make_outer_scope(work.declarations, work.names, "spec"), line.condition, NUMBER_TYPE, "`pass`")
     known = find_constant(expr)
     if known is not None and 0 < known.number <= 1:
         return known.number
     if expr.type.kind is not TypeKind.BAD:
         words = f"`pass` needs a share of the seeds, not {quote_source(line.condition.span)}"
-        work.declared.report.error("out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`")
+        work.declarations.report.error(
+            "out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`"
+        )
     return None
 
 
 def _check_reference_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
-    """Return the reference run; its `set` lines are in a separate list."""
-    report, scene = work.declared.report, line.target
+    """Return the reference run of an `against` block, with the changes of its own `set` lines."""
+    report, scene = work.declarations.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
         message = f"`{scene.text}` is not the name of a scene"
         report.error("not-a-scene", message, scene.span, 'write `against "without_fields.yaml"`')
@@ -159,27 +161,27 @@ def _read_seeds(work: _SpecCheck, line: nodes.SpecLine) -> None:
         return
     low, high = numbers[0], numbers[-1]
     if high < low:
-        work.declared.report.error("empty-range", "the seeds end before they begin", node.span, "write the lower one first")
+        work.declarations.report.error("empty-range", "the seeds end before they begin", node.span, "write the lower one first")
     elif high - low >= MAX_SEEDS:
         advice = "a spec that holds for ten seeds will probably hold for a thousand"
-        work.declared.report.error("too-many", f"more than {MAX_SEEDS:,} seeds", node.span, advice)
+        work.declarations.report.error("too-many", f"more than {MAX_SEEDS:,} seeds", node.span, advice)
     else:
         work.seeds += range(low, high + 1)
 
 
 def _read_whole_number(work: _SpecCheck, node: nodes.Expr) -> int | None:
-    expr = type_value_as(make_outer_scope(work.declared, work.names, "spec"), node, NUMBER_TYPE, "`seeds`")
+    expr = type_value_as(make_outer_scope(work.declarations, work.names, "spec"), node, NUMBER_TYPE, "`seeds`")
     known = find_constant(expr)
     if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
         return int(known.number)
     if expr.type.kind is not TypeKind.BAD:
         message = f"a seed is a whole number, not {quote_source(node.span)}"
-        work.declared.report.error("wrong-count", message, node.span, "write `seeds 1 .. 5`")
+        work.declarations.report.error("wrong-count", message, node.span, "write `seeds 1 .. 5`")
     return None
 
 
 def _add_change(work: _SpecCheck, line: nodes.SpecLine) -> None:
-    declared, scope = work.declared, make_outer_scope(work.declared, work.names, "spec")
+    declared, scope = work.declarations, make_outer_scope(work.declarations, work.names, "spec")
     assert line.target is not None and line.condition is not None
     text = "".join(line.target.span.text.split())
     thing, _, word = text.partition(".")
@@ -227,14 +229,14 @@ def _check_range(work: _SpecCheck, node: nodes.Expr, param: Param, expr: Expr) -
         if constant is not None and bound is not None and alike and sign * (constant.number - bound.number) < 0:
             low, high = (end.span.text if end is not None else "" for end in (param.low, param.high))
             message = f"`{param.name}` = {constant.span.text} is outside {low} .. {high}"
-            work.declared.report.error("out-of-range", message, node.span, "write a value inside the range")
+            work.declarations.report.error("out-of-range", message, node.span, "write a value inside the range")
 
 
 # --- what is expected ------------------------------------------------------------------------------------------------
 
 
 def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
-    declared = work.declared
+    declared = work.declarations
     assert isinstance(line.target, nodes.NameRef)
     species = line.target.name.text
     if species not in declared.species:
@@ -254,10 +256,10 @@ def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
 
 def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None) -> None:
     assert line.condition is not None
-    rules = SpecRules(work.declared, work.has_reference_run)
-    scope = make_outer_scope(rules.declared, work.names, f"{species or ''}.spec")
+    rules = SpecRules(work.declarations, work.has_reference_run)
+    scope = make_outer_scope(rules.declarations, work.names, f"{species or ''}.spec")
     if species is not None:
-        scope = scope.with_changes(species=work.declared.species[species], keys=StableKeys(f"{species}.spec"))
+        scope = scope.with_changes(species=work.declarations.species[species], keys=StableKeys(f"{species}.spec"))
     time = _type_time(work, line, scope) if line.time is not None else None
     held = None if line.held is None else _type_time(work, line, scope, line.held, "held")
     since = None if line.since is None else type_condition(scope, line.since, "`when`")
@@ -273,7 +275,7 @@ def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None
 
 def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
     """Return whether the line may have `held` or `sooner`; report an error if not."""
-    report = work.declared.report
+    report = work.declarations.report
     if line.held is not None and line.kind in ("always", "for"):
         words = f"`{line.kind}` with `held` fails in the first frame, where nothing has held yet"
         advice = "delete `held`: a condition that is always true has always held"
@@ -289,9 +291,9 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
 def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, expr: Expr, at_end: bool) -> bool:
     """Return whether a condition of the line can be judged; report an error if not. `at_end`: the condition uses a measure of the
     complete run."""
-    report, text = work.declared.report, quote_source(expr.span)
+    report, text = work.declarations.report, quote_source(expr.span)
     if species is None and expr.rate > ChangeRate.STEP:
-        names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
+        names = [name for name, each in work.declarations.species.items() if each.node is not None] or ["walker"]
         advice = f"write it in `each {names[0]} {{ … }}`, or use the `share`, `mean`, `min` or `max` of all"
         report.error("wrong-rate", f"{text} differs from agent to agent, but no agent is named", expr.span, advice)
         return False
@@ -309,7 +311,9 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
 
 
 def _iterate_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
-    """Yield the values that a failure message reports, in text order: both sides of comparisons, and other values."""
+    """Yield the values that the message of a failed expectation reports, in text order.
+
+    They are both sides of each comparison, and the other values in the condition."""
     units = [part.unit for part, _ in iterate_nodes(node) if isinstance(part, nodes.Quantity)]
     stack: list[Expr] = [expr]
     while stack:

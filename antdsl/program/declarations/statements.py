@@ -90,7 +90,7 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
         message = f"{quote_source(target.span)} belongs to another agent; an agent sets only its own values"
         scope.report.error("not-own", message, target.span, "send an event with `emit`; the other agent can set it in `on`")
         return None
-    scope.declared.written_attributes.add(f"{species.name}.{name}")
+    scope.declarations.written_attributes.add(f"{species.name}.{name}")
     if line.op != "=":
         if type.kind is TypeKind.BAD:
             type_value(scope, line.value)
@@ -114,7 +114,7 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
 def _find_assigned_attribute(
     scope: NameScope, name: nodes.Name, block: StatementContext, line: nodes.Assign
 ) -> tuple[str, ValueType] | None:
-    """Return the attribute, and its type, that a bare name on the left of an assignment refers to. None after an error."""
+    """Return the name and the type of the attribute on the left of an assignment. None after an error."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
     scope.bind_own(name.span, name.text)
@@ -153,8 +153,8 @@ def _find_assigned_attribute(
     return None
 
 
-def _check_ask(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.Statement | None:
-    return _CHECKER_BY_DISPLAY_WORD.get(line.verb, check_request)(scope, line, block)
+def _check_verb_line(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> model.Statement | None:
+    return _APPEARANCE_CHECKER_BY_VERB.get(line.verb, check_request)(scope, line, block)
 
 
 def _check_give(scope: NameScope, line: nodes.Give, block: StatementContext) -> model.Statement | None:
@@ -174,7 +174,7 @@ def _check_give(scope: NameScope, line: nodes.Give, block: StatementContext) -> 
         )
     if own is None or not _has_attribute(scope, line.to, to, line.attribute, own) or (line.amount is not None and amount is None):
         return None
-    scope.declared.written_attributes.add(f"{species.name}.{line.attribute.text}")
+    scope.declarations.written_attributes.add(f"{species.name}.{line.attribute.text}")
     return model.Give(line.attribute.text, amount, to, block.is_state_body, line.span)
 
 
@@ -221,7 +221,7 @@ def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
         return None
     assert scope.species is not None
     if called:
-        scope.declared.written_attributes.add(f"{scope.species.name}.{called}")
+        scope.declarations.written_attributes.add(f"{scope.species.name}.{called}")
     return model.Take(called or None, amount, source, line.span)
 
 
@@ -268,7 +268,7 @@ def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribut
     if item_expr.type.kind is not TypeKind.ITEM:
         report_mismatch(scope.report, node, item_expr.type, ValueType(TypeKind.ITEM), "`take` or `give`")
         return False
-    thing = scope.declared.things.get(item_expr.type.referent or "")
+    thing = scope.declarations.things.get(item_expr.type.referent or "")
     held = {a.name: a.type for a in thing.attributes} if thing else {}
     if attribute.text not in held:
         scope.report.error(
@@ -295,13 +295,13 @@ def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribut
     return True
 
 
-_CHECKER_BY_DISPLAY_WORD: dict[str, Callable[..., model.Statement | None]] = {
+_APPEARANCE_CHECKER_BY_VERB: dict[str, Callable[..., model.Statement | None]] = {
     "play": check_play,
     "wear": check_wear,
     "channel": check_channel,
     "look": check_look,
 }
 _CHECKER_BY_STATEMENT: dict[type, Callable[..., model.Statement | None]] = {
-    nodes.Steer: _check_steer, nodes.Face: _check_face, nodes.Assign: _check_assign, nodes.VerbLine: _check_ask,
+    nodes.Steer: _check_steer, nodes.Face: _check_face, nodes.Assign: _check_assign, nodes.VerbLine: _check_verb_line,
     nodes.Give: _check_give,
 }  # fmt: skip

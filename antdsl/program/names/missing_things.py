@@ -24,10 +24,15 @@ def suggest_missing_thing(scope: NameScope, name: str, expected_type: ValueType 
     if expected_type is None or expected_type.kind not in _DECLARATION_LINES:
         return None
     word, kinds = _DECLARATION_LINES[expected_type.kind]
-    known = [thing.name for thing in scope.declared.things.values() if thing.kind in kinds]
+    known = [thing.name for thing in scope.declarations.things.values() if thing.kind in kinds]
     if expected_type.kind is TypeKind.PLACE:  # values with a position are allowed too
         own = scope.species if scope.behaviour is None else None
-        known += [*scope.declared.species, *scope.local_names, *(own.bindings if own else ()), *(own.attributes if own else ())]
+        known += [
+            *scope.declarations.species,
+            *scope.local_names,
+            *(own.bindings if own else ()),
+            *(own.attributes if own else ()),
+        ]
     near = find_nearest_name(name, known)
     if near:
         return f"did you mean `{near}`?", None

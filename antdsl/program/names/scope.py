@@ -69,7 +69,9 @@ class SpeciesNames:
 class BehaviourInfo:
     """A behaviour with all information for calls of it.
 
-    `operation_count`, `depth`: number and nesting of its operations, with nested behaviours expanded."""
+    - `calls`: the behaviours that it calls.
+    - `operation_count`, `depth`: the number and nesting of its operations, with nested behaviours expanded.
+    - `check_state`: the progress of its check: new, sized, circular, ok or broken."""
 
     node: nodes.Behaviour
     file: FileNames
@@ -78,7 +80,7 @@ class BehaviourInfo:
     depth: int = 0
     has_memory: bool = False
     has_draws: bool = False
-    state: str = "new"  # new, sized, circular, ok, broken
+    check_state: str = "new"  # new, sized, circular, ok, broken
 
 
 @dataclass(slots=True)
@@ -134,10 +136,10 @@ def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str =
     - `owner`: the species to which the name belongs wherever it is used; "" for the species at this place."""
     around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
     where = (kind, *((owner,) if owner else around), name.text)
-    if where in scope.declared.unknown_names:
-        scope.declared.unknown_names[where].append(name.span)
+    if where in scope.declarations.unknown_names:
+        scope.declarations.unknown_names[where].append(name.span)
         return True
-    scope.declared.unknown_names[where] = [name.span]
+    scope.declarations.unknown_names[where] = [name.span]
     return False
 
 
@@ -161,7 +163,7 @@ class StableKeys:
 class NameScope:
     """The names that are visible at one place of the text. `with_changes(…)` returns a copy for another place."""
 
-    declared: Declarations
+    declarations: Declarations
     file: FileNames
     keys: StableKeys
     report: Report
@@ -193,7 +195,7 @@ class NameScope:
     def type_expression(self, node: nodes.Expr, expected_type: ValueType | None = None) -> Expr:
         """Return the expression with its type. `expected_type`: the expected type, which gives `none` and bare names their
         meaning. It is not enforced."""
-        return self.declared.rules[type(node)](self, node, expected_type)
+        return self.declarations.rules[type(node)](self, node, expected_type)
 
     def reject(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
         """Report an error about an expression, and return its replacement."""
@@ -204,16 +206,16 @@ class NameScope:
         """Record the declaration of the name at a span. Names in an expanded behaviour are not recorded: their text is
         elsewhere."""
         if self.behaviour is None or self.is_generic:
-            self.declared.name_uses.append(NameUse(span, key))
+            self.declarations.name_uses.append(NameUse(span, key))
 
-    def bind_local(self, span: Span, declarations: Span) -> None:
-        """Like `bind`, for a name that is declared in the surrounding text, at the span `file_declarations`."""
+    def bind_local(self, span: Span, declaration: Span) -> None:
+        """Like `bind`, for a name that is declared in the surrounding text, at the span `declaration`."""
         if self.behaviour is None or self.is_generic:
-            self.declared.name_uses.append(NameUse(span, declarations))
+            self.declarations.name_uses.append(NameUse(span, declaration))
 
     def bind_thing(self, name: nodes.Name) -> None:
         """Like `bind`, for a name that can only be a species or a thing of the world."""
-        kinds = (("species", self.declared.species), ("thing", self.declared.things))
+        kinds = (("species", self.declarations.species), ("thing", self.declarations.things))
         for kind in (kind for kind, known in kinds if name.text in known):
             self.bind(name.span, kind, name.text)
             return
@@ -231,26 +233,31 @@ class NameScope:
         """Like `bind`, for a value that an item, agent or hit has."""
         if owner.kind is TypeKind.AGENT:
             self.bind(
-                span, *(("given", name) if name in builtins_of(self.declared, owner) else ("own", owner.referent or "", name))
+                span,
+                *(
+                    ("given", name)
+                    if name in find_builtins_of_agent(self.declarations, owner)
+                    else ("own", owner.referent or "", name)
+                ),
             )
         elif owner.kind is TypeKind.HIT or owner.referent == "hit":
             self.bind(span, "hit-given", name)
         else:
-            thing = self.declared.things.get(owner.referent or "")
+            thing = self.declarations.things.get(owner.referent or "")
             own = thing is not None and any(each.name == name for each in thing.attributes)
             self.bind(span, *(("attribute", owner.referent or "", name) if own else ("item-given", name)))
 
     def bind_unreadable(self, name: nodes.Name, owner: ValueType) -> None:
         """Like `bind`, for a declared value that cannot be read here, such as a param of one agent or a value of all items."""
         one = ValueType(TypeKind.ITEM, referent=owner.referent)
-        if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.referent in self.declared.species:
-            self.bind_own(name.span, name.text, self.declared.species[owner.referent])
-        elif owner.kind is TypeKind.ITEMS and name.text in find_attributes(self.declared, one):
+        if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.referent in self.declarations.species:
+            self.bind_own(name.span, name.text, self.declarations.species[owner.referent])
+        elif owner.kind is TypeKind.ITEMS and name.text in find_attributes(self.declarations, one):
             self.bind_value(name.span, one, name.text)
 
     def mark_used(self, kind: str, name: str) -> None:
         """Record that a declared name is used."""
-        self.declared.used_names.add((kind, name))
+        self.declarations.used_names.add((kind, name))
 
 
 def make_bad_expression(span: Span) -> Expr:
@@ -264,8 +271,8 @@ def find_highest_rate(parts: Iterable[Expr | None]) -> ChangeRate:
 
 
 def parse_type_words(words: str, owner_name: str | None = None) -> ValueType | None:
-    """Return the type for a word of `TYPE_BY_WORD`, or for words such as `angle / time` in the vocabulary. None if there is
-    none."""
+    """Return the type that words of the tables name: a word of `TYPE_BY_WORD`, or a quotient such as `angle / time`. None if
+    there is no such type."""
     if "/" in words:
         top, below = (TYPE_BY_WORD.get(part.strip()) for part in words.split("/"))
         if not isinstance(top, Dimension) or not isinstance(below, Dimension):
@@ -283,9 +290,9 @@ def parse_type_words(words: str, owner_name: str | None = None) -> ValueType | N
 
 
 def find_attributes(declarations: Declarations, type: ValueType) -> dict[str, ValueType]:
-    """Return the types of the values of an item, agent or hit that can be read by name.
+    """Return the types of the values that an item, agent or hit of a type has, by name.
 
-    For an agent of unknown species, these are the built-in values."""
+    An agent of unknown species has the built-in values only."""
     if type.kind is TypeKind.HIT or (type.kind is TypeKind.ITEM and type.referent == "hit"):
         return _parse_types(HIT_ATTRIBUTE_TYPES)
     if type.kind is TypeKind.ITEM:
@@ -294,15 +301,15 @@ def find_attributes(declarations: Declarations, type: ValueType) -> dict[str, Va
         return _parse_types(ITEM_ATTRIBUTE_TYPES) | own
     if type.kind is TypeKind.AGENT:
         names = declarations.species.get(type.referent or "")
-        builtin_types = _parse_types({name: row.type for name, row in builtins_of(declarations, type).items()})
+        builtin_types = _parse_types({name: row.type for name, row in find_builtins_of_agent(declarations, type).items()})
         return builtin_types | (names.attributes if names else {})
     return {}
 
 
-def builtins_of(declarations: Declarations, type: ValueType) -> Mapping[str, BuiltinAttribute]:
-    """Return the built-in attributes of an agent of a type.
+def find_builtins_of_agent(declarations: Declarations, type: ValueType) -> Mapping[str, BuiltinAttribute]:
+    """Return the built-in attributes that agents of the type `type` have, by name.
 
-    For an agent of unknown species, these are the attributes of edition 1, which every agent has."""
+    An agent of unknown species has the attributes of edition 1, which every agent has."""
     names = declarations.species.get(type.referent or "")
     return builtin_attributes(1) if names is None else names.builtins
 
@@ -312,7 +319,7 @@ def _parse_types(table: Mapping[str, str]) -> dict[str, ValueType]:
 
 
 def suggest_name(word: str, candidates: Iterable[str], default_help: str | None = None) -> str:
-    """Return the help text for an unknown name: the probable name, or `default_help`, or the known names."""
+    """Return the help text for the unknown name `word`: the similar candidate, else `default_help`, else a list of candidates."""
     known = list(candidates)
     suggestion = find_nearest_name(word, known)
     if suggestion:

@@ -14,8 +14,8 @@ from typing import Literal
 
 ColumnKind = Literal["fixed", "register", "derived"]
 RowShape = tuple[int | str, ...]
-Between = Literal["", "linear", "rotation", "direction", "phase", "clip"]
-ColumnTexts = tuple[str, str, RowShape, str] | tuple[str, str, RowShape, str, Between]
+Interpolation = Literal["", "linear", "rotation", "direction", "phase", "clip"]
+ColumnTexts = tuple[str, str, RowShape, str] | tuple[str, str, RowShape, str, Interpolation]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Column:
     - `type`: a NumPy type code. `shape`: the shape of one row. `unit`: the unit of the values in the world.
     - `initial_value`: the value in new rows.
     - `is_checkpointed`, `is_hashed`: whether it is in checkpoints and in the state hash, if it is not derived.
-    - `is_migrated`: a reload always copies it, and newborns inherit such registers from their parents.
+    - `survives_reload`: every reload copies the values. Newborns inherit such registers from their parents.
     - `inherited_array`: for a fixed array, the array of the parent from which a newborn gets its value.
     - `save_mode`: whether a frame has it: by `default`, on `request` in the scene's `output`, or `always` if there are values.
     - `alias`: its name in frames, if that is not `name`. Words in capitals stand for names of the scene.
@@ -48,7 +48,7 @@ class Column:
     initial_value: int = 0
     is_checkpointed: bool = True
     is_hashed: bool = True
-    is_migrated: bool = True
+    survives_reload: bool = True
     inherited_array: str = ""
     save_mode: Literal["", "default", "request", "always"] = ""
     alias: str = ""
@@ -56,7 +56,7 @@ class Column:
     exports: str = ""
     packet: str = ""
     in_preview: bool = False
-    interpolation: Between = ""
+    interpolation: Interpolation = ""
 
     @property
     def frame_name(self) -> str:
@@ -70,7 +70,7 @@ class Column:
 
     @property
     def field(self) -> str:
-        """Return the last part of the array's name."""
+        """Return the last part of the array's dotted name, such as `weight` of `clips.SPECIES.MACHINE.weight`."""
         return self.name.rpartition(".")[2]
 
     @property
@@ -94,7 +94,7 @@ AGENT_COLUMNS = (
     Column("speed", "derived", "f4", (), "length of the velocity", "mm/s", packet="speed f4"),
     Column("born", "fixed", "i8", (), "frame of birth", packet="born i4"),
     Column("quarantined", "fixed", "b1", (), "whether it stopped acting after a fault"),
-    Column("position", "fixed", "f8", (3,), "position", "mm", is_migrated=False, save_mode="default", alias="P", exports=_ALL,
+    Column("position", "fixed", "f8", (3,), "position", "mm", survives_reload=False, save_mode="default", alias="P", exports=_ALL,
            packet="position f4", in_preview=True, interpolation="linear"),
     Column("normal", "fixed", "f4", (3,), "normal of the ground on its side", inherited_array="normal"),
     Column("position", "register", "f4", (3,), "position as programs read it", "mm"),
@@ -104,9 +104,9 @@ AGENT_COLUMNS = (
     Column("up", "register", "f4", (3,), "unit vector up", packet="up i1", in_preview=True),
     Column("orient", "derived", "f4", (4,), "quaternion x y z w that turns +x to the heading and +y to the agent's up",
            save_mode="default", exports=_ALL, interpolation="rotation"),
-    Column("ids", "fixed", "i8", (), "number of the agent within its species", is_hashed=False, is_migrated=False,
+    Column("ids", "fixed", "i8", (), "number of the agent within its species", is_hashed=False, survives_reload=False,
            save_mode="default", alias="id", exports=_ALL, packet="id i4", in_preview=True),
-    Column("size", "register", "f4", (), "body length", "mm", is_migrated=False, save_mode="default", alias="pscale",
+    Column("size", "register", "f4", (), "body length", "mm", survives_reload=False, save_mode="default", alias="pscale",
            exports=_ALL, packet="size f4", in_preview=True, interpolation="linear"),
     Column("Cd", "derived", "f4", (3,), "colour of its state, display (sRGB), 0 to 1",
            save_mode="default", exports="usd gltf geo"),
@@ -224,6 +224,6 @@ FRAME_COLUMNS = tuple(
 )
 FIXED_COLUMN_BY_NAME = {column.name: column for column in AGENT_COLUMNS if column.kind == "fixed"}
 REGISTER_COLUMN_BY_NAME = {column.name: column for column in AGENT_COLUMNS if column.kind == "register"}
-MIGRATED_REGISTERS = tuple(name for c in REGISTER_COLUMN_BY_NAME.values() if c.is_migrated for name in c.registers)
+MIGRATED_REGISTERS = tuple(name for c in REGISTER_COLUMN_BY_NAME.values() if c.survives_reload for name in c.registers)
 COLUMN_BY_ATTRIBUTE = {column.frame_name: column for column in AGENT_COLUMNS if column.save_mode in ("default", "request")}
 DEFAULT_ATTRIBUTE_NAMES = tuple(name for name, column in COLUMN_BY_ATTRIBUTE.items() if column.save_mode == "default")

@@ -19,20 +19,22 @@ SWITCH_EDITION = 2  # the first edition with switches
 
 @dataclass(frozen=True, slots=True)
 class EditionDefault:
-    """A setting with the defaults of the editions, in order, as in the source; "" if a species must set it. `reason`: why a
+    """The defaults of one setting of a species in all editions.
+
+    `defaults`: for each edition in order, the default as text of the language; "" if a species must set it. `reason`: why a
     newer default differs."""
 
     setting: str
     defaults: tuple[str, ...]
     reason: str
 
-    def in_edition(self, edition: int) -> str:
-        """Return the default in an edition, as in the source."""
+    def get_default(self, edition: int) -> str:
+        """Return the default in an edition, as text of the language; "" if a species must set it."""
         return self.defaults[edition - 1]
 
-    def explicit_line(self, edition: int) -> str:
+    def format_setting_line(self, edition: int) -> str:
         """Return the line of a species that sets the default of an edition explicitly."""
-        return f"{self.setting} {self.in_edition(edition)}"
+        return f"{self.setting} {self.get_default(edition)}"
 
 
 # Defaults of species with standing bodies, which set `height` instead of `size`.
@@ -52,11 +54,11 @@ EDITION_DEFAULTS = (
 DEFAULT_BY_SETTING = {row.setting: row for row in EDITION_DEFAULTS}
 
 
-def setting_defaults(edition: int, is_standing: bool) -> dict[str, str]:
-    """Return the settings of a species that depend on the edition, with their defaults as in the source.
+def find_setting_defaults(edition: int, is_standing: bool) -> dict[str, str]:
+    """Return the defaults of the settings of a species that depend on the edition, as text of the language, by name.
 
-    "" means that the species must set it. `is_standing`: the species sets its height."""
-    defaults = {row.setting: row.in_edition(edition) for row in EDITION_DEFAULTS}
+    "" means that the species must set it. `is_standing`: whether the species sets its height."""
+    defaults = {row.setting: row.get_default(edition) for row in EDITION_DEFAULTS}
     if is_standing:
         del defaults[CRAWLING_SETTING]
         defaults = {STANDING_SETTING: "", **defaults, **STANDING_DEFAULTS}

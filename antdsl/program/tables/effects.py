@@ -26,7 +26,7 @@ class Effect:
     - `phase`: the phase of a step that resolves it.
     - `help`: text for the editor. `meaning`: text for readers of plans.
     - `state_body_error`: the text of the error if its line is in a state's body; "" if it is allowed there.
-    - `last`: the agent is removed after it.
+    - `removes_agent`: the agent is removed after it.
     - `uses_draws`: it uses random numbers that depend on its place in the text.
     - `is_feeding_senses`: it changes what other agents sense of the named thing. Examples are `deposit` for a field and `emit`
       for an event.
@@ -49,7 +49,7 @@ class Effect:
     trace_template: str
     computed_operands: tuple[str, ...] = ()
     state_body_error: str = ""
-    last: bool = False
+    removes_agent: bool = False
     uses_draws: bool = False
     is_feeding_senses: bool = False
     fault_name: str = ""
@@ -59,7 +59,7 @@ class Effect:
 
     @property
     def computed_arguments(self) -> tuple[ArgumentRow, ...]:
-        """Return the arguments that are computed. The others name an attribute."""
+        """Return the arguments with a value that is computed. The other arguments name an attribute."""
         return tuple(arg for arg in self.args if not arg.type.startswith("own "))
 
     @property
@@ -68,7 +68,7 @@ class Effect:
         return self.computed_operands or tuple(arg.name for arg in self.computed_arguments)
 
     @property
-    def agents(self) -> frozenset[str]:
+    def agent_operands(self) -> frozenset[str]:
         """Return the names of the operands that are ids of agents."""
         return (
             frozenset()
@@ -79,7 +79,9 @@ class Effect:
     @property
     def optional_operands(self) -> frozenset[str]:
         """Return the names of the operands that may be missing."""
-        return frozenset() if self.computed_operands else frozenset(arg.name for arg in self.computed_arguments if arg.optional)
+        return (
+            frozenset() if self.computed_operands else frozenset(arg.name for arg in self.computed_arguments if arg.is_optional)
+        )
 
 
 _EFFECT_ROWS = (
@@ -102,8 +104,8 @@ _EFFECT_ROWS = (
         "solid",
         (
             ArgumentRow("radius", "length", lower_bound=0, display_name="radius of a ball to dig", sample="size / 2"),
-            ArgumentRow("toward", "push", optional=True),
-            ArgumentRow("into", "own mm^3", optional=True, display_name="a volume", sample="soil"),
+            ArgumentRow("toward", "push", is_optional=True),
+            ArgumentRow("into", "own mm^3", is_optional=True, display_name="a volume", sample="soil"),
         ),
         "solids",
         "digs a ball out of a solid",
@@ -119,7 +121,7 @@ _EFFECT_ROWS = (
     Effect(
         "emit",
         "event",
-        (ArgumentRow("within", "length", optional=True), ArgumentRow("to", "agent", optional=True)),
+        (ArgumentRow("within", "length", is_optional=True), ArgumentRow("to", "agent", is_optional=True)),
         "effects",
         "raises an event",
         "raises an event for all agents that handle it within a distance (mm; none: only for itself), or for one agent "
@@ -141,7 +143,7 @@ _EFFECT_ROWS = (
         state_body_error="would make a new one in every step",
         uses_draws=True,
     ),
-    Effect("die", "", (), "births", "removes this agent", "the agent is removed at t+1", "die", "die", last=True),
+    Effect("die", "", (), "births", "removes this agent", "the agent is removed at t+1", "die", "die", removes_agent=True),
 )
 EFFECT_BY_OPERATION: dict[str, Effect] = {row.op: row for row in _EFFECT_ROWS}
 
@@ -152,7 +154,7 @@ def list_effects_of_phase(phase: str) -> tuple[str, ...]:
 
 
 def list_feeding_effects(kind: str) -> frozenset[str]:
-    """Return the effects that add to the thing that they name. `kind`: the kind of the thing, `field` or `event`."""
+    """Return the names of the effects that change what agents sense of a thing. `kind`: the kind of thing, `field` or `event`."""
     return frozenset(row.op for row in EFFECT_BY_OPERATION.values() if row.is_feeding_senses and row.target == kind)
 
 

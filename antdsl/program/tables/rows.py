@@ -11,26 +11,25 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class ArgumentRow:
-    """One argument.
+    """One argument of a word.
 
     - `type`: a type word, or one of the following.
-    - `number A`: a number of any dimension, equal for every A of the call. `vector A`: likewise for vectors.
+    - `number A`: a number of any dimension. All arguments with the same letter have one dimension. `vector A`: likewise a vector.
     - `range A`: two such numbers, which fill two arguments of the operation.
     - `count`: a whole constant. `any A`: a value of any type, equal for every A. `condition`: a bool about the element.
     - `added T` (in statements): a rate per second in a state, else an amount.
     - `own U` (in statements): the name of an attribute of the agent, of unit or type U.
-    - `default`: an expression of the language.
-    - `optional`: may be absent (None).
-    - `variadic`: may be repeated.
-    - `lower_bound`: the value of a constant must be above this. `is_integer`: it must be whole.
-    - `display_name`: its name in messages.
-    - `sample`: an example for statements."""
+    - `default`: the default as an expression of the language.
+    - `is_optional`: the argument may be absent (None). `is_variadic`: the argument may be repeated.
+    - `lower_bound`: a constant value must be above this number. `is_integer`: the value must be whole.
+    - `display_name`: the name of the argument in messages.
+    - `sample`: an example of the argument in a statement."""
 
     name: str
     type: str
     default: str | None = None
-    optional: bool = False
-    variadic: bool = False
+    is_optional: bool = False
+    is_variadic: bool = False
     lower_bound: float | None = None
     is_integer: bool = False
     display_name: str = ""
@@ -39,11 +38,11 @@ class ArgumentRow:
 
 @dataclass(frozen=True, slots=True)
 class UseCost:
-    """The cost of a use for `antdsl check --cost`.
+    """The cost of one use of a word, for `antdsl check --cost`.
 
-    - `weight`: a rough weight; one addition is 1.
-    - `text_template`: a text with `{thing}` (the named thing) and `{count}`.
-    - `heading`: the heading that lists it.
+    - `weight`: a rough weight; one addition has the weight 1.
+    - `text_template`: the text of the use, with `{thing}` for the named thing and `{count}` for the number of uses.
+    - `heading`: the heading under which the use is listed.
     - `multiplier_index`: the index of the argument that multiplies the weight. `default_multiplier`: the multiplier for an
       argument that is not constant.
     - `distance_index`: the index of the argument with the distance.
@@ -65,10 +64,10 @@ class BuiltinRow:
     - `form`: a `call`, a bare `name`, or the `value` of a thing, if the thing's name is used where a value is expected.
     - `word`: the word, if it is not `op`.
     - `part`: the name of the sense's result that the word returns.
-    - `sense`: the value depends on the agent even if all arguments are constant.
-    - `draws`: it uses a random number.
-    - `interval`: the range of its values.
-    - `sample`: an example in a line."""
+    - `depends_on_agent`: whether the value depends on the agent even if all arguments are constant.
+    - `uses_draws`: whether the operation uses a random number.
+    - `interval`: the smallest and the largest value.
+    - `sample`: a line of the language with the word."""
 
     args: tuple[ArgumentRow, ...]
     result: str
@@ -77,8 +76,8 @@ class BuiltinRow:
     part: str = ""
     form: str = "call"
     word: str = ""
-    sense: bool = False
-    draws: bool = False
+    depends_on_agent: bool = False
+    uses_draws: bool = False
     interval: tuple[float, float] | None = None
     cost: UseCost | None = None
     sample: str = ""
@@ -118,7 +117,7 @@ def _parse_argument(text: str) -> ArgumentRow:
 
 @dataclass(frozen=True, slots=True)
 class ResultPart:
-    """One result of a sense. `kind`: a letter of the plan's table (f, b, i, l). `component_count`: 3 for a vector."""
+    """One result of a sense. `kind`: float, bool, row or id (f, b, i, l). `component_count`: 3 for a vector, else 1."""
 
     name: str
     kind: str = "f"

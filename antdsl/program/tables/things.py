@@ -105,5 +105,5 @@ BLOCKING_KINDS = tuple(row.word for row in _THING_ROWS if row.is_blocking)
 
 
 def list_replacements(kind: str) -> tuple[str, ...]:
-    """Return the kinds of things that are allowed as an argument of a kind. The kind itself comes first."""
+    """Return the kinds of things that are allowed where an argument has the kind `kind`. The kind itself comes first."""
     return (kind, *(row.word for row in _THING_ROWS if kind in row.replaced_kinds))

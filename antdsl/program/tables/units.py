@@ -15,7 +15,9 @@ _UNIT_PART_PATTERN = re.compile(r"([*/]?)([A-Za-z]+|%)(?:\^(\d+))?")
 
 @dataclass(frozen=True, slots=True)
 class UnitMeasure:
-    """The value of one unit: `factor` base units, times `unit ** u` (mm per scene unit) and `dt ** step`."""
+    """The value of one unit, in base units.
+
+    It is `factor * u ** unit_power * dt ** step`. `u`: mm per scene unit. `dt`: seconds per step."""
 
     dim: Dimension
     factor: float

@@ -27,8 +27,10 @@ FORCE_DIMENSION = Dimension(length=1, time=-2, mass=1)
 
 @dataclass(frozen=True, slots=True)
 class UnitRow:
-    """A unit. `factor`: its value in base units (mm, s, g, rad). `unit_power`, `step`: powers of the scene's unit and of dt that
-    multiply the value."""
+    """A unit of the language.
+
+    `factor`: the value in base units (mm, s, g, rad). This value is multiplied by the scene's unit to the power `unit_power`, and
+    by `dt` to the power `step`."""
 
     dim: Dimension
     factor: float
@@ -82,14 +84,18 @@ TYPE_BY_WORD: dict[str, Dimension | str] = {
 class BuiltinAttribute:
     """An attribute that every agent has.
 
-    `is_settable`: a species declares it without `=`, and statements may assign it."""
+    - `is_settable`: a species may set the attribute without `=`, and statements may assign it.
+    - `default`: the default as text of the language. `edition`: the first edition that has the attribute.
+    - `can_be_unlimited`: whether the value `none` means that there is no limit.
+    - `is_for_standing`: whether only species with standing bodies have it.
+    - `max_value`: the greatest value, in base units."""
 
     type: str
     is_settable: bool
     default: str | None  # as text of the language; `EDITION_DEFAULTS` overrides it
     help: str
     edition: int = 1  # the first edition that has it
-    limits: bool = False  # whether `none` says that there is no limit
+    can_be_unlimited: bool = False  # whether `none` says that there is no limit
     is_for_standing: bool = False  # whether only species with standing bodies, which set it, have it
     max_value: float = inf  # the greatest value, in base units
     can_be_zero: bool = False
@@ -130,7 +136,9 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         can_be_zero=True,
     ),
     "max_force": BuiltinAttribute("force", True, "mass * max_speed / response", "force of a push of 1"),
-    "max_turn": BuiltinAttribute("angle / time", True, None, "fastest turn of the heading; `none`: no limit", limits=True),
+    "max_turn": BuiltinAttribute(
+        "angle / time", True, None, "fastest turn of the heading; `none`: no limit", can_be_unlimited=True
+    ),
     "upright": BuiltinAttribute(
         "number",
         True,
@@ -146,7 +154,7 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         None,
         "steepest ground that it walks on; steeper ground is a wall; `none`: no limit",
         edition=2,
-        limits=True,
+        can_be_unlimited=True,
         can_be_zero=True,
     ),
     "response": BuiltinAttribute("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
@@ -163,7 +171,9 @@ def builtin_attributes(edition: int) -> Mapping[str, BuiltinAttribute]:
 
 
 def explain_range(name: str, number: float) -> str | None:
-    """Return what to write instead, if a built-in attribute cannot have a value, in base units; None if it can."""
+    """Return the advice for a value that a built-in attribute cannot have, such as `write 0 or more`; None for an allowed value.
+
+    `number`: the value in base units."""
     row = BUILTIN_ATTRIBUTE_BY_NAME.get(name)
     if row is None or not row.is_settable:
         return None
@@ -176,7 +186,7 @@ def explain_range(name: str, number: float) -> str | None:
 
 def is_limit(name: str) -> bool:
     """Return whether a built-in attribute is a limit, which may be infinite."""
-    return name in BUILTIN_ATTRIBUTE_BY_NAME and BUILTIN_ATTRIBUTE_BY_NAME[name].limits
+    return name in BUILTIN_ATTRIBUTE_BY_NAME and BUILTIN_ATTRIBUTE_BY_NAME[name].can_be_unlimited
 
 
 # Values of the run, usable anywhere.
@@ -222,17 +232,23 @@ _PLAIN_BUILTINS = (
     parse_row("vector(x: number A, y: number A, z: number A) -> vector A", "from three numbers, in the scene's axes"),
     parse_row("first(a…: any A) -> any A", "the first that is not none"),
     parse_row(
-        "uniform(low: number A, high: number A) -> number A", "a uniform random number between two", draws=True, cost=_DRAW_COST
+        "uniform(low: number A, high: number A) -> number A",
+        "a uniform random number between two",
+        uses_draws=True,
+        cost=_DRAW_COST,
     ),
     parse_row(
-        "normal(mean: number A, deviation: number A) -> number A", "a random number around a mean", draws=True, cost=_DRAW_COST
+        "normal(mean: number A, deviation: number A) -> number A",
+        "a random number around a mean",
+        uses_draws=True,
+        cost=_DRAW_COST,
     ),
-    parse_row("pick(a…: any A) -> any A", "one of these, equally likely", draws=True, cost=_DRAW_COST),
+    parse_row("pick(a…: any A) -> any A", "one of these, equally likely", uses_draws=True, cost=_DRAW_COST),
     parse_row(
         "random(of: species) -> agent",
         "one living agent of a species, all equally likely",
         op="random_agent",
-        draws=True,
+        uses_draws=True,
         cost=_DRAW_COST,
     ),
     parse_row("rising(x: number A, over: range A) -> number", "0 below, 1 above, linear between", interval=senses.SHARE_INTERVAL),
@@ -313,7 +329,7 @@ _OPERATION_ROWS = (
     *senses.find_words("name"),
     *senses.find_words("value"),
 )
-DRAWING_OPERATIONS = frozenset((*(row.op for row in _OPERATION_ROWS if row.draws), "chance"))
+DRAWING_OPERATIONS = frozenset((*(row.op for row in _OPERATION_ROWS if row.uses_draws), "chance"))
 INTERVAL_BY_OPERATION: dict[str, tuple[float, float]] = {
     row.op: row.interval for row in _OPERATION_ROWS if row.interval is not None
 }

@@ -54,9 +54,9 @@ class SpecRules:
 
     def __init__(self, declarations: Declarations, has_reference_run: bool = False) -> None:
         self.language_rules = declarations.rules
-        self.comparison_rules: dict[str, Callable[..., Expr]] = {"at_start": self._type_at_start}
+        self.comparison_rules: dict[str, Callable[..., Expr]] = {"at_start": self._type_start_value}
         if has_reference_run:
-            self.comparison_rules["other"] = self._type_other_run
+            self.comparison_rules["other"] = self._type_reference_run_value
         self.is_in_aggregate = False  # whether the checker is inside an aggregate such as `total(…)`
         self.cells = ""  # the field with the cells that an aggregate reads
         self.other_side: Expr | None = None  # the other side of a comparison with `initial_count` or `other`
@@ -64,7 +64,7 @@ class SpecRules:
             nodes.Call: self._type_call, nodes.NameRef: self._type_name, nodes.Member: self._type_member,
             nodes.Binary: self._type_binary,
         }  # fmt: skip
-        self.declared = replace(declarations, rules={**declarations.rules, **own})
+        self.declarations = replace(declarations, rules={**declarations.rules, **own})
 
     # --- names -------------------------------------------------------------------------------------------------------
 
@@ -83,7 +83,7 @@ class SpecRules:
             return BodyMeasure(parse_type_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
         return expressions.type_name(scope, node, expected_type)
 
-    def _type_at_start(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
+    def _type_start_value(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
         if self.is_in_aggregate:
             message = "`at_start` cannot be inside an expression that is computed for each agent"
             return scope.reject("set-in-set", message, span, "write `at_start(total(food.load))`")
@@ -94,8 +94,8 @@ class SpecRules:
             return scope.reject("wrong-kind", words, span, "compare numbers")
         return StartValue(expr.type, expr.rate, span, expr)
 
-    def _type_other_run(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
-        """Return the value of a number of the reference run. It must be about the complete run, not about one agent."""
+    def _type_reference_run_value(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
+        """Return the value that the number `expr` has in the reference run. The number must be about the complete run."""
         if expr.type.kind is TypeKind.BAD:
             return make_bad_expression(span)
         names_agent = self.is_in_aggregate or scope.species is not None
@@ -108,12 +108,12 @@ class SpecRules:
     def _type_member(self, scope: NameScope, node: nodes.Member, expected_type: ValueType | None) -> Expr:
         owner, name = node.owner, node.name.text
         if isinstance(owner, nodes.NameRef):
-            if owner.name.text in scope.declared.fields and name == "value":
+            if owner.name.text in scope.declarations.fields and name == "value":
                 return self._type_cell(scope, node, owner.name.text)
             if owner.name.text == "motion" and "motion" not in scope.local_names:
                 return self._type_motion(scope, node)
             self_there = scope.local_names.get(owner.name.text)
-            species = scope.declared.species.get(owner.name.text)
+            species = scope.declarations.species.get(owner.name.text)
             is_own = isinstance(self_there, ThingRef)
             if is_own and species is not None and name in species.params and name not in species.attributes:
                 scope.mark_used("param", f"{species.name}.{name}")
@@ -124,7 +124,7 @@ class SpecRules:
             if bodily and isinstance(self_there, ThingRef):
                 scope.bind(owner.span, "species", owner.name.text)
                 return BodyMeasure(parse_type_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
-            if self._reports_unnamed_agent(scope, owner.name.text, node):
+            if self._is_value_of_unnamed_agent(scope, owner.name.text, node):
                 return make_bad_expression(node.span)
         return expressions.type_member(scope, node, expected_type)
 
@@ -139,13 +139,13 @@ class SpecRules:
             f"at an agent's position, write `{field}` alone",
         )  # fmt: skip
 
-    def _reports_unnamed_agent(self, scope: NameScope, owner: str, node: nodes.Member) -> bool:
-        """Return whether a text such as `forager.load` fails to name a single agent; report an error if so."""
-        kind, name = _find_thing_kind(scope.declared, owner), node.name.text
+    def _is_value_of_unnamed_agent(self, scope: NameScope, owner: str, node: nodes.Member) -> bool:
+        """Return whether a text such as `forager.load` names a value of an agent or item, but not which one; report it if so."""
+        kind, name = _find_thing_kind(scope.declarations, owner), node.name.text
         type = ValueType(TypeKind.AGENT if kind is TypeKind.SPECIES else TypeKind.ITEM, referent=owner)
-        params = scope.declared.species[owner].params if kind is TypeKind.SPECIES else {}
+        params = scope.declarations.species[owner].params if kind is TypeKind.SPECIES else {}
         known = kind is not None and name in {
-            *find_attributes(scope.declared, type),
+            *find_attributes(scope.declarations, type),
             *(GEOMETRY_MEASURES if kind is TypeKind.SPECIES else ()),
         }
         if not known or owner in scope.local_names or name in params:
@@ -183,8 +183,6 @@ class SpecRules:
         finally:
             self.other_side = outer
 
-    # --- wholes ------------------------------------------------------------------------------------------------------
-
     def _type_call(self, scope: NameScope, node: nodes.Call, expected_type: ValueType | None) -> Expr:
         name = node.function.name.text if isinstance(node.function, nodes.NameRef) else ""
         first = node.arguments[0] if len(node.arguments) == 1 else None
@@ -210,28 +208,29 @@ class SpecRules:
         type_arguments(scope, node)
         return make_bad_expression(node.span)
 
-    def _reports_nesting(self, scope: NameScope, span: Span) -> bool:
+    def _is_nested_aggregate(self, scope: NameScope, span: Span) -> bool:
+        """Return whether an aggregate is inside another aggregate; report an error if so."""
         if self.is_in_aggregate:
             message = f"{quote_source(span)} is inside an expression for each agent"
             scope.report.error("set-in-set", message, span, "write the two next to each other")
         return self.is_in_aggregate
 
     def _type_aggregate(self, scope: NameScope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
-        if self._reports_nesting(scope, node.span):
+        if self._is_nested_aggregate(scope, node.span):
             return make_bad_expression(node.span)
         bare = operand.name.text if isinstance(operand, nodes.NameRef) else ""
         how = "total" if name == "sum" else name
-        field = _find_cell_field(scope.declared, operand)
+        field = _find_cell_field(scope.declarations, operand)
         if field:
             if name not in _TRUTH_AGGREGATES and not (isinstance(operand, nodes.Member) and operand.name.text == "value"):
                 return self._report_no_sum(scope, node, field)
             bare = bare if name in _TRUTH_AGGREGATES else field
-        if bare in scope.declared.fields and name in (*_CELL_AGGREGATES, "count"):
+        if bare in scope.declarations.fields and name in (*_CELL_AGGREGATES, "count"):
             scope.mark_used("field", bare)
             scope.bind(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
             field_type = ValueType(TypeKind.FIELD, referent=bare)
             return AggregateExpr(NUMBER_TYPE, ChangeRate.STEP, node.span, how, field_type, (), None, None)
-        thing = scope.declared.things.get(bare)
+        thing = scope.declarations.things.get(bare)
         if thing is not None and KIND_BY_WORD[thing.kind].is_dug and name == "total":
             scope.mark_used("thing", bare)
             scope.bind(operand.span, "thing", bare)
@@ -269,7 +268,7 @@ class SpecRules:
 
     @staticmethod
     def _report_no_value(scope: NameScope, node: nodes.Call, subject: str) -> Expr:
-        value = f"{subject}.{'size' if subject in scope.declared.species else 'radius'}"
+        value = f"{subject}.{'size' if subject in scope.declarations.species else 'radius'}"
         advice = f"name one, such as `{value}`, or write `count({subject})` for how many there are"
         return scope.reject(
             "wrong-argument", f"{quote_source(node.span)} does not name a value of `{subject}`", node.span, advice
@@ -287,7 +286,7 @@ class SpecRules:
 
         A set of all agents is a population. A smaller set would need an agent as its owner."""
         over = reduction.elements
-        if self._reports_nesting(scope, reduction.span):
+        if self._is_nested_aggregate(scope, reduction.span):
             return make_bad_expression(reduction.span)
         is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
         is_number = reduction.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
@@ -327,7 +326,7 @@ def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
 
 
 def _find_cell_field(declarations: Declarations, operand: nodes.Expr) -> str:
-    """Return the field with the cells that an expression reads, as `trail` in `trail.value > 0.1`. Empty if there is none."""
+    """Return the name of the field whose cells an expression reads, such as `trail` in `trail.value > 0.1`; "" without one."""
     members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declarations.fields), "")
@@ -337,8 +336,9 @@ def _find_cell_field(declarations: Declarations, operand: nodes.Expr) -> str:
 
 
 def _find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueType | None:
-    """Return the species or items that an aggregate names, else the only species with all of its values; None after an error."""
-    declared = scope.declared
+    """Return the type of the species or items that an aggregate is about; None after an error. If it names none, as in
+    `share(state == carry)`, it is about the only species that has all of its values."""
+    declared = scope.declarations
     owners = [part.owner for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member)]
     named = [owner.name.text for owner in (*owners, operand) if isinstance(owner, nodes.NameRef)]
     things = [name for name in dict.fromkeys(named) if _find_thing_kind(declared, name) is not None]
@@ -393,7 +393,7 @@ def _make_element_scope(scope: NameScope, population: ValueType, span: Span) -> 
     name = population.referent or ""
     if population.kind is TypeKind.SPECIES:
         who = ThingRef(ValueType(TypeKind.AGENT, referent=name), ChangeRate.AGENT, span, "self")
-        names, local_names = scope.declared.species[name], {**scope.local_names, name: who}
+        names, local_names = scope.declarations.species[name], {**scope.local_names, name: who}
         return scope.with_changes(species=names, machine=None, local_names=local_names), ()
     element = Binding(name, "element", ValueType(TypeKind.ITEM, Dimension(), name), ChangeRate.ELEMENT, span)
     element_value = BindingRef(element.type, ChangeRate.ELEMENT, span, element)

@@ -24,20 +24,24 @@ ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
 @dataclass(frozen=True, slots=True)
 class ArgumentSlot:
-    """One parameter. `is_required`: it has no default and is not optional. `range`: its value consists of two values joined by
-    `..`."""
+    """One parameter of a call.
+
+    - `is_required`: the parameter has no default and is not optional.
+    - `is_variadic`: the parameter accepts any number of values.
+    - `is_range`: the value consists of two values joined by `..`."""
 
     name: str
     is_required: bool
     is_variadic: bool = False
-    range: bool = False
+    is_range: bool = False
 
 
 def arrange_arguments(
     scope: NameScope, function_name: str, slots: Sequence[ArgumentSlot], node: CallNode, form: str = ""
 ) -> ArgumentsBySlot | None:
-    """Return the arguments by slot; None after an error that makes the call unusable. `form`: the text of the call up to its
-    bracket, if it is not `function_name`."""
+    """Return the arguments of a call by the names of the parameters; None after an error that makes the call unusable.
+
+    `slots`: the parameters. `form`: the text of the call up to its bracket, if it is not `function_name`."""
     form = form or function_name
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
@@ -122,10 +126,10 @@ def type_arguments(scope: NameScope, node: CallNode) -> None:
             scope.type_expression(argument.value.low)
             scope.type_expression(argument.value.high)
         else:
-            known = len(scope.declared.name_uses)
+            known = len(scope.declarations.name_uses)
             scope.type_expression(argument.value)
             if argument.name is not None and argument.name.text == "with":
-                del scope.declared.name_uses[known:]  # drops names that were bound during the attempt
+                del scope.declarations.name_uses[known:]  # drops names that were bound during the attempt
 
 
 def _report_late_positions(
@@ -144,10 +148,9 @@ def _report_late_positions(
 
 
 def _find_decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> Span | None:
-    """Return the first number with a decimal comma that was parsed as two arguments; None if there is none.
+    """Return the span of the first number with a decimal comma that was parsed as two arguments; None if there is none.
 
-    The comma is a decimal comma if the call is valid with the two halves joined. In a list such as `vector(1,2,3)`, it separates
-    arguments."""
+    A comma is a decimal comma if the call is valid with both numbers joined. In `vector(1,2,3)`, it separates arguments."""
     joints: dict[int, Span] = {}
     is_second_half = False  # whether the argument was already joined to the previous one
     tight = 0
@@ -176,10 +179,12 @@ def _find_decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes
 
 @dataclass(frozen=True, slots=True)
 class _ArgumentForm:
-    """The properties of an argument that matter for counting: its name, if it has one, and whether it is a range."""
+    """The properties of an argument that decide whether a call has the right number of arguments.
+
+    `name`: the parameter that the argument names; None for a positional argument. `is_range`: whether the value has `..`."""
 
     name: nodes.Name | None
-    range: bool
+    is_range: bool
 
 
 def _list_argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentForm]:
@@ -187,16 +192,16 @@ def _list_argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentF
 
 
 def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
-    """Return the arguments, with two positional values joined to a range where a range is expected.
+    """Return the arguments, in which two positional values count as one where the parameter expects a range.
 
-    Return None if the second value is missing."""
+    Returns None if the second value is missing."""
     paired: list[_ArgumentForm] = []
     left = list(forms)
     while left:
         each = left.pop(0)
         place = len(paired)
-        if each.name is None and not each.range and place < len(slots) and slots[place].range:
-            if not left or left[0].name is not None or left[0].range:
+        if each.name is None and not each.is_range and place < len(slots) and slots[place].is_range:
+            if not left or left[0].name is not None or left[0].is_range:
                 return None
             left.pop(0)
         paired.append(each)
@@ -205,7 +210,7 @@ def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentF
 
 def _make_range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
     """Return help and a fix for two values where a range is expected. None if the number of arguments would still be wrong."""
-    place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
+    place = next((n for n, slot in enumerate(slots) if slot.is_range), len(arguments))
     if place + 1 >= len(arguments) or not _is_valid_count(slots, _merge_range_pairs(slots, _list_argument_forms(arguments))):
         return None
     low, high = arguments[place : place + 2]
@@ -214,8 +219,9 @@ def _make_range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Arg
 
 
 def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm] | None, min_variadic: int = 1) -> bool:
-    """Return whether the arguments, by position and by name, match the slots. `min_variadic`: the minimum number for a variadic
-    call."""
+    """Return whether the positional and named arguments match the parameters.
+
+    `min_variadic`: the smallest number of positional arguments of a variadic call."""
     if forms is None:
         return False
     by_name = [each.name for each in forms]
@@ -239,7 +245,7 @@ def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm
 
 
 def type_point(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
-    """Return an expression as a point."""
+    """Return the typed expression of an argument that must be a point, such as an item, an agent or a position."""
     expr = scope.type_expression(node, ValueType(TypeKind.PLACE))
     if expr.type.kind in (TypeKind.ITEMS, TypeKind.SPECIES):
         return make_nearest_reduction(expr, node.span)

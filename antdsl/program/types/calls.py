@@ -73,7 +73,7 @@ def _report_unknown(scope: NameScope, node: nodes.Call, name: nodes.Name, expect
         message = f"`{name.text}` needs a set"
         scope.report.error("wrong-argument", message, node.span, f"write `{name.text}(n in neighbours(20 mm): …)`")
         return
-    home = scope.declared.find_library(name.text)
+    home = scope.declarations.find_library(name.text)
     if home is not None and home not in scope.file.libraries:
         if home not in scope.file.missing_uses:
             scope.file.missing_uses.add(home)
@@ -145,13 +145,13 @@ def _type_builtin(scope: NameScope, node: nodes.Call, name: str, expected_type: 
 
 
 def _make_slot(arg: ArgumentRow) -> ArgumentSlot:
-    return ArgumentSlot(arg.name, arg.default is None and not arg.optional, arg.variadic, arg.type.startswith("range"))
+    return ArgumentSlot(arg.name, arg.default is None and not arg.is_optional, arg.is_variadic, arg.type.startswith("range"))
 
 
 def _find_matching_row(scope: NameScope, node: nodes.Call, rows: tuple[BuiltinRow, ...]) -> tuple[BuiltinRow, nodes.Call]:
-    """Return the row that accepts the first argument and the argument names, among several operations with one name.
+    """Return the row that accepts the call's first argument and argument names, and the call with that argument typed.
 
-    Also return the call with its first argument typed, so that nested calls are typed only once."""
+    The argument is typed here, so that nested calls are typed only once."""
     named = {a.name.text for a in node.arguments if isinstance(a, nodes.Argument) and a.name}
     fitting = [row for row in rows if named <= {a.name for a in row.args}] or list(rows)
     first = node.arguments[0] if node.arguments else None
@@ -290,8 +290,8 @@ def _type_range(
 def _make_operation(
     scope: NameScope, node: nodes.Call, row: BuiltinRow, args: tuple[Expr | None, ...], variables: TypeVariables
 ) -> Expr:
-    site = make_draw_site(scope, node.function.span.text, node.span) if row.draws else ""
-    rate = max(find_highest_rate(args), ChangeRate.AGENT) if row.draws or row.sense else find_highest_rate(args)
+    site = make_draw_site(scope, node.function.span.text, node.span) if row.uses_draws else ""
+    rate = max(find_highest_rate(args), ChangeRate.AGENT) if row.uses_draws or row.depends_on_agent else find_highest_rate(args)
     operation = OperationExpr(_infer_result_type(row, variables, args), rate, node.span, row.op, args, site)
     check = _EXTRA_CHECKS.get(row.op)
     if check is not None:

@@ -142,7 +142,9 @@ def _is_negation(node: nodes.Expr) -> bool:
 
 
 def _make_own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
-    """Return a fix from the first text in backquotes of the advice, if the text contains the source text; else None."""
+    """Return a fix that replaces the node by the first text in backquotes of `advice`.
+
+    Returns None if this text does not contain the source text of the node."""
     text, match = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
     return Fix(node.span, match[1]) if match and text in match[1] else None
 

@@ -88,8 +88,8 @@ def type_none(scope: NameScope, node: nodes.NoneOf, expected_type: ValueType | N
 
 
 def find_reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
-    """Return the type of one item or agent of a declared name. Report an error and return None for other names."""
-    declared = scope.declared
+    """Return the type of one item of the items `name` or of one agent of the species `name`; None, with an error, for others."""
+    declared = scope.declarations
     thing = declared.things.get(name.text)
     if thing is not None and thing.kind == "items":
         scope.mark_used("thing", name.text)
@@ -171,7 +171,7 @@ def _type_element_value(scope: NameScope, name: str, span: Span) -> Expr | None:
         return owner
     if name in STATE_WORDS and element.type.kind is TypeKind.AGENT:
         return type_state_word(scope, owner, name, span, None)
-    type = find_attributes(scope.declared, element.type).get(name)
+    type = find_attributes(scope.declarations, element.type).get(name)
     if type is None:
         return None
     scope.bind_value(span, element.type, name)
@@ -229,7 +229,7 @@ def _type_builtin_value(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def _type_world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
-    declared = scope.declared
+    declared = scope.declarations
     if name in declared.fields:
         scope.mark_used("field", name)
         scope.bind(span, "field", name)
@@ -256,19 +256,20 @@ def list_visible_names(scope: NameScope) -> set[str]:
     names = (
         set(scope.local_names) | set(scope.builtins) | set(RUN_VALUE_TYPES) | set(SENSE_TYPE_BY_NAME) | {"self", "true", "false"}
     )
-    names |= set(scope.declared.fields) | set(scope.declared.things) | set(scope.declared.species) | set(scope.declared.events)
+    declared = scope.declarations
+    names |= {*declared.fields, *declared.things, *declared.species, *declared.events}
     if scope.species is not None and scope.behaviour is None:
         own = scope.species
         names |= set(own.params) | set(own.attributes) | set(own.bindings) | own.untyped_names
         names |= {*STATE_WORDS, *own.machines} if own.machines else set()
     if scope.element is not None:
-        names |= {"it", *find_attributes(scope.declared, scope.element.type)}
+        names |= {"it", *find_attributes(scope.declarations, scope.element.type)}
     return names
 
 
 def _report_unknown(scope: NameScope, node: nodes.NameRef, expected_type: ValueType | None) -> Expr:
     name, report = node.name.text, scope.report
-    if name in scope.declared.unclear_things:
+    if name in scope.declarations.unclear_things:
         return make_bad_expression(node.span)
     if is_known_missing(scope, "name", node.name):
         return make_bad_expression(node.span)
@@ -331,10 +332,10 @@ def type_member(scope: NameScope, node: nodes.Member, expected_type: ValueType |
         return _type_param(scope, owner, node)
     if kind is TypeKind.AGENT and name in STATE_WORDS:
         return type_state_word(scope, owner, name, node.span, node.name.span)
-    known = find_attributes(scope.declared, owner.type)
+    known = find_attributes(scope.declarations, owner.type)
     if name in known:
         scope.bind_value(node.name.span, owner.type, name)
-        species = scope.declared.species.get(owner.type.referent or "") if kind is TypeKind.AGENT else None
+        species = scope.declarations.species.get(owner.type.referent or "") if kind is TypeKind.AGENT else None
         if species is not None and name in species.pair_value_species:
             return report_pair_value(scope, node.name, owner.type.referent or "")
         return make_attribute_ref(scope, owner, name, known[name], node.span)
@@ -362,7 +363,7 @@ def _report_no_member(scope: NameScope, owner: Expr, node: nodes.Member, known_t
 
 
 def _type_param(scope: NameScope, owner: Expr, node: nodes.Member) -> Expr:
-    names = scope.declared.species[owner.type.referent] if owner.type.referent else None
+    names = scope.declarations.species[owner.type.referent] if owner.type.referent else None
     if names is not None and node.name.text in names.params:
         scope.mark_used("param", f"{names.name}.{node.name.text}")
         scope.bind(node.name.span, "own", names.name, node.name.text)

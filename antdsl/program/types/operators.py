@@ -85,7 +85,7 @@ def _mentions_event(scope: NameScope, node: nodes.Expr) -> bool:
         part = stack.pop()
         if isinstance(part, nodes.NameRef):
             name = part.name.text
-            if name in scope.declared.events and name not in scope.local_names:
+            if name in scope.declarations.events and name not in scope.local_names:
                 return True
         elif isinstance(part, nodes.Binary) and part.op in ("and", "or"):
             stack += [part.left, part.right]
@@ -184,7 +184,7 @@ def make_draw_site(scope: NameScope, word: str, span: Span) -> str:
 
 
 def type_count(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
-    """Return a whole number that is constant before a run; report an error if the expression is not."""
+    """Return the typed expression of a whole number that is constant during a run; report an error for other expressions."""
     expr = type_value(scope, node)
     if expr.type.kind is TypeKind.BAD or (scope.is_generic and expr.type == NUMBER_TYPE):
         return expr

@@ -1,5 +1,4 @@
-"""Types sets and reductions over them: `type_neighbours`, `all`, `type_nearest`, `type_feelers`, `sum(n in SET: …)` and
-similar."""
+"""Types sets and reductions over them: `neighbours`, `all`, `nearest`, `feelers`, `sum(n in SET: …)` and similar."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ _SET_OWNER_KINDS = (TypeKind.ITEMS, TypeKind.SPECIES)
 
 def _arrange_arguments(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> dict[str, list[nodes.Argument]] | None:
     arguments_by_slot = arrange_arguments(
-        scope, name, [ArgumentSlot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node
+        scope, name, [ArgumentSlot(a.name, a.default is None and not a.is_optional, a.is_variadic) for a in row.args], node
     )
     if arguments_by_slot is None:
         type_arguments(scope, node)
@@ -38,14 +37,14 @@ def _arrange_arguments(scope: NameScope, node: nodes.Call, name: str, row: Built
 def _type_optional(
     scope: NameScope, function_name: str, arg: ArgumentRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
-    """Return the value of an argument, its default, or None."""
+    """Return the typed value of an argument, or its default; None for an absent optional argument."""
     written = arguments_by_slot.get(arg.name)
     if written is None:
         return parse_default_values(scope, arg.default, node.span)[0] if arg.default else None
     return type_value_as(scope, written[0].value, parse_type_words(arg.type) or NUMBER_TYPE, f"`{arg.name}` of `{function_name}`")
 
 
-def _type_things(scope: NameScope, function_name: str, node: nodes.Expr, kinds: tuple[TypeKind, ...]) -> Expr | None:
+def _type_set_source(scope: NameScope, function_name: str, node: nodes.Expr, kinds: tuple[TypeKind, ...]) -> Expr | None:
     expr = scope.type_expression(node)
     if expr.type.kind in kinds:
         return expr
@@ -68,7 +67,7 @@ def type_neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinR
     radius, fov = (_type_optional(scope, name, arg, arguments_by_slot, node) for arg in row.args[:2])
     of = scope.species.name if scope.species else None
     if "of" in arguments_by_slot:
-        species = _type_things(scope, name, arguments_by_slot["of"][0].value, (TypeKind.SPECIES,))
+        species = _type_set_source(scope, name, arguments_by_slot["of"][0].value, (TypeKind.SPECIES,))
         if species is None:
             return make_bad_expression(node.span)
         of = species.type.referent
@@ -115,7 +114,7 @@ def _type_count_limit(
 def type_all(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """Type `all(X, within:, with:)`."""
     arguments_by_slot = _arrange_arguments(scope, node, name, row)
-    things = _type_things(scope, name, arguments_by_slot["of"][0].value, _SET_OWNER_KINDS) if arguments_by_slot else None
+    things = _type_set_source(scope, name, arguments_by_slot["of"][0].value, _SET_OWNER_KINDS) if arguments_by_slot else None
     if arguments_by_slot is None or things is None:
         return make_bad_expression(node.span)
     within = _type_optional(scope, name, row.args[1], arguments_by_slot, node)
@@ -207,7 +206,7 @@ SET_CHECKERS: dict[str, Callable[[NameScope, nodes.Call, str, BuiltinRow], Expr]
 
 
 def type_reduction(scope: NameScope, node: nodes.Call, reducer: str) -> Expr:
-    """Type `sum(n in SET: …)` and similar reductions. `type_count(SET)` and `any(SET)` need no body."""
+    """Type `sum(n in SET: …)` and similar reductions. `count(SET)` and `any(SET)` need no body."""
     argument = node.arguments[0]
     if isinstance(argument, nodes.Comprehension):
         over = scope.type_expression(argument.over)
@@ -272,7 +271,7 @@ def _check_shadow(scope: NameScope, variable: nodes.Name) -> None:
 
 
 def type_reduction_body(scope: NameScope, reducer: str, node: nodes.Expr) -> Expr:
-    """Return the body of a reduction: a bool for `type_count` and similar, else a number, or for sums also a vector."""
+    """Return the typed body of a reduction: a bool for `count`, `any` and `every`, else a number. `sum` also allows a vector."""
     if reducer in ("count", "any", "every"):
         return type_condition(scope, node, f"`{reducer}`")
     expr = type_value(scope, node)

@@ -41,7 +41,7 @@ def type_state_word(scope: NameScope, owner: Expr | None, word: str, span: Span,
     """Type `state` and similar words, of the agent itself or of the agent `owner`.
 
     With several machines, the word means the machine at this place in the text, or the first."""
-    names = scope.species if owner is None or owner.type.referent is None else scope.declared.species.get(owner.type.referent)
+    names = scope.species if owner is None or owner.type.referent is None else scope.declarations.species.get(owner.type.referent)
     if isinstance(owner, ThingRef) and owner.name == "self":
         owner = None
     if names is None or not names.machines:
@@ -65,7 +65,7 @@ def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr,
     if not isinstance(node, nodes.NameRef) or not isinstance(operand, AttributeRef) or node.name.text in STATE_WORDS:
         return None
     species, _, machine_name = (operand.type.referent or ".").partition(".")
-    machines = scope.declared.species[species].machines
+    machines = scope.declarations.species[species].machines
     named = "." in operand.span.text and operand.owner is None  # `mood.state` names the machine; `state` alone may mean any
     order = [machines[machine_name]] + ([] if named else [m for m in machines.values() if m.name != machine_name])
     for machine in order:

@@ -28,17 +28,17 @@ def _lower_normal(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Lower a normal draw by the method of Box and Muller (1958). 1 - u is in (0, 1], so the logarithm is finite."""
     mean, deviation = (lower_scalar(w, a) for a in e.args if a is not None)
     b = w.b
-    radius = b("sqrt", b("mul", b.number(-2), b("log", b("sub", b.number(1), lower_draw(w, e)))))
-    wave = b("cos", b("mul", b.number(2 * pi), lower_draw(w, e, 1)))
+    radius = b("sqrt", b("mul", b.add_number(-2), b("log", b("sub", b.add_number(1), lower_draw(w, e)))))
+    wave = b("cos", b("mul", b.add_number(2 * pi), lower_draw(w, e, 1)))
     return b("add", mean, b("mul", deviation, b("mul", radius, wave)))
 
 
 def _lower_pick(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     choices = [lower_expression(w, a) for a in e.args if a is not None]
-    place = w.b("mul", lower_draw(w, e), w.b.number(len(choices)))
+    place = w.b("mul", lower_draw(w, e), w.b.add_number(len(choices)))
     result = choices[-1]
     for k in range(len(choices) - 2, -1, -1):
-        result = select_value(w, w.b("lt", place, w.b.number(k + 1)), choices[k], result)
+        result = select_value(w, w.b("lt", place, w.b.add_number(k + 1)), choices[k], result)
     return result
 
 
@@ -58,7 +58,7 @@ def _lower_chance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     share = lower_scalar(w, argument)
     b = w.b
     if argument.type.dimension.time < 0:
-        share = b("sub", b.number(1), b("exp", b("neg", b("mul", share, w.run("dt")))))
+        share = b("sub", b.add_number(1), b("exp", b("neg", b("mul", share, w.run("dt")))))
     return b("lt", lower_draw(w, e), share)
 
 

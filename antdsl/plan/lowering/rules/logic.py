@@ -44,19 +44,19 @@ def _lower_fuzzy(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return the mean of the rules' outputs, each weighted by the degree of its rule; 0 if all degrees are 0. Degrees are clamped
     to 0..1, and NaN counts as 0."""
     b = w.b
-    above = below = b.number(0)
+    above = below = b.add_number(0)
     for degree, said in zip(e.args[::2], e.args[1::2], strict=True):
         assert degree is not None and said is not None
-        weight = b("min", b("max", _lower_degree(w, degree), b.number(0)), b.number(1))
+        weight = b("min", b("max", _lower_degree(w, degree), b.add_number(0)), b.add_number(1))
         above, below = b("add", above, b("mul", weight, lower_scalar(w, said))), b("add", below, weight)
-    return b("where", b("gt", below, b.number(0)), b("div", above, below), b.number(0))
+    return b("where", b("gt", below, b.add_number(0)), b("div", above, below), b.add_number(0))
 
 
 def _lower_not(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     argument = e.args[0]
     assert argument is not None
     if e.type.kind is model.TypeKind.NUMBER:
-        return w.b("sub", w.b.number(1), _lower_degree(w, argument))
+        return w.b("sub", w.b.add_number(1), _lower_degree(w, argument))
     return w.b("not", lower_condition(w, argument))
 
 

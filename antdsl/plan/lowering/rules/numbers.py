@@ -21,8 +21,8 @@ def lower_arguments(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
     return [lower_scalar(w, a) for a in e.args if a is not None]
 
 
-def _lower_both(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, LoweredValue, Callable[[], list[PlanNode]]]:
-    """Return both operands, and a function that returns them as scalars.
+def _lower_operand_pair(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, LoweredValue, Callable[[], list[PlanNode]]]:
+    """Return the left operand, the right operand, and a function that returns both as scalar nodes.
 
     Each operand is lowered only once. Lowering it twice would double the work at each level of nesting."""
     first, second = (a for a in e.args if a is not None)
@@ -32,7 +32,7 @@ def _lower_both(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, Lo
 
 def _make_binary_rule(op: str) -> OperationRule:
     def lower_binary(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-        left, right, scalars = _lower_both(w, e)
+        left, right, scalars = _lower_operand_pair(w, e)
         if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
             return values.zip_with(lambda p, q: w.b(op, p, q), left, right)
         return w.b(op, *scalars())
@@ -41,7 +41,7 @@ def _make_binary_rule(op: str) -> OperationRule:
 
 
 def _lower_mul(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    left, right, scalars = _lower_both(w, e)
+    left, right, scalars = _lower_operand_pair(w, e)
     if isinstance(left, VectorNodes) and isinstance(right, PlanNode):
         return values.scale(w.b, left, right)
     if isinstance(right, VectorNodes) and isinstance(left, PlanNode):
@@ -74,10 +74,10 @@ def _lower_pow(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         return w.b("sqrt", base)
     if known != int(known) or abs(known) > 8:
         return w.b("pow", base, exponent)
-    result = w.b.number(1)
+    result = w.b.add_number(1)
     for _ in range(abs(int(known))):
         result = w.b("mul", result, base)
-    return w.b("div", w.b.number(1), result) if known < 0 else result
+    return w.b("div", w.b.add_number(1), result) if known < 0 else result
 
 
 def _make_scalar_rule(op: str) -> OperationRule:
@@ -93,9 +93,9 @@ def compute_share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> 
     """Return the position of x between low and high, from 0 to 1. If low equals high, the result steps from 0 to 1 there."""
     b = w.b
     wide = b("sub", high, low)
-    between = b("min", b("max", b("div", b("sub", x, low), wide), b.number(0)), b.number(1))
-    step = b("where", b("ge", x, high), b.number(1), b.number(0))
-    return b("where", b("ne", wide, b.number(0)), between, step)
+    between = b("min", b("max", b("div", b("sub", x, low), wide), b.add_number(0)), b.add_number(1))
+    step = b("where", b("ge", x, high), b.add_number(1), b.add_number(0))
+    return b("where", b("ne", wide, b.add_number(0)), between, step)
 
 
 def _lower_ramp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
@@ -106,7 +106,7 @@ def _lower_ramp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 def _lower_interpolation(w: PlanWriter, a: PlanNode, z: PlanNode, t: PlanNode) -> PlanNode:
     if get_constant_value(a) == 0:
         return w.b("mul", z, t)
-    return w.b("add", w.b("mul", a, w.b("sub", w.b.number(1), t)), w.b("mul", z, t))
+    return w.b("add", w.b("mul", a, w.b("sub", w.b.add_number(1), t)), w.b("mul", z, t))
 
 
 def _lower_mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
@@ -124,22 +124,22 @@ def _lower_rising(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_falling(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return w.b("sub", w.b.number(1), compute_share(w, *lower_arguments(w, e)))
+    return w.b("sub", w.b.add_number(1), compute_share(w, *lower_arguments(w, e)))
 
 
 def _lower_around(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     x, low, high = lower_arguments(w, e)
     b = w.b
-    half = b("mul", b("sub", high, low), b.number(0.5))
+    half = b("mul", b("sub", high, low), b.add_number(0.5))
     middle = b("add", low, half)
-    return b("max", b("sub", b.number(1), b("div", b("abs", b("sub", x, middle)), half)), b.number(0))
+    return b("max", b("sub", b.add_number(1), b("div", b("abs", b("sub", x, middle)), half)), b.add_number(0))
 
 
 def _make_comparison_rule(op: str) -> OperationRule:
     def lower_comparison(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-        left, right, scalars = _lower_both(w, e)
+        left, right, scalars = _lower_operand_pair(w, e)
         if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
-            same = w.b.all(*(w.b("eq", p, q) for p, q in zip(left, right, strict=True)))
+            same = w.b.add_conjunction(*(w.b("eq", p, q) for p, q in zip(left, right, strict=True)))
             return same if op == "eq" else w.b("not", same)
         first, second = scalars()
         if first.kind is not second.kind:  # a bool and a number: compare both as numbers

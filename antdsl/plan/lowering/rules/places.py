@@ -39,7 +39,7 @@ def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[P
     if isinstance(value, RayHit):
         return value.hit, values.scale(b, value.direction, value.distance)
     if isinstance(value, NamedThing) and value.row.nearest_op == "obstacle.near":
-        near = b(value.row.nearest_op, b.number(inf), attrs=(value.name,))
+        near = b(value.row.nearest_op, b.add_number(inf), attrs=(value.name,))
         within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
         return within, values.scale(b, VectorNodes(x, y, z), b("neg", distance))
     if isinstance(value, NamedThing) and value.row.nearest_op == "curve.closest":
@@ -62,20 +62,20 @@ def compute_distance(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanN
     if isinstance(value, SetElement):
         return b("pair.distance")
     if isinstance(value, RayHit):
-        return b("where", value.hit, value.distance, b.number(inf))
+        return b("where", value.hit, value.distance, b.add_number(inf))
     if isinstance(value, NamedThing) and value.row.nearest_op == "curve.closest":
         return b("get", b(value.row.nearest_op, attrs=(value.name,)), attrs=(0,))
     if isinstance(value, NamedThing) and value.row.nearest_op == "obstacle.near":
-        near = b(value.row.nearest_op, b.number(inf), attrs=(value.name,))
-        return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.number(inf))
+        near = b(value.row.nearest_op, b.add_number(inf), attrs=(value.name,))
+        return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.add_number(inf))
     is_present, offset = compute_offset(w, value, e)
-    return b("where", is_present, values.length(b, offset), b.number(inf))
+    return b("where", is_present, values.length(b, offset), b.add_number(inf))
 
 
 def _find_nearest_member(w: PlanWriter, value: LoweredValue) -> LoweredValue:
     """Return the nearest item or agent for a group of items or a species; return any other value unchanged."""
     if isinstance(value, NamedThing) and value.row.nearest_op == "set.items":
-        every = w.b(value.row.nearest_op, w.b.number(inf), attrs=(value.name,))
+        every = w.b(value.row.nearest_op, w.b.add_number(inf), attrs=(value.name,))
         return EntityRef(model.TypeKind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
     if isinstance(value, NamedThing) and value.row.nearest_op == "set.every":
         every = w.b(value.row.nearest_op, attrs=(value.name,))
@@ -166,7 +166,7 @@ def _lower_touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         if row.has_faces:
             return b("get", b(row.nearest_op, radius, attrs=(value.name,)), attrs=(0,))
         if row.nearest_op == "set.items":
-            every = b(row.nearest_op, b.number(inf), attrs=(value.name,))
+            every = b(row.nearest_op, b.add_number(inf), attrs=(value.name,))
             reach = b("add", b("other", attrs=("radius",), kind=ValueKind.F32), radius)
             return b("reduce.any", every, b("le", b("pair.distance"), reach))
         if row.nearest_op == "set.every":

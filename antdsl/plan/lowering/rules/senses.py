@@ -105,7 +105,7 @@ def _lower_match(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     b = w.b
     change = values.sub(b, lower_vector(w, e.args[0]), w.read_vector("velocity"))
     strength = b("mul", w.read("max_force"), w.run("dt"))
-    return values.limit_length(b, values.scale(b, change, b("div", w.read("mass"), strength)), b.number(1))
+    return values.limit_length(b, values.scale(b, change, b("div", w.read("mass"), strength)), b.add_number(1))
 
 
 _COMPUTED_SENSES = {

@@ -20,10 +20,10 @@ _NEGATED_COMPARISONS = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "n
 
 @dataclass(slots=True)
 class ConditionCase:
-    """One case of a condition. The case applies if all of its entries hold.
+    """One of the cases in which a condition holds. The case applies if all of its entries hold.
 
-    - `intervals`: the interval in which each number lies, by the key of the number's expression.
-    - `truth_by_test`: whether each other test is true or false, by the key of the test."""
+    - `intervals`: by the key of a number's expression, the interval that contains the number.
+    - `truth_by_test`: by the key of a test that is no comparison with a constant, whether the test is true."""
 
     intervals: dict[str, Interval] = field(default_factory=dict)
     truth_by_test: dict[str, bool] = field(default_factory=dict)
@@ -54,13 +54,16 @@ UNREADABLE_CONDITION_ERRORS = (TooManyCases, RecursionError)
 
 @dataclass(slots=True)
 class ConditionReader:
-    """Reads the conditions of one species. `range_by_key`: by the key of an expression, a range that always contains its
-    number."""
+    """Converts the conditions of one species to lists of cases, and caches the results.
+
+    - `range_by_key`: by the key of an expression, a range that always contains its number.
+    - `key_by_id`, `range_by_id`, `cached_cases`: caches by the `id()` of an expression or binding.
+    - `retained_parts`: the objects with these ids. They must not be freed, because another object could get the same id."""
 
     params: Mapping[str, Param]
     range_by_key: dict[str, Interval] = field(default_factory=dict)
     key_by_id: dict[int, str] = field(default_factory=dict)
-    retained_parts: list[object] = field(default_factory=list)  # keeps objects alive, because `keys` contains their ids
+    retained_parts: list[object] = field(default_factory=list)
     # A let may be used in many places and may use other lets, so each is analysed only once.
     range_by_id: dict[int, Interval] = field(default_factory=dict)
     cached_cases: dict[tuple[int, bool], ConditionCases] = field(default_factory=dict)
@@ -83,7 +86,7 @@ class ConditionReader:
                 return self.read_cases(test.args[0], not is_true)
             if test.name in ("and", "or"):
                 left, right = (self.read_cases(arg, is_true) for arg in test.args)
-                return _combine_cases(left, right) if (test.name == "and") == is_true else _check_case_count(left + right)
+                return _intersect_cases(left, right) if (test.name == "and") == is_true else _check_case_count(left + right)
             if test.name in _SWAPPED_COMPARISONS:
                 return self._read_comparison(test, test.name if is_true else _NEGATED_COMPARISONS[test.name])
             if test.name == "is_some":
@@ -104,11 +107,16 @@ class ConditionReader:
                 left, right, name = right, left, _SWAPPED_COMPARISONS[name]
             key = f"{self.make_key(left)} - {self.make_key(right)}"
             a, b = compute_range(left, self.params, self.range_by_id), compute_range(right, self.params, self.range_by_id)
-            return self._compare_with_edge(key, Interval(a.low - b.high, a.high - b.low), 0.0, name)
+            return self._make_comparison_cases(key, Interval(a.low - b.high, a.high - b.low), 0.0, name)
         subject, edge, name = _isolate_variable(left, edge, name)
-        return self._compare_with_edge(self.make_key(subject), compute_range(subject, self.params, self.range_by_id), edge, name)
+        return self._make_comparison_cases(
+            self.make_key(subject), compute_range(subject, self.params, self.range_by_id), edge, name
+        )
 
-    def _compare_with_edge(self, key: str, known_range: Interval, limit: float, name: str) -> ConditionCases:
+    def _make_comparison_cases(self, key: str, known_range: Interval, limit: float, name: str) -> ConditionCases:
+        """Return the cases of the comparison `name` (such as `lt`) between the number with the key `key` and `limit`.
+
+        `known_range`: a range that always contains the number."""
         if not (math.isnan(known_range.low) or math.isnan(known_range.high)):
             self.range_by_key[key] = known_range
         below, above = Interval(high=limit, is_high_open=True), Interval(low=limit, is_low_open=True)
@@ -153,7 +161,9 @@ def _find_constant_value(expr: Expr) -> float | None:
 
 
 def _isolate_variable(subject: Expr, limit: float, name: str) -> tuple[Expr, float, str]:
-    """Solve a comparison for its variable: rewrite `2 * x + 1 > 5` as `x > 2`."""
+    """Solve the comparison of `subject` with a constant for its variable, as `2 * x + 1 > 5` becomes `x > 2`.
+
+    Returns the variable, the new constant, and the name of the comparison (such as `gt`), which a negative factor swaps."""
     while isinstance(subject, OperationExpr) and subject.name in ("neg", "add", "sub", "mul", "div"):
         if subject.name == "neg":
             assert subject.args[0] is not None
@@ -179,28 +189,32 @@ def _isolate_variable(subject: Expr, limit: float, name: str) -> tuple[Expr, flo
     return subject, limit, name
 
 
-def _combine_cases(left: ConditionCases, right: ConditionCases) -> ConditionCases:
+def _intersect_cases(left: ConditionCases, right: ConditionCases) -> ConditionCases:
+    """Return the cases in which both conditions hold. Raises TooManyCases."""
     if len(left) * len(right) > _MAX_CASES:
         raise TooManyCases
     return [case for a in left for b in right if (case := a.intersect(b)) is not None]
 
 
 def _check_case_count(cases: ConditionCases) -> ConditionCases:
+    """Return the cases unchanged. Raises TooManyCases if there are more than the analysis allows."""
     if len(cases) > _MAX_CASES:
         raise TooManyCases
     return cases
 
 
-def is_never(reader: ConditionReader, test: Expr | None) -> bool:
-    """Return whether a condition cannot hold."""
+def is_always_false(reader: ConditionReader, test: Expr | None) -> bool:
+    """Return whether a condition can never hold. The result is False if the analysis cannot decide."""
     try:
         return not reader.read_cases(test)
     except UNREADABLE_CONDITION_ERRORS:
         return False
 
 
-def is_always(reader: ConditionReader, test: Expr | None) -> bool:
-    """Return whether a condition always holds. The analysis ignores NaN, for which no comparison holds."""
+def is_always_true(reader: ConditionReader, test: Expr | None) -> bool:
+    """Return whether a condition always holds. The result is False if the analysis cannot decide.
+
+    The analysis ignores NaN, for which no comparison holds."""
     try:
         return not reader.read_cases(test, False)
     except UNREADABLE_CONDITION_ERRORS:
@@ -208,8 +222,8 @@ def is_always(reader: ConditionReader, test: Expr | None) -> bool:
 
 
 def implies(reader: ConditionReader, premise: Expr | None, conclusion: Expr | None) -> bool:
-    """Return whether `conclusion` holds whenever `premise` does."""
+    """Return whether `conclusion` holds whenever `premise` holds. The result is False if the analysis cannot decide."""
     try:
-        return not _combine_cases(reader.read_cases(premise), reader.read_cases(conclusion, False))
+        return not _intersect_cases(reader.read_cases(premise), reader.read_cases(conclusion, False))
     except UNREADABLE_CONDITION_ERRORS:
         return False

@@ -50,8 +50,10 @@ _OPERATION_INTERVALS: dict[str, Interval] = {op: Interval(*ends) for op, ends in
 
 
 def compute_range(expr: Expr | None, params: Mapping[str, Param], known_ranges: dict[int, Interval]) -> Interval:
-    """Return the range of a number in base units. A param has its declared range, because a scene may set any value within it.
-    `known_ranges` caches the ranges of bindings by id, because one let may be used in many places."""
+    """Return the range that contains all values of a numeric expression, in base units.
+
+    A param has its declared range, because a scene may set any value within it. `known_ranges`: a cache of the ranges of bindings
+    by `id()`, because one let may be used in many places."""
     if expr is None or expr.type.kind is not TypeKind.NUMBER:
         return ANY_NUMBER
     if isinstance(expr, Constant):
@@ -105,13 +107,13 @@ def _multiply_ends(a: Interval, b: Interval) -> Interval:
     return Interval(min(ends), max(ends))
 
 
-def _divide_intervals(a: Interval, b: Interval) -> Interval:
+def _compute_quotient_interval(a: Interval, b: Interval) -> Interval:
     if b.low <= 0 <= b.high:
         return POSITIVE_NUMBERS if a.low >= 0 and b.low >= 0 else ANY_NUMBER
     return _multiply_ends(a, Interval(1 / b.high, 1 / b.low))
 
 
-def _take_absolute(a: Interval) -> Interval:
+def _compute_absolute_interval(a: Interval) -> Interval:
     return Interval(max(0.0, a.low, -a.high), max(-a.low, a.high))
 
 
@@ -120,8 +122,8 @@ _INTERVAL_RULES: dict[str, Callable[[list[Interval]], Interval]] = {
     "add": lambda p: Interval(p[0].low + p[1].low, p[0].high + p[1].high),
     "sub": lambda p: Interval(p[0].low - p[1].high, p[0].high - p[1].low),
     "mul": lambda p: _multiply_ends(p[0], p[1]),
-    "div": lambda p: _divide_intervals(p[0], p[1]),
-    "abs": lambda p: _take_absolute(p[0]),
+    "div": lambda p: _compute_quotient_interval(p[0], p[1]),
+    "abs": lambda p: _compute_absolute_interval(p[0]),
     "min": lambda p: Interval(min(p[0].low, p[1].low), min(p[0].high, p[1].high)),
     "max": lambda p: Interval(max(p[0].low, p[1].low), max(p[0].high, p[1].high)),
     "clamp": lambda p: Interval(p[1].low, p[2].high),

@@ -16,12 +16,13 @@ from antdsl.program.tables.vocabulary import DRAWING_OPERATIONS
 from antdsl.program.traverse import iterate_parts
 from antdsl.program.typed import AttributeRef, Binding, BindingRef, ThingRef
 
-OwnValue = str | Binding  # the attribute that an update sets, or the memory
+UpdateTarget = str | Binding  # the attribute that an update sets, or the memory
 
 
 class StepInfluence(IntEnum):
-    """The influence of the previous value on a result: none, vanishing in short steps, unchanged (SAME), unknown or changed.
-    For SAME, two updates in a row equal one, so the number of updates per second does not matter."""
+    """How the value before an update influences the value after it, for a short step. NONE: not at all. VANISHING: less and less
+    as the step gets shorter. SAME: the value stays the same, so the number of updates does not matter. UNSURE: unknown. CHANGED:
+    the update changes the value even in a very short step."""
 
     NONE = 0
     VANISHING = 1
@@ -32,9 +33,10 @@ class StepInfluence(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ShortStepValue:
-    """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; if `power` is above 0, it vanishes.
-    - `limit`: the limit, if it is known. `changers`: the first two operations that change the previous value.
-    - `deviation_exponent`: that of the deviation from the limit or previous value; infinite if `dt` has no influence.
+    """The behaviour of a value as the step length `dt` goes to 0.
+    - `power`: the value is proportional to `dt ** power`. It vanishes if `power` is above 0. `limit`: its limit, if known.
+    - `deviation_exponent`: the exponent of `dt` in the deviation from the limit or previous value; infinite without influence.
+    - `changers`: the first two operations that change the previous value.
     - `cause`: the operation that causes the deviation, or in which the value vanishes."""
 
     influence: StepInfluence = StepInfluence.NONE
@@ -60,11 +62,12 @@ _QUERY_OPERATIONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "i
 _RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # equally frequent at any frame rate
 
 
-def find_changers(value: Expr, own_value: OwnValue, has_other_change: bool = False) -> tuple[Expr, ...]:
-    """Return at most two operations that make an update depend on the frame rate. Such operations change a value even for `dt`
-    near 0, or not in proportion to `dt`. `--strict` reports the unit `step` instead. `has_other_change`: another line also
-    changes the value."""
-    short = _analyse_value(value, own_value, has_other_change)
+def find_rate_dependent_operations(value: Expr, target: UpdateTarget, has_other_change: bool = False) -> tuple[Expr, ...]:
+    """Return at most two operations of an update that make its effect depend on the frame rate.
+
+    They change the attribute or memory `target` even for `dt` near 0, or not in proportion to `dt`. `check --strict` reports the
+    unit `step` instead. `value`: the new value. `has_other_change`: another line also changes the attribute."""
+    short = _analyse_value(value, target, has_other_change)
     if short.influence is StepInfluence.CHANGED:
         makers = short.changers
     else:
@@ -74,9 +77,9 @@ def find_changers(value: Expr, own_value: OwnValue, has_other_change: bool = Fal
     return tuple(each for each in makers if not _uses_step_unit(each))
 
 
-def is_rate(value: Expr, own_value: OwnValue) -> bool:
+def is_rate(value: Expr, target: UpdateTarget) -> bool:
     """Return whether `value`, which an update multiplies by `dt` and adds, is an amount per second."""
-    short = _analyse_value(value, own_value, False)
+    short = _analyse_value(value, target, False)
     return short.influence is StepInfluence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
 
 
@@ -85,18 +88,21 @@ def depends_on_step(value: Expr) -> bool:
     return any(_is_dt(part) or (isinstance(part, Constant) and bool(part.step)) for part in iterate_parts(value))
 
 
-def is_own_value(part: Expr, own_value: OwnValue) -> bool:
-    if isinstance(own_value, str):
-        return isinstance(part, AttributeRef) and part.owner is None and part.name == own_value
-    return isinstance(part, BindingRef) and part.binding is own_value
+def is_update_target(part: Expr, target: UpdateTarget) -> bool:
+    """Return whether an expression reads the attribute or memory that an update sets."""
+    if isinstance(target, str):
+        return isinstance(part, AttributeRef) and part.owner is None and part.name == target
+    return isinstance(part, BindingRef) and part.binding is target
 
 
-def reads_own_value(expr: Expr, own_value: OwnValue) -> bool:
-    return any(isinstance(part, Expr) and is_own_value(part, own_value) for part in iterate_parts(expr))
+def reads_update_target(expr: Expr, target: UpdateTarget) -> bool:
+    """Return whether any part of an expression reads the attribute or memory that an update sets."""
+    return any(isinstance(part, Expr) and is_update_target(part, target) for part in iterate_parts(expr))
 
 
 def _grows_with_time(power: float, value: Expr) -> bool:
-    """Return whether the sum of a value proportional to `dt ** power` grows with time; with draws, also as the root."""
+    """Return whether the sum of values proportional to `dt ** power`, added once per step, does not depend on the step length.
+    With random draws, this also holds for the power 0.5, because such a sum grows with the root of the time."""
     has_draw = any(isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in iterate_parts(value))
     return power == math.inf or math.isclose(power, 1) or (has_draw and math.isclose(power, 0.5))
 
@@ -110,17 +116,14 @@ def _is_dt(part: object) -> bool:
     return isinstance(first, ThingRef) and first.name == "dt"
 
 
-# --- through an expression -------------------------------------------------------------------------------------------
-
-
-def _analyse_value(value: Expr, own_value: OwnValue, has_other_change: bool) -> ShortStepValue:
+def _analyse_value(value: Expr, target: UpdateTarget, has_other_change: bool) -> ShortStepValue:
     known: dict[int, ShortStepValue] = {}
-    for part in _iterate_dependencies(value, own_value):
-        below = [known[id(each)] for each in _list_operands(part, own_value)]
-        if is_own_value(part, own_value):
+    for part in _iterate_dependencies(value, target):
+        below = [known[id(each)] for each in _list_operands(part, target)]
+        if is_update_target(part, target):
             short = ShortStepValue(StepInfluence.SAME)
         elif isinstance(part, OperationExpr) and part.name == "if":
-            short = _analyse_if(part, below, own_value, has_other_change)
+            short = _analyse_if(part, below, target, has_other_change)
         elif isinstance(part, OperationExpr):
             short = _ANALYSIS_RULES.get(part.name, _analyse_unknown)(part, below)
         elif isinstance(part, Constant):
@@ -134,8 +137,8 @@ def _analyse_value(value: Expr, own_value: OwnValue, has_other_change: bool) -> 
     return known[id(value)]
 
 
-def _iterate_dependencies(value: Expr, own_value: OwnValue) -> Iterator[Expr]:
-    """Yield the parts of an expression that contribute to its value. Each part comes once, operands before operations."""
+def _iterate_dependencies(value: Expr, target: UpdateTarget) -> Iterator[Expr]:
+    """Yield the parts of an expression that contribute to its value, each once. Operands come before the operation."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
     visited: set[int] = set()
     while stack:
@@ -145,11 +148,11 @@ def _iterate_dependencies(value: Expr, own_value: OwnValue) -> Iterator[Expr]:
         elif id(part) not in visited:
             visited.add(id(part))
             stack.append((part, True))
-            stack += [(each, False) for each in reversed(_list_operands(part, own_value))]
+            stack += [(each, False) for each in reversed(_list_operands(part, target))]
 
 
-def _list_operands(part: Expr, own_value: OwnValue) -> list[Expr]:
-    if is_own_value(part, own_value):
+def _list_operands(part: Expr, target: UpdateTarget) -> list[Expr]:
+    if is_update_target(part, target):
         return []
     if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
         return [part.binding.value]
@@ -168,9 +171,6 @@ def _analyse_constant(part: Constant) -> ShortStepValue:
     return ShortStepValue(limit=None if part.unit_power else part.number)
 
 
-# --- one operation ---------------------------------------------------------------------------------------------------
-
-
 def _make_vanishing_value(power: float, kind: StepInfluence = StepInfluence.NONE, cause: Expr | None = None) -> ShortStepValue:
     return ShortStepValue(kind, power, 0.0, power, cause=cause)
 
@@ -185,7 +185,7 @@ def _make_changed_value(op: Expr, operands: OperandValues) -> ShortStepValue:
 
 
 def _make_offset_value(previous_value: ShortStepValue, deviation_power: float, cause: Expr | None) -> ShortStepValue:
-    """Return the previous value with an added deviation proportional to `dt ** off`."""
+    """Return the previous value with an added deviation that is proportional to `dt ** deviation_power`."""
     is_greater = previous_value.influence is StepInfluence.SAME and deviation_power < previous_value.deviation_exponent
     return replace(previous_value, deviation_exponent=deviation_power, cause=cause) if is_greater else previous_value
 
@@ -356,14 +356,14 @@ def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue
     return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(limit=to, deviation_exponent=off)
 
 
-def _analyse_if(op: OperationExpr, operands: OperandValues, own_value: OwnValue, has_other_change: bool) -> ShortStepValue:
+def _analyse_if(op: OperationExpr, operands: OperandValues, target: UpdateTarget, has_other_change: bool) -> ShortStepValue:
     """Analyse `if`. Changes by chance or by an event happen equally often at any rate. `has_other_change`: another line changes
     the value; a branch may then move it back into its range (`if turn > 1 then turn - 1 else turn`)."""
     (test, *ends), branches = op.args, operands[1:]
     assert test is not None
     if (influence := _find_strongest_influence(branches)) < StepInfluence.SAME:
         return _analyse_combination(op, branches)
-    ends_as_before = any(end is not None and is_own_value(end, own_value) for end in ends) and reads_own_value(test, own_value)
+    ends_as_before = any(end is not None and is_update_target(end, target) for end in ends) and reads_update_target(test, target)
     if (has_other_change and ends_as_before) or any(
         isinstance(each, OperationExpr) and each.name in _RATE_FREE_OPERATIONS for each in iterate_parts(test)
     ):

@@ -66,7 +66,7 @@ def has_clearance(world: World, population: Population) -> bool:
 
     The ground must consist of meshes, and the bodies must follow it. Bodies with a posture or a slope limit do not."""
     follows_ground = not has_posture(population) and not has_slope_limit(population)
-    return population.plan.clears_body and follows_ground and isinstance(world.ground, MeshGround)
+    return population.plan.has_body_clearance and follows_ground and isinstance(world.ground, MeshGround)
 
 
 @dataclass(slots=True)
