@@ -24,8 +24,8 @@ from antdsl.limits import MAX_WORN_LAYERS
 from antdsl.plan.lowering.writer import BodyProportions
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
 from antdsl.program.traverse import iterate_parts
-from antdsl.scene.checks.existence_checks import body_span
-from antdsl.scene.crowds.body_choice import body_key, number_of_key, species_of_key
+from antdsl.scene.checks.existence_checks import find_body_span
+from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key, make_body_key
 from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, find_body_for_species
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import BodyCapsuleData, ClipData, LegsData
@@ -137,7 +137,7 @@ def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Repo
     bodies = CrowdBodies(
         worn,
         {key: {name: build_clip_data(clip, body) for name, clip in body.clips.items()} for key, body in (worn | library).items()},
-        {key: compute_collision_size(body, program.species[species_of_key(key)].edition > 1) for key, body in worn.items()}
+        {key: compute_collision_size(body, program.species[find_species_of_key(key)].edition > 1) for key, body in worn.items()}
         | {key: _capsule_room(text) for key, text in mixed.items()},
         LegsByBody({**worn, **words}),
         {text: hash_definition(body) for text, body in definitions.items()},
@@ -150,7 +150,7 @@ def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Repo
 
 def _first_bodies(bodies: Mapping[str, Body]) -> dict[str, Body]:
     """Return by species the first of its bodies. `bodies`: by key."""
-    return {species_of_key(key): body for key, body in bodies.items() if number_of_key(key) == 0}
+    return {find_species_of_key(key): body for key, body in bodies.items() if find_number_of_key(key) == 0}
 
 
 def _check_layers(
@@ -167,7 +167,7 @@ def _check_layers(
             continue
         appearances = (each for machine in program.species[line.species].machines for each in _iterate_display_lines(machine))
         named = layers.setdefault(line.species, {each.layer for each in appearances if isinstance(each, Wear)})
-        dressed = tuple(dict.fromkeys(name for part in line.layers() for name in part if name))
+        dressed = tuple(dict.fromkeys(name for part in line.list_worn_layers() for name in part if name))
         named |= set(dressed)
         place = scene.span("crowd", number, "wear")
         for key in keys_by_species[line.species]:
@@ -235,7 +235,7 @@ def named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
     for name, number in lines.items():
         weights = scene.model.crowd[number].body_weights
         bodies += [
-            NamedBody(body_key(name, k, len(weights)), name, text, body_span(scene, number, text), weight)
+            NamedBody(make_body_key(name, k, len(weights)), name, text, find_body_span(scene, number, text), weight)
             for k, (text, weight) in enumerate(weights.items())
         ]
     for number, line in enumerate(scene.model.crowd):

@@ -135,7 +135,7 @@ def find_nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Float
     (n, 3).
 
     Lengths are in mm. The tangent is zero for targets that are single points."""
-    if target.line:
+    if target.is_line:
         closest = SampledCurve(target.positions, _CURVE_SPACING_MM).find_closest(*positions.T)
         columns = (closest.px, closest.py, closest.pz, closest.tx, closest.ty, closest.tz)
         px, py, pz, tx, ty, tz = (part.astype(np.float64) for part in columns)

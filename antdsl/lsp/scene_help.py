@@ -14,7 +14,7 @@ from antdsl.program.names.file_declarations import find_declaring_node
 from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES
 from antdsl.scene import scene_model
-from antdsl.scene.camera_models import CAMERA_MODEL_BY_TAG
+from antdsl.scene.camera_models import CAMERA_MODEL_BY_TYPE_TAG
 from antdsl.scene.crowds.casting_model import FACING_WORDS
 from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
@@ -146,7 +146,7 @@ def _propose_world_keys(workspace: Workspace, document: OpenDocument, path: tupl
             yield CompletionItem(name, "thing", item.kind.text, find_help_text(item), f"{name}: {form}", bool(form))
         return
     if path[0] == "cameras":
-        for model in CAMERA_MODEL_BY_TAG.values():
+        for model in CAMERA_MODEL_BY_TYPE_TAG.values():
             yield from _propose_model_fields(model)
         return
     thing = things.get(path[1])

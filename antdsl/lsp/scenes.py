@@ -12,7 +12,7 @@ from antdsl.program.names.bindings import NameKey
 from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTE_TYPES
 from antdsl.safe_read import resolve_path
 from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, SequenceNode, read_document
-from antdsl.scene.scene_model import FILE_HEADS
+from antdsl.scene.scene_model import FILE_FORM_KEYS
 from antdsl.scene.thing_models import ItemThing
 from antdsl.source import Source, Span
 from antdsl.syntax.words import FIELD_SETTING_WORDS
@@ -79,7 +79,7 @@ def _index_world(index: SceneIndex, node: DocumentNode) -> None:
                 _index_item(index, thing, inner, things)
             elif word == "each":
                 _index_attributes(index, thing, inner)
-            elif word in FILE_HEADS:
+            elif word in FILE_FORM_KEYS:
                 _index_file(index, inner)
             else:
                 _index_named_thing(index, word, inner, things)

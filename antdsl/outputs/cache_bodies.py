@@ -15,7 +15,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.body_arrays import load_definition
 from antdsl.outputs.cache.manifest import ClipEntry, Manifest, SpeciesEntry, WornBodyEntry
 from antdsl.outputs.cache.pose_arrays import list_mask_layers
-from antdsl.scene.crowds.body_choice import body_key, body_numbers
+from antdsl.scene.crowds.body_choice import choose_body_numbers, make_body_key
 from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 
 
@@ -32,7 +32,7 @@ class CacheBodies:
     def keys(self, number: int) -> tuple[str, ...]:
         """Return the keys of the bodies of a species. Frames use these keys to name the feet of the agents."""
         species, count = self._manifest.species[number], len(_list_entries(self._manifest.species[number]))
-        return tuple(body_key(species.name, which, count) for which in range(count))
+        return tuple(make_body_key(species.name, which, count) for which in range(count))
 
     def numbers(self, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Return the index of the body of each agent of a species, uint8[n]."""
@@ -80,7 +80,7 @@ def find_body_numbers(manifest: Manifest, number: int, ids: NDArray[np.int64]) -
         levels.insert(0, own)
     originals = np.where(merged < 0, own, merged)
     weights, name = [each.weight for each in species.bodies], species.drawn_as or species.name
-    numbers = body_numbers(weights, manifest.seed, name, originals)
+    numbers = choose_body_numbers(weights, manifest.seed, name, originals)
     for each in species.replaced:
         known = levels[min(each.level, len(species.copies))]
         numbers[(known >= each.first) & (known < each.first + each.count)] = each.body

@@ -44,7 +44,7 @@ from antdsl.runtime import (
     step,
 )
 from antdsl.runtime.profiling import StepMeter
-from antdsl.scene.crowds.crowd_model import named_weights
+from antdsl.scene.crowds.crowd_model import collect_body_weights
 from antdsl.scene.values import FrameRange
 
 
@@ -210,7 +210,7 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces, model.output.events)
-    stored_bodies = StoredBodies.from_definitions(shot.bodies, named_weights(model.crowd))
+    stored_bodies = StoredBodies.from_definitions(shot.bodies, collect_body_weights(model.crowd))
     name = Path(shot.scene.source.path).name
     scene_path = recording.scene_path or find_relative_path(Path(shot.scene.source.path), recording.folder)
     manifest = make_shot_manifest(shot, world, maker.attributes, stored_bodies)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.world import Population
-from antdsl.scene.crowds.body_choice import body_numbers
+from antdsl.scene.crowds.body_choice import choose_body_numbers
 from antdsl.scene.setting import WorldSetting
 
 
@@ -14,7 +14,7 @@ def numbers_by_row(population: Population, setting: WorldSetting) -> NDArray[np.
     """Return the index of each row's body among the bodies of the species, uint8[n]. Callers must not write to the array."""
     if population.bodies is None or population.bodies[0] != population.version or len(population.bodies[1]) != len(population):
         weights = setting.body_weights.get(population.name, ())
-        population.bodies = population.version, body_numbers(weights, setting.seed, population.name, population.ids)
+        population.bodies = population.version, choose_body_numbers(weights, setting.seed, population.name, population.ids)
     return population.bodies[1]
 
 

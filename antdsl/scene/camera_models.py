@@ -40,7 +40,7 @@ CameraKeys = dict[FrameNumber, CameraKey]
 
 
 class Camera(ScenePart):
-    """A camera at a point. `keys`: what differs at frames."""
+    """A camera at a point, which looks at another point. `keys`: by frame, the values that change over time."""
 
     at: PointValue
     look_at: PointValue
@@ -66,7 +66,7 @@ class FollowCamera(ScenePart):
     """A camera that moves with one agent, and does not turn with it.
 
     `follow`: the agent, such as `guards.17`.
-    `by`: from the agent to the camera; by default, as `render --camera close` chooses it.
+    `by`: the offset from the agent to the camera; by default, the offset that `render --camera close` chooses.
     `smooth`: the motion of the agent is averaged over this time before and after each frame."""
 
     follow: Annotated[AgentName, BeforeValidator(_parse_single_agent)]
@@ -75,13 +75,13 @@ class FollowCamera(ScenePart):
     focal: PositiveLength | None = None
 
 
-Fit = Annotated[str, BeforeValidator(parse_one_of("fit"))]
-CAMERA_MODEL_BY_TAG: dict[str, type[ScenePart]] = {
+FitWord = Annotated[str, BeforeValidator(parse_one_of("fit"))]
+CAMERA_MODEL_BY_TYPE_TAG: dict[str, type[ScenePart]] = {
     "camera-here": Camera, "usd-camera": UsdCamera, "follow-camera": FollowCamera,
 }  # fmt: skip
 
 
-def _find_camera_tag(value: Any) -> str:
+def _find_camera_type_tag(value: Any) -> str:
     if isinstance(value, str):
         return "camera-word"
     return next((f"{key}-camera" for key in ("usd", "follow") if isinstance(value, dict) and key in value), "camera-here")
@@ -94,7 +94,7 @@ else:
         Annotated[Camera, Tag("camera-here")]
         | Annotated[UsdCamera, Tag("usd-camera")]
         | Annotated[FollowCamera, Tag("follow-camera")]
-        | Annotated[Fit, Tag("camera-word")],
-        Discriminator(_find_camera_tag),
+        | Annotated[FitWord, Tag("camera-word")],
+        Discriminator(_find_camera_type_tag),
     ]
 Cameras = dict[SceneName, CameraValue]

@@ -1,4 +1,4 @@
-"""Calls in flow mappings of YAML, `{kill: all(ant, within: 9 mm)}`, in which a comma ends the value: what to write instead."""
+"""Help for calls in flow mappings of YAML such as `{kill: all(ant, within: 9 mm)}`, where the comma ends the value."""
 
 from __future__ import annotations
 

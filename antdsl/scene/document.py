@@ -150,7 +150,7 @@ class _DocumentReader:
             self.lines.append(match.end())
 
     def find_offset(self, mark: Any) -> int:
-        """Return the character offset of a position that YAML reports."""
+        """Return the character offset of `mark`, a position that YAML reports."""
         start: int = self.lines[min(mark.line, len(self.lines) - 1)]
         return min(start + int(mark.column), len(self.source.text))
 
@@ -165,7 +165,7 @@ class _DocumentReader:
         return _DocumentError()
 
     def read_root(self) -> MappingNode:
-        """Return the tree. Raises _DocumentRejected after reporting an error."""
+        """Return the tree. Raises _DocumentError after reporting an error."""
         import yaml
 
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -1,4 +1,4 @@
-"""The bodies that come with antdsl: the name, the size, and the fitting species of each.
+"""The bodies that come with antdsl: their names and sizes, and the species that each body fits.
 
 They are data: `NAME.json` and `NAME.glb` in `antdsl/bodies/data`, with a row for each body in `bodies.json`."""
 

@@ -102,9 +102,9 @@ def load_scene(path: Path, grants: Mapping[str, Path] | None = None, notes: Sequ
 def load_text(
     data: bytes, name: str, roots: Roots, unsaved_texts: Mapping[Path, bytes] | None = None, notes: Sequence[str] = ()
 ) -> tuple[Scene | None, Report]:
-    """Return the typed scene from the bytes of a file, and a report, as `load_scene` does.
+    """Return the typed scene of a file's bytes, and a report, as `load_scene` does. The scene is None if there are errors.
 
-    `unsaved_texts`: contents that override the files of scenes that it extends. `notes`: as in `load_scene`."""
+    `unsaved_texts`: contents that override the files of scenes that this scene extends. `notes`: as in `load_scene`."""
     source, report = decode_source(data, name)
     if not report.ok:
         return None, report
@@ -278,7 +278,7 @@ def _format_path(path: tuple[PathKey, ...]) -> str:
 def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, type[ScenePart]]) -> list[str]:
     """Return the keys that the model at a path knows."""
     from antdsl.scene import scene_model
-    from antdsl.scene.camera_models import CAMERA_MODEL_BY_TAG, CameraKey
+    from antdsl.scene.camera_models import CAMERA_MODEL_BY_TYPE_TAG, CameraKey
     from antdsl.scene.crowds.casting_model import RANDOM_VALUE_MODELS
     from antdsl.scene.crowds.crowd_model import LayerChoice
     from antdsl.scene.notes.notes_model import NOTE_MODELS, make_note_tag
@@ -287,8 +287,8 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     # the last word of the path identifies the model that raised the error; tags of the schema are among the words
     models: dict[str, type[ScenePart]] = {
         **further_models,
-        **{scene_model.make_thing_tag(head): each for head, each in scene_model.THING_MODELS.items()},
-        **CAMERA_MODEL_BY_TAG,
+        **{scene_model.make_thing_type_tag(head): each for head, each in scene_model.THING_MODELS.items()},
+        **CAMERA_MODEL_BY_TYPE_TAG,
         "keys": CameraKey if "camera-here" in path else scene_model.PositionKey,
         "wear": LayerChoice,
         "mapping-selector": AgentConditions,

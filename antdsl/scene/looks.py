@@ -1,6 +1,6 @@
-"""Surfaces as they look: the words of `look` in scenes, and the materials of pictures, USD and glTF. One row for each kind.
+"""Looks of surfaces: the words of `look` in scenes, and the materials of pictures, USD and glTF. One row for each kind.
 
-Also the shapes of items, by words in their names."""
+It also has the shapes of items, by words in their names."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def is_lamp_look(look: str | None) -> bool:
 def compute_remaining_share(amounts: Iterable[tuple[float, float]]) -> float:
     """Return the share (0..1) of its initial amount that an item still has. It is 1 for an item that started with nothing.
 
-    `amounts`: for each attribute, the initial and the present amount. The first attribute with an initial amount counts."""
+    `amounts`: for each attribute, the initial and the current amount. The first attribute with an initial amount counts."""
     return next((min(max(now / first, 0.0), 1.0) for first, now in amounts if first > 0), 1.0)
 
 
@@ -68,7 +68,8 @@ def compute_drawn_radius(radius: float, remaining_share: float) -> float:
 
 
 def find_kind_by_name(mesh: str) -> str | None:
-    """Return the kind of surface that the name of a mesh says; None for other names. Words are looked for in table order."""
+    """Return the kind of surface that has a word in the name of a mesh; None without such a word. The first kind in the table
+    counts."""
     name = mesh.lower()
     return next((kind for kind, row in SURFACE_KINDS.items() if any(word in name for word in row.words)), None)
 

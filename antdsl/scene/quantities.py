@@ -15,7 +15,7 @@ from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, make_comma_diagnostic
 
 _NUMBER_PATTERN = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
-_INTEGERS = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", re.ASCII)
+_INTEGER_RANGE_PATTERN = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", re.ASCII)
 
 
 class QuantityError(ValueError):
@@ -31,7 +31,7 @@ class QuantityError(ValueError):
 class Quantity:
     """A number with a dimension.
 
-    `number`: in base units (mm, s, g, rad), to be multiplied by (mm per scene unit) ** u and dt ** step.
+    `number`: the value in base units (mm, s, g, rad) is `number` · (mm per scene unit) ** `length_exponent` · dt ** `step`.
     `unit`: the unit as in the source."""
 
     number: float
@@ -83,7 +83,7 @@ def split_quantity(text: str) -> tuple[str, str]:
 
 
 def parse_number_range(text: str) -> tuple[float, float]:
-    """Return the numbers of `A..B`. Raises QuantityError with the reason."""
+    """Return the two numbers of a text `A..B`. Raises QuantityError with the reason."""
     first, dots, last = text.partition("..")
     if not dots:
         raise QuantityError("is not a range")
@@ -91,8 +91,8 @@ def parse_number_range(text: str) -> tuple[float, float]:
 
 
 def parse_integer_range(text: str) -> tuple[int, int]:
-    """Return the whole numbers of `A..B`, or of `A` twice. Raises QuantityError with the reason."""
-    match = _INTEGERS.fullmatch(text.strip())
+    """Return the two integers of a text `A..B`; for a text `A`, return A twice. Raises QuantityError with the reason."""
+    match = _INTEGER_RANGE_PATTERN.fullmatch(text.strip())
     if match is None:
         raise QuantityError("is not a range of whole numbers")
     return int(match[1]), int(match[2] or match[1])

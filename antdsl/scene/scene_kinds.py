@@ -14,7 +14,7 @@ from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import describe_dimension
 from antdsl.scene import thing_models as forms
 from antdsl.scene.camera_models import Camera, FollowCamera, UsdCamera
-from antdsl.scene.checks.entry_checks import Entry, check_attributes, report_unknown
+from antdsl.scene.checks.entry_checks import Entry, check_attributes, report_unknown_name
 from antdsl.scene.document import PathKey
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class SceneKind:
     def check(self, entry: Entry, value: Any) -> None:
         """Report everything in an entry that does not match the program. Files are not read; they only have to exist."""
         if isinstance(value, forms.ThingModel) and value.names_file:
-            entry.check_file(getattr(value, value.find_head()), value.find_head())
+            entry.check_file(getattr(value, value.find_form_key()), value.find_form_key())
         if isinstance(value, forms.UsdThing):
             self.check_item_keys(entry, value)
         if isinstance(value, forms.ScaledThing):
@@ -103,7 +103,7 @@ class ItemsKind(SceneKind):
         surfaces = entry.program.list_things_of_kind("surface")
         for item, placed in value.items():
             if placed.on is not None and placed.on not in surfaces:
-                entry.report_unknown("no surface is named", surfaces, item, "on")
+                entry.report_unknown_name("no surface is named", surfaces, item, "on")
             check_attributes(entry, placed.model_extra or {}, known, item)
 
     def check_item_keys(self, entry: Entry, value: forms.UsdThing) -> None:
@@ -116,7 +116,7 @@ class ItemsKind(SceneKind):
         for number, attribute in enumerate(axes or ([] if value.turn is None else [str(value.turn)])):
             path: tuple[PathKey, ...] = ("turn", number) if axes else ("turn",)
             if attribute not in declared:
-                entry.report_unknown(f"`{entry.name}` has no attribute", declared, *path)
+                entry.report_unknown_name(f"`{entry.name}` has no attribute", declared, *path)
             elif declared[attribute].dimension != expected:
                 has = describe_dimension(declared[attribute].dimension)
                 message = f"the value of `turn` for `{attribute}` {words}, but `{attribute}` of `{entry.name}` is {has}"
@@ -158,7 +158,7 @@ class FlowKind(SceneKind):
             return
         for key in ("on", "border"):
             if getattr(value, key, None) not in (None, *surfaces):
-                entry.report_unknown("no surface is named", surfaces, key)
+                entry.report_unknown_name("no surface is named", surfaces, key)
         if isinstance(value, forms.PaintedThing):
             if value.on is None and len(surfaces) > 1 and find_painted_surface(entry.scene, surfaces, value) is None:
                 words = f"`{entry.name}` does not name the surface it is painted on"
@@ -176,14 +176,14 @@ class FlowKind(SceneKind):
         if is_file_path(text):
             entry.check_file(text, key)
         elif text not in (known := _list_target_names(entry, lines_only)) and (lines_only or not entry.scene.model.has_usd_items):
-            entry.report_unknown("no curve is named" if lines_only else "no curve and no item is named", known, key)
+            entry.report_unknown_name("no curve is named" if lines_only else "no curve and no item is named", known, key)
 
 
 def _check_solved_flow(entry: Entry, thing: forms.SolvedFlow) -> None:
     maps = entry.program.list_things_of_kind("map")
     for key in thing.maps:
         if key not in maps:
-            report_unknown(entry.report, entry.scene, ("world", entry.name, "maps", key), "no map is named", maps)
+            report_unknown_name(entry.report, entry.scene, ("world", entry.name, "maps", key), "no map is named", maps)
     dug = any(KIND_BY_WORD[t.kind].is_dug for t in entry.program.world.values())
     if thing.every is not None and not (thing.crowding or dug or _may_move(entry.scene)):
         words, help = f"no input of `{entry.name}` changes, so it is solved once", "leave `every` out, or add `crowding: 2`"

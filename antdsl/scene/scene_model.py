@@ -46,24 +46,27 @@ Contacts = Annotated[Literal["off", "soft", "hard"], BeforeValidator(parse_one_o
 
 # The key that identifies the kind of a thing of the world, unless the key is the name of an item.
 THING_MODELS: dict[str, type[ThingModel]] = {
-    each.find_head(): each for kind in SCENE_KINDS.values() for each in kind.models if issubclass(each, ThingModel)
+    each.find_form_key(): each for kind in SCENE_KINDS.values() for each in kind.models if issubclass(each, ThingModel)
 }
-FILE_HEADS = frozenset(head for head, each in THING_MODELS.items() if each.names_file)
+FILE_FORM_KEYS = frozenset(head for head, each in THING_MODELS.items() if each.names_file)
 
 
-def make_thing_tag(head: str) -> str:
-    """Return the tag of a thing's form with a head. It is the last word in the location of an error."""
+def make_thing_type_tag(head: str) -> str:
+    """Return the tag by which pydantic selects the form of a thing. It is the last word in the location of an error.
+
+    `head`: the key that identifies the form, such as `mesh`."""
     return f"{head}-thing"
 
 
-def _find_thing_tag(value: Any) -> str:
+def _find_thing_type_tag(value: Any) -> str:
     keywords = (
         [word for word in THING_MODELS if word in value and not isinstance(value[word], dict)] if isinstance(value, dict) else []
     )
-    return make_thing_tag(keywords[0]) if keywords else "items-thing"
+    return make_thing_type_tag(keywords[0]) if keywords else "items-thing"
 
 
 def _check_items(value: Any) -> Any:
+    """Return a mapping of items unchanged. Raises an error for a value that is no mapping of items or has a misspelled key."""
     if not isinstance(value, dict):
         raise make_error(
             "a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`"
@@ -81,8 +84,8 @@ if TYPE_CHECKING:
     WorldThing = ThingModel | dict[str, ItemThing]
 else:
     _ITEMS = Annotated[dict[SceneName, ItemThing], BeforeValidator(_check_items), Tag("items-thing")]
-    _FORMS = tuple(Annotated[each, Tag(make_thing_tag(head))] for head, each in THING_MODELS.items())
-    WorldThing = Annotated[Union[(*_FORMS, _ITEMS)], Discriminator(_find_thing_tag)]
+    _FORMS = tuple(Annotated[each, Tag(make_thing_type_tag(head))] for head, each in THING_MODELS.items())
+    WorldThing = Annotated[Union[(*_FORMS, _ITEMS)], Discriminator(_find_thing_type_tag)]
 
 
 class FieldStart(ScenePart):
@@ -107,6 +110,8 @@ class LevelOfDetail(ScenePart):
 
 
 class Output(ScenePart):
+    """The data that a cache stores: `attributes` of agents, `events`, and a checkpoint every `checkpoint` frames."""
+
     attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTE_NAMES
     checkpoint: Annotated[int, BeforeValidator(parse_integer_between(1, 100_000))] = 50
     events: tuple[Annotated[str, BeforeValidator(parse_one_of("contact", "emit"))], ...] = ()
@@ -126,6 +131,8 @@ MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by key
 
 
 class SceneModel(ScenePart):
+    """All keys of a scene. `stick`: how agents find meshes. `orient`: how bodies stand. `lod`: level of detail by distance."""
+
     edition: Annotated[str, BeforeValidator(parse_one_of("1"))] = Field(alias="antdsl")
     extends: FilePath | None = None  # removed when the scenes are merged
     units: Unit = "mm"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.scene.crowds.body_choice import body_keys
+from antdsl.scene.crowds.body_choice import list_body_keys
 from antdsl.scene.crowds.crowd_data import CrowdData as CrowdData
 from antdsl.scene.crowds.crowd_data import PlacementData as PlacementData
 from antdsl.scene.crowds.crowd_data import PointMm as PointMm
@@ -61,13 +61,13 @@ class FlowTarget:
     """The target of a flow. It may move.
 
     `positions` (n, 3): in mm; `radii` (n,): in mm.
-    `line`: whether the target is the polyline through the positions.
+    `is_line`: whether the target is the polyline through the positions.
     `name`: the name of the curve or items.
     `item_index`: the index of a single item; None for all."""
 
     positions: NDArray[np.float64]
     radii: NDArray[np.float64]
-    line: bool = False
+    is_line: bool = False
     name: str = ""
     item_index: int | None = None
 
@@ -143,12 +143,12 @@ class ItemData:
 
 @dataclass(frozen=True, slots=True)
 class ClipData:
-    """A clip of a body.
+    """A clip of a body. A phase of 1 is a complete cycle of the clip.
 
     `seconds`: its duration.
-    `stride`: the distance covered in one turn, in body lengths; 0 if the clip stays in place.
+    `stride`: the distance covered in one cycle, in body lengths; 0 if the clip stays in place.
     `loop`: whether it loops.
-    `marks`: by name, in turns."""
+    `marks`: the phases of events in the clip, by name."""
 
     seconds: float = 1.0
     stride: float = 0.0
@@ -172,7 +172,7 @@ class BodyCapsuleData:
 
 @dataclass(frozen=True, slots=True)
 class GaitData:
-    """A gait in body lengths and seconds, as `bodies.agents.legs.Gait`. `phases`: one number per leg."""
+    """A gait in body lengths and seconds, as `bodies.agents.legs.Gait`. `phases`: the phase of each leg."""
 
     speed: float
     stride: float
@@ -197,7 +197,7 @@ class LegsData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldStartData:
-    """A field's value at the first frame, everywhere, or only within `radius` mm of `around`."""
+    """The value of a field at the first frame: everywhere, or only within `radius` mm of `around`."""
 
     value: float
     around: PointMm | None = None
@@ -302,7 +302,7 @@ class WorldSetting:
 
     def list_body_keys(self, species: str) -> tuple[str, ...]:
         """Return the keys of all bodies of a species (`scene.body_choice`); at least one."""
-        return body_keys(species, len(self.body_weights.get(species, ())))
+        return list_body_keys(species, len(self.body_weights.get(species, ())))
 
     @property
     def dt(self) -> float:

@@ -35,15 +35,15 @@ Look = Annotated[str, BeforeValidator(parse_one_of(*LOOKS))]  # keys for the thi
 
 
 class ThingModel(ScenePart):
-    """A model of one way to define a thing of the world in a scene, such as by a mesh file. Its first field is the required key
-    by which the way is recognised.
+    """A form in which a scene can define a thing of the world, such as by a mesh file. Its first field is the required key that
+    identifies the form.
 
     `names_file`: whether the value of this key is the path of a file with the thing."""
 
     names_file: ClassVar[bool] = False
 
     @classmethod
-    def find_head(cls) -> str:
+    def find_form_key(cls) -> str:
         """Return the key that identifies the form."""
         return next(iter(cls.__annotations__))
 
@@ -138,7 +138,7 @@ class UsdThing(ThingModel):
     each: UsdItemDefaults = UsdItemDefaults()
 
     @property
-    def path(self) -> str:
+    def prim_path(self) -> str:
         """Return the path of the prim, or `/`, the complete file, if the scene names none."""
         return "/" if self.prim is None else self.prim
 
@@ -191,11 +191,11 @@ class TangentFlow(SpreadFlow):
     gather: Annotated[float, BeforeValidator(parse_number_between(0, 10))] = 0.0
 
 
-def _find_target_tag(value: Any) -> str:
+def _find_target_type_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-Target = Annotated[Annotated[PointValue, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_find_target_tag)]
+Target = Annotated[Annotated[PointValue, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_find_target_type_tag)]
 
 
 class TowardFlow(SpreadFlow):

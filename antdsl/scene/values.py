@@ -1,7 +1,7 @@
-"""The kinds of scalar in a scene, as pydantic types over text: integers, quantities, lengths, frame rates, names.
+"""The kinds of scalars in a scene, as pydantic types over text: integers, quantities, lengths, frame rates, names.
 
 It also has the mappings that several models share: points, and positions at frames. Each type converts a text to a value exactly,
-or raises an error with a code, a message, and what to write instead."""
+or raises an error with a code, a message, and the text to write instead."""
 
 from __future__ import annotations
 
@@ -301,8 +301,10 @@ PlaceKeys = dict[
 ]
 
 
-def _find_place_tag(value: Any) -> str:
+def _find_point_type_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-PointOrName = Annotated[Annotated[PointValue, Tag("point")] | Annotated[SceneName, Tag("named")], Discriminator(_find_place_tag)]
+PointOrName = Annotated[
+    Annotated[PointValue, Tag("point")] | Annotated[SceneName, Tag("named")], Discriminator(_find_point_type_tag)
+]

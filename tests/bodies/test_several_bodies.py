@@ -22,7 +22,7 @@ from antdsl.preview.viewing.body_packets import list_outfits
 from antdsl.runtime import Options, World, bind, feet_hash, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.runtime.clip_values import clip_value
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
-from antdsl.scene.crowds.body_choice import body_numbers
+from antdsl.scene.crowds.body_choice import choose_body_numbers
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY
 
 HILL = Path(__file__).parents[2] / "examples" / "walker" / "hill.ply"
@@ -73,12 +73,12 @@ def stepped(shot: Shot, steps: int = 12, **options: object) -> World:
 
 def test_bodies_are_drawn_by_weight_and_id_alone() -> None:
     ids = np.arange(20_000, dtype=np.int64)
-    numbers = body_numbers(WEIGHTS, 7, "walker", ids)
+    numbers = choose_body_numbers(WEIGHTS, 7, "walker", ids)
     assert np.bincount(numbers) / len(ids) == pytest.approx([0.6, 0.2, 0.2], abs=0.01)
     subset = np.random.default_rng(0).permutation(ids)[:50]
-    assert (body_numbers(WEIGHTS, 7, "walker", subset) == numbers[subset]).all()
-    assert (body_numbers(WEIGHTS, 8, "walker", ids) != numbers).any()
-    assert not body_numbers((1.0,), 7, "walker", ids).any() and not len(body_numbers(WEIGHTS, 7, "walker", ids[:0]))
+    assert (choose_body_numbers(WEIGHTS, 7, "walker", subset) == numbers[subset]).all()
+    assert (choose_body_numbers(WEIGHTS, 8, "walker", ids) != numbers).any()
+    assert not choose_body_numbers((1.0,), 7, "walker", ids).any() and not len(choose_body_numbers(WEIGHTS, 7, "walker", ids[:0]))
 
 
 def test_one_body_in_a_mapping_is_that_body(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_a_run_is_the_same_in_machine_code(tmp_path: Path) -> None:
 def test_each_body_has_its_own_size_clips_and_feet(tmp_path: Path) -> None:
     world = stepped(opened(tmp_path), 2)
     walkers = world.populations["walker"]
-    numbers = body_numbers(WEIGHTS, 4, "walker", walkers.ids)
+    numbers = choose_body_numbers(WEIGHTS, 4, "walker", walkers.ids)
     assert set(numbers.tolist()) == {0, 1, 2}
     crowd, size = CapsuleCrowd(world), walkers.now["size"].astype(np.float64)
     assert crowd.radius == pytest.approx(size * np.array([CAPSULE_BY_BODY[word].width / 2 for word in WORDS])[numbers])
@@ -141,7 +141,7 @@ def test_pictures_exports_and_pages_have_the_body_of_each_agent(tmp_path: Path) 
     gallery = Gallery(cache)
     picture = gallery.make_picture(6)
     name_by_id = {int(one): crowd.body.name for crowd in picture.crowds for one in crowd.ids.tolist()}  # type: ignore[union-attr]
-    numbers = body_numbers(WEIGHTS, 4, "walker", np.array(sorted(name_by_id), np.int64))
+    numbers = choose_body_numbers(WEIGHTS, 4, "walker", np.array(sorted(name_by_id), np.int64))
     assert [name_by_id[one] for one in sorted(name_by_id)] == [load_library_body(WORDS[k]).name for k in numbers]
     assert {crowd.body_key: crowd.feet.P.shape[1] for crowd in picture.crowds if crowd.feet} == {  # type: ignore[union-attr]
         f"walker#{k}": len(load_library_body(word).legs) for k, word in enumerate(WORDS)
@@ -154,7 +154,7 @@ def test_pictures_exports_and_pages_have_the_body_of_each_agent(tmp_path: Path) 
     population = world.populations["walker"]
     light = make_light_frame(population)
     arrays = make_action_arrays(gather_actions(world, opened(tmp_path), population, light))
-    assert arrays["walker/body"].tolist() == body_numbers(WEIGHTS, 4, "walker", light["id"].astype(np.int64)).tolist()
+    assert arrays["walker/body"].tolist() == choose_body_numbers(WEIGHTS, 4, "walker", light["id"].astype(np.int64)).tolist()
     assert len(list_outfits(world, opened(tmp_path), population)) == 3
     for k, word in enumerate(WORDS):
         assert arrays[f"walker#{k}/feet"].shape == (int((arrays["walker/body"] == k).sum()), len(load_library_body(word).legs), 3)

@@ -43,7 +43,7 @@ species ant {{
 }}
 """
 GOAL = FlowTarget(np.array([[150.0, 0.0, 0.0]]), np.array([10.0]))
-LINE = FlowTarget(np.array([[-150.0, 0, -40.0], [0, 0, 40.0], [150.0, 0, -40.0]]), np.zeros(3), line=True)
+LINE = FlowTarget(np.array([[-150.0, 0, -40.0], [0, 0, 40.0], [150.0, 0, -40.0]]), np.zeros(3), is_line=True)
 
 
 def compiled(steer: str = "along(drift, weight: pull)", radius: str = "size / 2") -> Plan:
@@ -146,7 +146,7 @@ def test_a_curve_flow_points_along_the_curve_and_falls_off(cells: int) -> None:
 
 
 def test_gather_adds_a_component_towards_the_curve() -> None:
-    straight = FlowTarget(np.array([[-200.0, 0, 0], [200.0, 0, 0]]), np.zeros(2), line=True)
+    straight = FlowTarget(np.array([[-200.0, 0, 0], [200.0, 0, 0]]), np.zeros(2), is_line=True)
     built = world(SpreadFlowData("tangent", straight, 60.0, "none", gather=1.0), 1)
     result = read(built, (0, 0), (0, 30), (0, -59))
     half = np.sqrt(0.5)

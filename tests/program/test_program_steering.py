@@ -55,7 +55,7 @@ def scene(
             surfaces={"ground": MeshData(*ground)},
             obstacles={"rock": MeshData(*rock)},
             curves={"road": ROAD},
-            flows={"drift": SpreadFlowData("tangent", FlowTarget(ROAD, np.zeros(len(ROAD)), line=True), 60.0)},
+            flows={"drift": SpreadFlowData("tangent", FlowTarget(ROAD, np.zeros(len(ROAD)), is_line=True), 60.0)},
             items={"food": (ItemData("crumb", (food[0], 0.0, food[1]), 2.0),)},
             crowds=crowds,
             field_start={"trail": FieldStartData(1.0, (0.0, 0.0, 60.0), 30.0)},

@@ -92,20 +92,20 @@ def test_every_form_of_a_flow(folder: Path) -> None:
     assert (
         isinstance(flow, SpreadFlowData)
         and flow.direction == "tangent"
-        and flow.target.line
+        and flow.target.is_line
         and flow.target.positions.shape == (2, 3)
     )
     assert (flow.radius, flow.falloff, flow.strength, flow.cell, flow.surfaces) == (40, "linear", -0.5, 3, ("ground",))
     assert flow.gather == 2
     flow = drift(folder, "{tangent: way.json}")
-    assert isinstance(flow, SpreadFlowData) and flow.radius is None and flow.target.line
+    assert isinstance(flow, SpreadFlowData) and flow.radius is None and flow.target.is_line
     flow = drift(folder, "{toward: home, radius: 30}")
     assert (
         isinstance(flow, SpreadFlowData) and flow.direction == "toward" and flow.target.positions[0, [0, 2]].tolist() == [10, 10]
     )
     assert flow.target.radii.tolist() == [5]
     flow = drift(folder, "{away: [1 cm, 0, -5]}")
-    assert isinstance(flow, SpreadFlowData) and flow.target.positions.tolist() == [[10, 0, -5]] and not flow.target.line
+    assert isinstance(flow, SpreadFlowData) and flow.target.positions.tolist() == [[10, 0, -5]] and not flow.target.is_line
     flow = drift(folder, "{border: ground, within: 20 mm}")
     assert (
         isinstance(flow, BorderFlowData) and flow.surfaces == ("ground",) and flow.max_distance == 20 and flow.falloff == "linear"

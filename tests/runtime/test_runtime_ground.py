@@ -79,7 +79,7 @@ def surfaces_setting(count: int = 60, shift: float = 0.0, **setting_arguments):
     from antdsl.runtime import WorldSetting
 
     ground = mesh(meshes.grid(200.0, 24, lambda x, z: 8 * np.sin(x / 25) * np.cos(z / 30)), shift)
-    line = FlowTarget(np.array([[-90.0, 0, 0], [90, 0, 40]]) + move, np.zeros(2), line=True)
+    line = FlowTarget(np.array([[-90.0, 0, 0], [90, 0, 40]]) + move, np.zeros(2), is_line=True)
     default_setting = dict(
         seed=5,
         flows={"drift": SpreadFlowData("tangent", line, 60.0)},

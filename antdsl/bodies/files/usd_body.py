@@ -136,7 +136,7 @@ def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
         raise BodyError(f"has a skeleton `{prim.GetPath()}` with inconsistent data", "export it again")
     paths = [str(path) for path in query.GetJointOrder()]
     parents = list(query.GetTopology().GetParentIndices())
-    rest = query.ComputeJointLocalTransforms(body.stage.first, True)
+    rest = query.ComputeJointLocalTransforms(body.stage.first_time, True)
     bind = query.GetJointWorldBindTransforms()
     if rest is None or len(rest) != len(paths) or len(bind) != len(paths):
         raise BodyError(f"has a skeleton `{prim.GetPath()}` without a rest pose for each joint", "export it again")
@@ -160,8 +160,8 @@ def to_column_matrix(matrix: Any) -> Floats:
 
 
 def _read_rest_matrix(stage: OpenStage, prim: Any) -> Floats:
-    """Return the matrix float64[4, 4] of a prim in the stage, at rest (`stage.first`)."""
-    cache = import_pxr_module("UsdGeom").XformCache(stage.first)
+    """Return the matrix float64[4, 4] of a prim in the stage, at rest (`stage.first_time`)."""
+    cache = import_pxr_module("UsdGeom").XformCache(stage.first_time)
     return to_column_matrix(cache.GetLocalToWorldTransform(prim))
 
 

@@ -64,7 +64,7 @@ class UsdBody:
 
 def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
     """Return the shape of a mesh prim, and add it to the library with its blend shapes. Return None if the mesh has no faces."""
-    mesh, time = import_pxr_module("UsdGeom").Mesh(prim), body.stage.first
+    mesh, time = import_pxr_module("UsdGeom").Mesh(prim), body.stage.first_time
     points = _to_rows(mesh.GetPointsAttr().Get(time), 3)
     _count_points(body, len(points))
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
@@ -278,7 +278,7 @@ def _read_materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str
     for subset in subsets:
         bound = _read_bound_material(body, subset.GetPrim())
         if bound is not None:
-            rows = np.array(subset.GetIndicesAttr().Get(body.stage.first) or [], np.int64)
+            rows = np.array(subset.GetIndicesAttr().Get(body.stage.first_time) or [], np.int64)
             of_face[rows[(rows >= 0) & (rows < most)]] = number_material(bound)
     return tuple(names), of_face[face]
 

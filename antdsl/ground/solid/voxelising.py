@@ -14,7 +14,7 @@ from antdsl import limits
 from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.ground.solid.bricks import AIR_SLOT, BRICK_NODES, BRICK_SIDE_NODES, SOLID_SLOT, BrickGrid, UnusableMesh
 from antdsl.ground.solid.triangles import compute_node_distances, iterate_lattice_points
-from antdsl.scene.geometry.closed_meshes import count_open_edges, round_to_voxels
+from antdsl.scene.geometry.closed_meshes import measure_closedness, round_to_voxels
 
 _PAIRS_PER_CHUNK = 1 << 16  # pairs of a triangle and a line per chunk
 Floats = NDArray[np.float64]
@@ -117,7 +117,7 @@ class TriangleShell:
 
     def __init__(self, corners: Floats) -> None:
         self.corners, self.units_per_voxel = round_to_voxels(corners)
-        self.open_edges, self.has_consistent_winding = count_open_edges(self.corners)
+        self.open_edges, self.has_consistent_winding = measure_closedness(self.corners)
 
 
 def compute_brick_signs(

@@ -14,7 +14,7 @@ from antdsl.bodies.agents.packed import ARRAY_NAMES, hash_definition, pack_defin
 from antdsl.bodies.files.definition_checks import ReadDefinition, check_definition
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest, WornBodyEntry
-from antdsl.scene.crowds.body_choice import body_key
+from antdsl.scene.crowds.body_choice import make_body_key
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -40,7 +40,7 @@ class StoredBodies:
         numbers: dict[int, int] = {}
         entries: list[BodyEntry] = []
         arrays: dict[str, NDArray[Any]] = {}
-        texts = {body_key(of, k, len(ws)): text for of, ws in weights_by_species.items() for k, text in enumerate(ws)}
+        texts = {make_body_key(of, k, len(ws)): text for of, ws in weights_by_species.items() for k, text in enumerate(ws)}
         for key, body in sorted(definitions.items()):
             number = numbers.setdefault(id(body), len(numbers))
             if number == len(entries):
@@ -49,7 +49,7 @@ class StoredBodies:
         index = {key: numbers[id(body)] for key, body in definitions.items()}
         worn = {
             of: tuple(
-                WornBodyEntry(body=text[-500:], definition=index.get(body_key(of, k, len(weights))), weight=weight)
+                WornBodyEntry(body=text[-500:], definition=index.get(make_body_key(of, k, len(weights))), weight=weight)
                 for k, (text, weight) in enumerate(weights.items())
             )
             for of, weights in weights_by_species.items()

@@ -22,7 +22,7 @@ from antdsl.outputs.cache.frame_agents import (
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.cache_bodies import find_body_numbers
 from antdsl.program.tables.columns import FRAME_COLUMNS
-from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
+from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key
 
 SPECIES_PER_KEY = 4096  # of `make_agent_keys`
 _FILL_BY_FIELD = {"clip": -1, "before": -1, "earlier": -1, "weight": 1, "tilt": (0, 0, 0, 1)}  # of rows without a value; else 0
@@ -42,11 +42,11 @@ class FrameRows:
     def find_body_rows(self, body: str) -> NDArray[np.intp]:
         """Return the rows of the agents of a species, or of one of its bodies, `SPECIES#1`."""
         if body not in self._rows_by_body:
-            number = self._number_by_species.get(species_of_key(body), -1)
+            number = self._number_by_species.get(find_species_of_key(body), -1)
             rows = np.flatnonzero(get_species_numbers(self.arrays) == number)
-            if body != species_of_key(body):
+            if body != find_species_of_key(body):
                 ids = get_agent_ids(self.arrays)[rows]
-                rows = rows[find_body_numbers(self.manifest, number, ids) == number_of_key(body)]
+                rows = rows[find_body_numbers(self.manifest, number, ids) == find_number_of_key(body)]
             self._rows_by_body[body] = rows
         return self._rows_by_body[body]
 

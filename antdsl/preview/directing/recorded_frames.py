@@ -15,7 +15,7 @@ from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import SimulationStretch, Timeline, find_nearest_checkpoint
 from antdsl.runtime import FaultStop, LimitStop, World, step
-from antdsl.scene.crowds.crowd_model import named_weights
+from antdsl.scene.crowds.crowd_model import collect_body_weights
 
 DISPLAYED_ATTRIBUTES = ("id", "P", "v", "orient", "pscale", "Cd", "state")  # in addition to those of the scene's output
 _MAX_STORED_BYTES = 1 << 27
@@ -57,7 +57,7 @@ class RecordedFrames(Cache):
     def of(cls, session: Session) -> RecordedFrames:
         """Return the frames of a session, with the names of its current programs."""
         shot, world = session.shot, session.world
-        bodies = StoredBodies.from_definitions(shot.bodies, named_weights(shot.scene.model.crowd))
+        bodies = StoredBodies.from_definitions(shot.bodies, collect_body_weights(shot.scene.model.crowd))
         static = {**make_static_arrays(world, shot.setting), **bodies.arrays}
         return cls(Path(shot.scene.source.path).parent, _make_manifest(shot, world, bodies), session, shot, static)
 
@@ -110,7 +110,7 @@ class RecordedFrames(Cache):
 
     def _make_frame(self, shot: Shot, world: World) -> Arrays:
         if shot is not self.shot and not any(shot is each for each in self._store.shots):
-            bodies = StoredBodies.from_definitions(shot.bodies, named_weights(shot.scene.model.crowd))
+            bodies = StoredBodies.from_definitions(shot.bodies, collect_body_weights(shot.scene.model.crowd))
             manifest = _make_manifest(shot, world, bodies)
             if any(getattr(manifest, name) != getattr(self.manifest, name) for name in ("species", "bodies", "origin", "units")):
                 raise CacheError(f"frame {world.frame} was simulated by another program, with other states or bodies")

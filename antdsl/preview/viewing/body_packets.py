@@ -28,8 +28,8 @@ from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 from antdsl.runtime import Population, World
-from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
-from antdsl.scene.crowds.crowd_model import named_weights
+from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key
+from antdsl.scene.crowds.crowd_model import collect_body_weights
 from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS, choose_drawn_shape
 
@@ -326,10 +326,10 @@ def _make_mesh_arrays(body: PosedBody, table: ClipTable) -> Arrays:
 
 def body_of_key(shot: Shot, key: str) -> Definition:
     """Return a body: from its own file, else the library body that the scene requests or that matches the species' name."""
-    own, species, number = shot.bodies.get(key), species_of_key(key), number_of_key(key)
+    own, species, number = shot.bodies.get(key), find_species_of_key(key), find_number_of_key(key)
     if own is not None:
         return own
-    named = list(named_weights(shot.scene.model.crowd).get(species, {}))
+    named = list(collect_body_weights(shot.scene.model.crowd).get(species, {}))
     requested_body = named[number] if number < len(named) else None
     return load_library_body(requested_body if requested_body in BODY_WORDS else find_body_for_species(species))
 

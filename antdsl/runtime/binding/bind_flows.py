@@ -185,11 +185,11 @@ def _make_vector_flow(
 def _locate_target(world: World, target: FlowTarget) -> FlowTarget:
     """Return a target at the current frame, relative to the world's origin."""
     moves = world.setting.motion
-    tracks = (moves.curves if target.line else moves.items).get(target.name)
+    tracks = (moves.curves if target.is_line else moves.items).get(target.name)
     positions = target.positions if tracks is None else moves.find_positions(tracks, world.frame)
     if tracks is not None and target.item_index is not None:
         positions = positions[target.item_index : target.item_index + 1]
-    return FlowTarget(positions - world.origin, target.radii, target.line)
+    return FlowTarget(positions - world.origin, target.radii, target.is_line)
 
 
 # --- about a target, and at borders ----------------------------------------------------------------------------------
@@ -352,7 +352,7 @@ def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGrou
     target = _locate_target(world, flow.target)
     positions, radii = target.positions, target.radii
     side = float(np.sqrt(np.median(grounds.triangle_areas[land.is_open])))
-    if target.line:
+    if target.is_line:
         positions = resample_curve(positions, side)
         radii = np.zeros(len(positions))
     tree = cKDTree(land.points[used])

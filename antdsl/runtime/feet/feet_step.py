@@ -16,7 +16,7 @@ from antdsl.runtime.feet.foothold_search import FootGround, FootholdRequests, fi
 from antdsl.runtime.feet.gaits import REST_X, REST_Z, Gaits
 from antdsl.runtime.feet.wearers import Wearers, wearers_of
 from antdsl.runtime.world import World
-from antdsl.scene.crowds.body_choice import species_of_key
+from antdsl.scene.crowds.body_choice import find_species_of_key
 from antdsl.scene.setting import LegsData
 
 _F = np.float32
@@ -45,7 +45,7 @@ def prepare_feet(world: World) -> None:
     if not world.options.feet:
         return
     for name, legs in world.setting.legs.items():
-        if species_of_key(name) in world.populations:
+        if find_species_of_key(name) in world.populations:
             world.feet[name], world.legs_by_species[name] = Feet.empty(len(legs.foot)), LegsOfBody(legs)
     if world.feet:
         world.foot_ground = FootGround(world)

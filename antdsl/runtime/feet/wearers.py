@@ -13,7 +13,7 @@ from antdsl.ground.protocol import Footing
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.body_rows import numbers_by_row, rows_by_body
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
+from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key
 
 _REGISTERS = (*(f"{name}.{axis}" for name in ("heading", "up") for axis in AXES), "size")
 
@@ -67,7 +67,7 @@ class SomeWearers:
 
 def wearers_of(world: World, key: str) -> Wearers:
     """Return the agents that have the body `key`."""
-    population = world.populations[species_of_key(key)]
+    population = world.populations[find_species_of_key(key)]
     parts = rows_by_body(population, world.setting)
     rows = dict(parts)[key]
     if rows is None:
@@ -79,9 +79,9 @@ def wearers_of(world: World, key: str) -> Wearers:
 
 def sorted_ids_of(world: World, key: str) -> NDArray[np.int64]:
     """Return the ids of the agents that have the body `key`, ascending."""
-    population = world.populations[species_of_key(key)]
+    population = world.populations[find_species_of_key(key)]
     if len(world.setting.list_body_keys(population.name)) < 2:
         return population.sorted_ids()[0]
     numbers = numbers_by_row(population, world.setting)[population.rows_by_id()]
-    own: NDArray[np.int64] = population.sorted_ids()[0][numbers == number_of_key(key)]
+    own: NDArray[np.int64] = population.sorted_ids()[0][numbers == find_number_of_key(key)]
     return own

@@ -1,4 +1,4 @@
-"""Checks of single entries of a scene: a name is declared, a file exists, a value has its dimension."""
+"""Checks of single entries of a scene: names are declared, files exist, values have the right dimension."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class Entry(NamedTuple):
         """Report an error if a file that the entry names does not exist."""
         check_file(self.scene, self.report, text, "world", self.name, *path)
 
-    def report_unknown(self, noun: str, known_names: Iterable[str], *path: PathKey) -> None:
-        """Report a value of the entry that is not one of the `known_names` names."""
-        report_unknown(self.report, self.scene, ("world", self.name, *path), noun, known_names, key=False)
+    def report_unknown_name(self, noun: str, known_names: Iterable[str], *path: PathKey) -> None:
+        """Report a value of the entry that is not one of the names in `known_names`. `noun`: what the name stands for."""
+        report_unknown_name(self.report, self.scene, ("world", self.name, *path), noun, known_names, key=False)
 
 
-def report_unknown(
+def report_unknown_name(
     report: Report, scene: Scene, path: tuple[PathKey, ...], kind: str, known_names: Iterable[str], *, key: bool = True
 ) -> None:
-    """Report a name that is not one of the `known_names` names.
+    """Report a name that is not one of the names in `known_names`.
 
     `path`: the location of the name. With `key`, the name is the last key of the path, else the value."""
     names = sorted(known_names)
@@ -60,7 +60,7 @@ def check_map_name(scene: Scene, report: Report, program: Program, name: str, *p
     maps = program.list_things_of_kind("map")
     if name in maps:
         return True
-    report_unknown(report, scene, path, "no map is named", maps, key=False)
+    report_unknown_name(report, scene, path, "no map is named", maps, key=False)
     return False
 
 
@@ -82,7 +82,7 @@ def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known_nam
     for key, quantity in quantities.items():
         place = ("world", entry.name, *path, key)
         if key not in declared:
-            report_unknown(entry.report, entry.scene, place, f"`{entry.name}` has no attribute", known_names)
+            report_unknown_name(entry.report, entry.scene, place, f"`{entry.name}` has no attribute", known_names)
         elif declared[key].type.kind is TypeKind.NUMBER:
             check_dimension(entry.scene, entry.report, quantity, declared[key].type.dimension, key, *place)
 
@@ -104,7 +104,7 @@ def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimensio
 def check_value(
     scene: Scene, report: Report, value: Quantity, attribute: AttributeDecl, *path: PathKey, deviation: float = 0.0
 ) -> bool:
-    """Return whether an attribute can have a value minus `deviation` (base units); report an error otherwise."""
+    """Return whether an attribute allows `value` minus `deviation` (both in base units); report an error otherwise."""
     if not check_dimension(scene, report, value, attribute.type.dimension, attribute.name, *path):
         return False
     help = explain_range(attribute.name, value.to_base_units(scene.model.unit_mm, float(1 / scene.model.fps)) - deviation)

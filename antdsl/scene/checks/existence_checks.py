@@ -40,12 +40,13 @@ def check_bodies(scene: Scene, program: Program, report: Report) -> None:
         elif earlier == number:
             for text in line.body_weights:
                 if text not in BODY_WORDS:
-                    _check_body_file(scene, text, body_span(scene, number, text), report)
+                    _check_body_file(scene, text, find_body_span(scene, number, text), report)
 
 
-def body_span(scene: Scene, number: int, text: str) -> Span:
-    """Return the location at which crowd line `number` names the body `text`: its key in a mapping of bodies, else the value of
-    `body`."""
+def find_body_span(scene: Scene, number: int, text: str) -> Span:
+    """Return the location at which a crowd line names a body: its key in a mapping of bodies, else the value of `body`.
+
+    `number`: the index of the line. `text`: the name of the body."""
     if isinstance(scene.model.crowd[number].body, dict):
         return scene.span("crowd", number, "body", text, key=True)
     return scene.span("crowd", number, "body")

@@ -1,7 +1,7 @@
 """Checks of a scene against a program. Each name must refer to a thing of the right kind, each value must have the right
 dimension and range.
 
-No mesh is read here; only the existence of files is checked. `CHECKS` lists the checks."""
+No mesh is read here; only the existence of files is checked. `SCENE_CHECKS` lists the checks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
 from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, FollowCamera, UsdCamera
-from antdsl.scene.checks.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown
+from antdsl.scene.checks.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown_name
 from antdsl.scene.checks.existence_checks import check_absent_species, check_bodies, check_dark_lamps
 from antdsl.scene.checks.shape_checks import list_item_names
 from antdsl.scene.checks.step_checks import check_step_lengths
@@ -43,7 +43,7 @@ def _check_world(scene: Scene, program: Program, report: Report) -> None:
     misspelt = set()
     for name in scene.model.world:
         if name not in placed_things:
-            report_unknown(report, scene, ("world", name), "no program has a thing of the world named", placed_things)
+            report_unknown_name(report, scene, ("world", name), "no program has a thing of the world named", placed_things)
             misspelt.add(find_nearest_name(name, placed_things))
     for name, thing in program_things.items():
         row, kind = KIND_BY_WORD[thing.kind], SCENE_KINDS[thing.kind]
@@ -93,7 +93,7 @@ def check_param(scene: Scene, program: Program, report: Report, name: str, value
     if name not in program.params:
         known = [*program.params, *field_settings.list_settable_names(program)]
         if path:
-            report_unknown(report, scene, path, "no program has a param", known)
+            report_unknown_name(report, scene, path, "no program has a param", known)
         else:
             near = find_nearest_name(name, known)
             report.error("unknown-thing", f"no program has a param `{name}`", None, f"did you mean `{near}`?" if near else None)
@@ -122,14 +122,14 @@ def _format_bound(bound: Constant | None, name: str) -> str:
 def _check_fields(scene: Scene, program: Program, report: Report) -> None:
     for name, start in scene.model.fields.items():
         if name not in program.fields:
-            report_unknown(report, scene, ("fields", name), "no program has a field", program.fields)
+            report_unknown_name(report, scene, ("fields", name), "no program has a field", program.fields)
         check_around(scene, report, start.around, start.radius, "fields", name)
 
 
 def resolve_layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
-    """Return the texts of a species' layers in the scene's order, and the indices of wrong lines.
+    """Return the texts of a species' layers in the order of the scene, and the indices of the scene's wrong lines.
 
-    A line of the scene is wrong if it matches no layer, or several. With wrong lines or missing layers, the texts are None."""
+    A line is wrong if it matches no layer, or several. With wrong lines or missing layers, the texts are None."""
     layers = list(program.species[species].layers.layers)
     order: list[str] = []
     wrong: list[int] = []
@@ -147,7 +147,7 @@ def resolve_layer_order(scene: Scene, program: Program, species: str) -> tuple[l
 def _check_layers(scene: Scene, program: Program, report: Report) -> None:
     for name in scene.model.layers:
         if name not in program.species:
-            report_unknown(report, scene, ("layers", name), "no program has a species", program.species)
+            report_unknown_name(report, scene, ("layers", name), "no program has a species", program.species)
             continue
         texts = [layer.text for layer in program.species[name].layers.layers]
         order, wrong = resolve_layer_order(scene, program, name)
@@ -169,7 +169,7 @@ def _check_layers(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _check_cameras(scene: Scene, program: Program, report: Report) -> None:
-    """Report names of cameras that `render --camera` would understand otherwise, and files and agents that do not exist."""
+    """Report camera names that have another meaning for `render --camera`, and files and agents that do not exist."""
     for name, camera in scene.model.named_cameras.items():
         path = scene.model.find_camera_path(name)
         if isinstance(camera, UsdCamera):
@@ -186,7 +186,7 @@ def _check_cameras(scene: Scene, program: Program, report: Report) -> None:
         report.error("duplicate-name", words, place, "keep one of them", labels=(label,))
 
 
-def _check_detail(scene: Scene, program: Program, report: Report) -> None:
+def _check_level_of_detail(scene: Scene, program: Program, report: Report) -> None:
     lod = scene.model.lod
     if lod is None:
         return
@@ -206,7 +206,7 @@ def _check_output(scene: Scene, program: Program, report: Report) -> None:
         known |= {f"{machine.name}.state" for machine in species.machines}
     for number, name in enumerate(scene.model.output.attributes):
         if name not in known:
-            report_unknown(report, scene, ("output", "attributes", number), "no attribute is named", known, key=False)
+            report_unknown_name(report, scene, ("output", "attributes", number), "no attribute is named", known, key=False)
 
 
 def _check_notes(scene: Scene, program: Program, report: Report) -> None:
@@ -224,7 +224,7 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     check_field_dynamics,
     _check_layers,
     _check_cameras,
-    _check_detail,
+    _check_level_of_detail,
     _check_output,
     _check_notes,
     check_step_lengths,  # last, because it warns about values that the others have checked

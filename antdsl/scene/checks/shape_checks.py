@@ -1,11 +1,11 @@
-"""Checks of the shapes of places in crowd lines, and of the directions in which agents begin."""
+"""Checks of placements in crowd lines: shapes that exclude each other, and directions in which agents begin."""
 
 from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program
 from antdsl.program.tables.things import MESH_GROUND_KIND
-from antdsl.scene.checks.entry_checks import report_unknown
+from antdsl.scene.checks.entry_checks import report_unknown_name
 from antdsl.scene.crowds.casting_model import FACING_WORDS, FacingDirection
 from antdsl.scene.crowds.crowd_model import Placement
 from antdsl.scene.document import PathKey
@@ -17,7 +17,9 @@ _SHAPES = ("points", "inside", "along", "edge", "volume", "ranks")  # of which a
 
 
 def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return the names that `around` accepts, each as (items, item). For the name of items, the first item counts."""
+    """Return the names that `around` accepts. The value of each is the name of the items and the name of one item.
+
+    The name of items stands for the first of these items."""
     names: dict[str, tuple[str, str]] = {}
     for name, value in scene.model.world.items():
         if isinstance(value, dict) and value:
@@ -30,7 +32,7 @@ def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
 
 
 def check_shapes(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
-    """Report shapes of a place that exclude each other, unknown names in them, and directions without a meaning there."""
+    """Report shapes of a placement that exclude each other, unknown names in them, and directions that it cannot have."""
     shapes = [name for name in _SHAPES if getattr(place, name) is not None]
     disc = ["around"] if place.around is not None and place.ranks is None else []
     disc += ["radius"] if place.radius is not None and place.along is None and place.edge is None else []
@@ -45,19 +47,19 @@ def check_shapes(scene: Scene, program: Program, report: Report, place: Placemen
         report.error("wrong-value", words, scene.span(*path, "clumps", key=True), "leave `clumps` out")
     curves = program.list_things_of_kind("curve")
     if place.along is not None and place.along not in curves:
-        report_unknown(report, scene, (*path, "along"), "no curve is named", curves, key=False)
+        report_unknown_name(report, scene, (*path, "along"), "no curve is named", curves, key=False)
     surfaces = program.list_things_of_kind(MESH_GROUND_KIND)
     if place.edge is not None and place.edge not in surfaces:
-        report_unknown(report, scene, (*path, "edge"), "no surface is named", surfaces, key=False)
+        report_unknown_name(report, scene, (*path, "edge"), "no surface is named", surfaces, key=False)
     items = list_item_names(scene)
     around = place.volume.around if isinstance(place.volume, Ball) else None
     if isinstance(around, str) and around not in items and not scene.model.has_usd_items:
-        report_unknown(report, scene, (*path, "in", "around"), "no item is named", items, key=False)
+        report_unknown_name(report, scene, (*path, "in", "around"), "no item is named", items, key=False)
     _check_facing(scene, report, place, items, *path)
 
 
 def _check_facing(scene: Scene, report: Report, place: Placement, items: dict[str, tuple[str, str]], *path: PathKey) -> None:
-    """Report a direction without a meaning in its place."""
+    """Report a `facing` that has no meaning for its placement."""
     facing, span = place.facing, scene.span(*path, "facing")
     if isinstance(facing, FacingDirection):
         if not any(facing.direction):
@@ -69,10 +71,10 @@ def _check_facing(scene: Scene, report: Report, place: Placement, items: dict[st
         report.error("wrong-value", f"`facing: {facing}` has no centre here", span, help)
     elif isinstance(facing, str) and facing not in (*FACING_WORDS, *items) and not scene.model.has_usd_items:
         words = "no direction or item is named"
-        report_unknown(report, scene, (*path, "facing"), words, [*FACING_WORDS, *items], key=False)
+        report_unknown_name(report, scene, (*path, "facing"), words, [*FACING_WORDS, *items], key=False)
 
 
 def _has_centre(place: Placement) -> bool:
-    """Return whether a place has a centre or a line from which directions lead outward."""
+    """Return whether a placement has a centre or a line from which directions lead outward."""
     keys = ("around", "radius", "inside", "along", "edge", "volume")
     return any(getattr(place, key) is not None for key in keys)

@@ -26,7 +26,7 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
         seen.add(line.species)
         attributes = {each.name: each for each in program.species[line.species].attributes}
         body = line.body or find_body_for_species(line.species)
-        speed, size = (_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "size"))
+        speed, size = (_compute_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "size"))
         if body not in BODY_WORDS or not speed or not size or min(speed, size) <= 0:
             continue
         frame_step, length = speed * float(1 / model.fps), CAPSULE_BY_BODY[body].length * size
@@ -46,18 +46,18 @@ def _format_limit(length: float, scene: Scene) -> str:
     return f"{length * float(scene.model.fps) * limits.MAX_SUBSTEPS / 1000:.3g} m/s"
 
 
-def _typical_value(attribute: AttributeDecl | None, scene: Scene, program: Program) -> float | None:
+def _compute_typical_value(attribute: AttributeDecl | None, scene: Scene, program: Program) -> float | None:
     """Return the mean value of an attribute at birth in base units. Return None if it depends on more than params and draws."""
     part: Expr | None = attribute.default if attribute is not None else None
     if isinstance(part, OperationExpr) and part.name in ("uniform", "normal"):
-        values = [_constant_value(each, scene, program) for each in part.args[:2]]
+        values = [_find_constant_value(each, scene, program) for each in part.args[:2]]
         if part.name == "normal":
             return values[0]
         return None if None in values else sum(value for value in values if value is not None) / len(values)
-    return _constant_value(part, scene, program)
+    return _find_constant_value(part, scene, program)
 
 
-def _constant_value(part: Expr | None, scene: Scene, program: Program) -> float | None:
+def _find_constant_value(part: Expr | None, scene: Scene, program: Program) -> float | None:
     """Return a constant, or the value of a param in this scene, in base units; None for other expressions."""
     if isinstance(part, ParamRef):
         value = scene.model.set.get(part.name)

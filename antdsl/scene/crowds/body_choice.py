@@ -13,31 +13,33 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.randomness import draw_uniform
 
-_SEPARATOR = "#"
+_BODY_KEY_SEPARATOR = "#"
 
 
-def body_key(species: str, number: int, count: int) -> str:
+def make_body_key(species: str, number: int, count: int) -> str:
     """Return the key of the body with index `number` of a species that has `count` bodies."""
-    return f"{species}{_SEPARATOR}{number}" if count > 1 else species
+    return f"{species}{_BODY_KEY_SEPARATOR}{number}" if count > 1 else species
 
 
-def body_keys(species: str, count: int) -> tuple[str, ...]:
+def list_body_keys(species: str, count: int) -> tuple[str, ...]:
     """Return the keys of all bodies of a species that has `count` bodies; at least one."""
-    return tuple(body_key(species, number, count) for number in range(max(1, count)))
+    return tuple(make_body_key(species, number, count) for number in range(max(1, count)))
 
 
-def species_of_key(key: str) -> str:
+def find_species_of_key(key: str) -> str:
     """Return the species of a body key."""
-    return key.partition(_SEPARATOR)[0]
+    return key.partition(_BODY_KEY_SEPARATOR)[0]
 
 
-def number_of_key(key: str) -> int:
+def find_number_of_key(key: str) -> int:
     """Return the index of a body key's body among the bodies of its species."""
-    return int(key.partition(_SEPARATOR)[2] or 0)
+    return int(key.partition(_BODY_KEY_SEPARATOR)[2] or 0)
 
 
-def body_numbers(weights: Sequence[float], seed: int, species: str, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the index of each agent's body, uint8[n]. `weights`: the weight of each body, above 0; empty for a single body."""
+def choose_body_numbers(weights: Sequence[float], seed: int, species: str, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return the index of the body that is drawn for each agent, uint8[n].
+
+    `weights`: the weight of each body, above 0; empty for a single body. `ids`: the ids of the agents."""
     if len(weights) < 2:
         return np.zeros(len(ids), np.uint8)
     drawn = draw_uniform(seed, 0, species, "body", 0, np.asarray(ids, np.int64)).astype(np.float64)

@@ -91,7 +91,7 @@ class WeightedChoice(ScenePart):
 
 
 class PaintedMapValue(ScenePart):
-    """The number of a map at the position: `from` where it is 0, `to` where it is 1."""
+    """A value from a painted map at the agent's position: `from` where the map is 0, `to` where it is 1."""
 
     painted: SceneName
     low: AnyQuantity | None = Field(None, alias="from")
@@ -103,7 +103,7 @@ RANDOM_VALUE_MODELS: dict[str, type[ScenePart]] = {
 }  # fmt: skip
 
 
-def _find_draw_tag(value: Any) -> str:
+def _find_draw_type_tag(value: Any) -> str:
     if not isinstance(value, dict):
         return "one-value"
     known = next((key for key in RANDOM_VALUE_MODELS if key in value), None)
@@ -122,21 +122,22 @@ def _check_key(value: Any) -> str:
     return text
 
 
-EachValue = Annotated[
+InitialValue = Annotated[
     Annotated[str, BeforeValidator(_check_value), Tag("one-value")]
     | Annotated[UniformRandomValue, Tag("uniform-draw")]
     | Annotated[NormalRandomValue, Tag("normal-draw")]
     | Annotated[WeightedChoice, Tag("choice-draw")]
     | Annotated[PaintedMapValue, Tag("painted-draw")],
-    Discriminator(_find_draw_tag),
+    Discriminator(_find_draw_type_tag),
 ]
-EachValues = dict[Annotated[str, BeforeValidator(_check_key)], EachValue]
+InitialValues = dict[Annotated[str, BeforeValidator(_check_key)], InitialValue]
 
 
 class Ranks(ScenePart):
     """Ranks of agents around `around`, in the order of creation; the first rank is ahead.
 
-    `columns`: agents of each rank. `spacing`: the distance of neighbours, or [within, between] ranks."""
+    `columns`: the number of agents in each rank.
+    `spacing`: the distance between neighbours. Two lengths are the distances within a rank and between ranks."""
 
     columns: Count
     spacing: PositiveLength | tuple[PositiveLength, PositiveLength]
@@ -162,13 +163,13 @@ class FacingDirection(ScenePart):
 FACING_WORDS = ("out", "in", "along")
 
 
-def _find_facing_tag(value: Any) -> str:
+def _find_facing_type_tag(value: Any) -> str:
     return "direction-facing" if isinstance(value, dict) else "place-facing"
 
 
 Facing = Annotated[
     Annotated[FacingDirection, Tag("direction-facing")] | Annotated[PointOrName, Tag("place-facing")],
-    Discriminator(_find_facing_tag),
+    Discriminator(_find_facing_type_tag),
 ]
 
 

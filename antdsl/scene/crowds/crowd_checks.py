@@ -6,7 +6,7 @@ from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program.model import Program
 from antdsl.program.tables.things import KIND_BY_WORD
-from antdsl.scene.checks.entry_checks import check_file, check_map_name, report_unknown
+from antdsl.scene.checks.entry_checks import check_file, check_map_name, report_unknown_name
 from antdsl.scene.checks.shape_checks import check_shapes, list_item_names
 from antdsl.scene.crowds.crowd_model import Placement, UsdPositions
 from antdsl.scene.crowds.initial_values import stage_initial_values
@@ -15,7 +15,7 @@ from antdsl.scene.load import Scene
 
 
 def count_agents(scene: Scene) -> list[int]:
-    """Return how many agents each crowd line creates in all."""
+    """Return the total number of agents that each crowd line creates."""
     model = scene.model
     return [line.count_agents(model.frames.first, model.fps) for line in model.crowd]
 
@@ -27,7 +27,9 @@ def check_crowd(scene: Scene, program: Program, report: Report) -> None:
         _check_line_name(scene, program, report, number)
         _check_release(scene, report, number)
         if line.species not in program.species:
-            report_unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
+            report_unknown_name(
+                report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False
+            )
         _check_placement(scene, program, report, line.place, "crowd", number, "place")
         if line.walk is not None and not any(line.walk.direction):
             where = scene.span("crowd", number, "walk", "direction")
@@ -83,8 +85,9 @@ def _check_line_name(scene: Scene, program: Program, report: Report, number: int
 
 
 def check_around(scene: Scene, report: Report, around: object, radius: object, *path: PathKey) -> None:
+    """Report an `around` that names no item, or that has no `radius`."""
     if isinstance(around, str) and around not in list_item_names(scene) and not scene.model.has_usd_items:
-        report_unknown(report, scene, (*path, "around"), "no item is named", list_item_names(scene), key=False)
+        report_unknown_name(report, scene, (*path, "around"), "no item is named", list_item_names(scene), key=False)
     if around is not None and radius is None:
         at = scene.span(*path, "around", key=True)
         report.error("missing-key", "`around` has no effect without `radius`", at, "add `radius: 50 mm`")
@@ -93,7 +96,7 @@ def check_around(scene: Scene, report: Report, around: object, radius: object, *
 def _check_placement(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
     grounds = [name for name, thing in program.world.items() if KIND_BY_WORD[thing.kind].is_ground]
     if place.on is not None and place.on not in grounds:
-        report_unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
+        report_unknown_name(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
     if place.points is not None:
         if isinstance(place.points, UsdPositions):
             check_file(scene, report, place.points.usd, *path, "points", "usd")

@@ -20,7 +20,7 @@ MAX_DEVIATIONS = 3  # draws of a normal distribution are at most so many deviati
 
 @dataclass(frozen=True, slots=True)
 class ItemCentre:
-    """A centre of a place that is an item of `items`. It moves with the item."""
+    """An item that is the centre of a placement: the item with this index in `items`. The centre moves with the item."""
 
     items: str
     index: int
@@ -28,7 +28,9 @@ class ItemCentre:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VolumeData:
-    """A volume, from which agents go to the nearest surface point: a box with two corners, or a ball."""
+    """A box or a ball. Agents start at the surface points nearest to its inside.
+
+    `low`, `high`: the corners of a box (mm). A ball has a `radius` (mm) above 0 and the centre `low`."""
 
     low: PointMm = (0.0, 0.0, 0.0)
     high: PointMm = (0.0, 0.0, 0.0)
@@ -58,8 +60,9 @@ class ClumpsData:
 class FacingData:
     """The direction in which agents begin, along the ground.
 
-    `out`, `in`: away from the centre or line of the place, or towards it; from an edge into the surface is `in`. `along`: the
-    direction of a line. `point`: towards a point (mm). `direction`: a direction of the scene's axes."""
+    `kind`: `out` and `in` lead away from the centre or line of the placement, or towards it; from an edge, `in` leads into the
+    surface. `along` is the direction of a line.
+    `vector`: the target (mm) for the kind `point`, or a direction in the scene's axes for the kind `direction`."""
 
     kind: Literal["out", "in", "along", "point", "direction"]
     vector: PointMm = (0.0, 0.0, 0.0)
@@ -123,7 +126,7 @@ class WalkData:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseData:
-    """The frames in which the agents of a line are created: number k in the frame `begin` + k · `interval`, rounded down."""
+    """The frames in which the agents of a line are created: agent k in frame `begin` + k · `interval`, rounded down."""
 
     begin: Fraction
     interval: Fraction
@@ -168,7 +171,7 @@ class CrowdData:
     initial_values: Mapping[str, ValueDraw] = field(default_factory=dict)
 
     def count_created(self, frame: int) -> int:
-        """Return how many agents of the line were created up to a frame. Each is created once, whenever a run begins."""
+        """Return the number of agents of the line that were created up to a frame. It does not depend on the start of the run."""
         if self.release is None:
             return self.count
         frames = frame + 1 - self.release.begin

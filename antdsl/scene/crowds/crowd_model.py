@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from antdsl import limits
 from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
-from antdsl.scene.crowds.casting_model import Clumps, EachValues, Facing, Ranks, Rate, SecondsValue, convert_rate
+from antdsl.scene.crowds.casting_model import Clumps, Facing, InitialValues, Ranks, Rate, SecondsValue, convert_rate
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.notes.selectors import Region
 from antdsl.scene.quantities import Quantity
@@ -53,7 +53,7 @@ class UsdPositions(ScenePart):
     kind: SceneWord | None = None
 
 
-def _find_points_tag(value: Any) -> str:
+def _find_points_type_tag(value: Any) -> str:
     return "usd-places" if isinstance(value, dict) else "points-file"
 
 
@@ -80,7 +80,8 @@ class Placement(ScenePart):
     radius: PositiveLength | None = None
     points: (
         Annotated[
-            Annotated[FilePath, Tag("points-file")] | Annotated[UsdPositions, Tag("usd-places")], Discriminator(_find_points_tag)
+            Annotated[FilePath, Tag("points-file")] | Annotated[UsdPositions, Tag("usd-places")],
+            Discriminator(_find_points_type_tag),
         ]
         | None
     ) = None
@@ -112,21 +113,23 @@ class LayerChoice(ScenePart):
     any: Annotated[tuple[SceneName, ...], Field(min_length=1, max_length=limits.MAX_WORN_LAYERS)]
 
 
-def _find_layer_tag(value: Any) -> str:
+def _find_layer_type_tag(value: Any) -> str:
     return "any" if isinstance(value, dict) else "layer"
 
 
-WornLayer = Annotated[Annotated[SceneName, Tag("layer")] | Annotated[LayerChoice, Tag("any")], Discriminator(_find_layer_tag)]
+WornLayer = Annotated[
+    Annotated[SceneName, Tag("layer")] | Annotated[LayerChoice, Tag("any")], Discriminator(_find_layer_type_tag)
+]
 
 
-def _text_or_weights(value: Any) -> str:
+def _find_body_type_tag(value: Any) -> str:
     return "body-weights" if isinstance(value, dict) else "one-body"
 
 
 BodyValue = Annotated[
     Annotated[BodyText, Tag("one-body")]
     | Annotated[dict[BodyText, BodyWeight], Field(min_length=1, max_length=limits.MAX_SPECIES_BODIES), Tag("body-weights")],
-    Discriminator(_text_or_weights),
+    Discriminator(_find_body_type_tag),
 ]
 
 
@@ -147,14 +150,14 @@ class CrowdLine(ScenePart):
     rate: Rate | None = None
     frames: FrameRangeValue | None = None
     seconds: SecondsValue | None = None
-    each: EachValues = Field(default_factory=dict)
+    each: InitialValues = Field(default_factory=dict)
     place: Placement = Placement()
     walk: Walk | None = None
     body: BodyValue | None = None
     wear: Annotated[tuple[WornLayer, ...], Field(max_length=limits.MAX_WORN_LAYERS)] = ()
 
     @model_validator(mode="after")
-    def _check_number(self) -> CrowdLine:
+    def _check_agent_count(self) -> CrowdLine:
         if self.count is None and self.rate is None:
             raise make_error("this line has no `count`", "add `count: 100`", code="missing-key")
         if self.count is not None and self.rate is not None:
@@ -166,9 +169,10 @@ class CrowdLine(ScenePart):
         return self
 
     def find_release(self, first: int, fps: Fraction) -> tuple[Fraction, Fraction, int]:
-        """Return when agents are created: the begin and the interval in frames, and their number.
+        """Return the frame in which agents begin to be created, the interval between two agents in frames, and the number of
+        agents.
 
-        `first`: the scene's first frame. Without frames, the interval is 0 and the begin is the first frame."""
+        `first`: the scene's first frame, which is the default. Without `frames` and `seconds`, the interval is 0."""
         begin, duration = Fraction(first), Fraction(0)
         if self.frames is not None:
             begin, duration = Fraction(self.frames.first), Fraction(self.frames.last - self.frames.first + 1)
@@ -181,7 +185,7 @@ class CrowdLine(ScenePart):
         return begin, duration / count if count and duration > 1 else Fraction(0), count
 
     def count_agents(self, first: int, fps: Fraction) -> int:
-        """Return how many agents the line creates in all."""
+        """Return the total number of agents that the line creates. `first`: the scene's first frame."""
         return self.find_release(first, fps)[2]
 
     @property
@@ -191,14 +195,14 @@ class CrowdLine(ScenePart):
             return self.body
         return {} if self.body is None else {self.body: 1.0}
 
-    def layers(self) -> tuple[tuple[str, ...], ...]:
+    def list_worn_layers(self) -> tuple[tuple[str, ...], ...]:
         """Return, for each part of `wear`, the layers from which one is drawn per agent. "" means no layer."""
         chosen = (each.any if isinstance(each, LayerChoice) else (each,) for each in self.wear)
         return tuple(tuple("" if name == NO_LAYER else name for name in names) for names in chosen)
 
 
-def named_weights(crowd: Iterable[CrowdLine]) -> dict[str, dict[str, float]]:
-    """Return, by species, the bodies that crowd lines name, with their weights. The first line that names any applies."""
+def collect_body_weights(crowd: Iterable[CrowdLine]) -> dict[str, dict[str, float]]:
+    """Return the bodies of each species with their weights. The first crowd line of a species that names bodies applies."""
     weights: dict[str, dict[str, float]] = {}
     for line in crowd:
         if line.body is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import AttributeDecl, Dimension, Machine, Program, Species, TypeKind
-from antdsl.scene.checks.entry_checks import check_dimension, check_map_name, check_value, report_unknown
+from antdsl.scene.checks.entry_checks import check_dimension, check_map_name, check_value, report_unknown_name
 from antdsl.scene.crowds.casting_model import NormalRandomValue, PaintedMapValue, UniformRandomValue, WeightedChoice
 from antdsl.scene.crowds.crowd_data import MAX_DEVIATIONS, ValueDraw
 from antdsl.scene.document import PathKey
@@ -22,7 +22,7 @@ _BOOL_TEXTS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 
 
 class _Line(NamedTuple):
-    """A crowd line with its species, and where its findings go."""
+    """A crowd line with its scene, program and species, and the report that receives its errors. `number`: the line's index."""
 
     scene: Scene
     program: Program
@@ -64,7 +64,7 @@ def _stage_attribute(line: _Line, key: str, value: str | ScenePart, *path: PathK
     known = {each.name: each for each in line.species.attributes if is_settable(each)}
     if key not in known:
         names = [*known, *(f"{each.name}.state" for each in line.species.machines)]
-        report_unknown(line.report, line.scene, path, f"agents of `{line.species.name}` have no attribute", names)
+        report_unknown_name(line.report, line.scene, path, f"agents of `{line.species.name}` have no attribute", names)
         return None
     return _stage_value(line, value, known[key], *path)
 
@@ -128,7 +128,9 @@ def _convert_quantity(
 def _convert_mean(
     line: _Line, pair: tuple[Quantity, Quantity], target: AttributeDecl, *path: PathKey
 ) -> tuple[float | None, float | None]:
-    """Return the mean and the deviation of a normal distribution, of which no draw is more than three deviations away."""
+    """Return the mean and the standard deviation of a normal distribution in base units. Each is None after an error.
+
+    Draws are at most three deviations away from the mean."""
     model, (mean, deviation) = line.scene.model, pair
     if not check_dimension(line.scene, line.report, deviation, target.type.dimension, target.name, *path, 1):
         return None, None
@@ -137,7 +139,8 @@ def _convert_mean(
 
 
 def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path: PathKey) -> float | None:
-    """Return the number of a value: in base units, 1 or 0 for a truth value, the index of a state."""
+    """Return a text as a number: a quantity in base units, 1 or 0 for a truth value, or the index of a state; None after an
+    error."""
     if isinstance(target, Machine):
         indices = {state.name: float(state.index) for state in target.states}
         return _find_word(line, text, indices, f"`{line.species.name}` has no state", *path)

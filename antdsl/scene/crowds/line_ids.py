@@ -1,6 +1,6 @@
-"""Which agents a crowd line has: their ids, in the order of creation.
+"""The ids of the agents of a crowd line, in the order of creation.
 
-Number k of the line is the k-th id. Changes of other lines do not change these numbers."""
+Agent number k of the line has the k-th id. Changes of other lines do not change these numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ class LineIds:
         return sum(count for _, count in self.ranges)
 
     def take(self, first: int = 0, last: int | None = None) -> NDArray[np.int64]:
-        """Return the ids of the agents from number `first` to number `last`, both included. Missing numbers are left out."""
+        """Return the ids of agents `first` to `last` of the line (numbers from 0, both included). Numbers without an agent are
+        left out."""
         ids = [np.empty(0, np.int64), *(np.arange(start, start + count) for start, count in self.ranges)]
         return np.concatenate(ids)[first : None if last is None else last + 1]
 

@@ -34,10 +34,10 @@ def round_to_voxels(corners: Floats) -> tuple[Index, int]:
     return np.round(corners * grain).astype(np.int64), grain
 
 
-def count_open_edges(corners: Index) -> tuple[int, bool]:
+def measure_closedness(corners: Index) -> tuple[int, bool]:
     """Return the number of edges with an odd number of triangles, and whether each edge is traversed equally often both ways.
 
-    `corners` (n, 3, 3): corners of triangles as integers; equal positions are one corner."""
+    `corners` int64[n, 3, 3]: corners of triangles as integers. Corners at equal positions are one corner."""
     _, direction, first, count = _group_edges(corners)
     direction_sums = np.add.reduceat(direction, first) if len(direction) else np.zeros(0)
     return int((count % 2).sum()), not direction_sums.any()
@@ -89,10 +89,10 @@ def _find_components(node_count: int, first_nodes: Index, second_nodes: Index) -
 
 
 def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
-    """Return the edges of triangles, as all their sides sorted by edge.
+    """Return all sides of triangles, sorted by edge, and the edges.
 
-    The results are: for each side, its triangle and its direction (1 or -1); for each edge, its first side and number of
-    sides."""
+    The results are four arrays. For each side: its triangle, and its direction (1 or -1). For each edge: the index of its first
+    side, and its number of sides."""
     points = corners.reshape(-1, 3)
     order = np.lexsort(points.T)
     ranked = points[order]
@@ -112,6 +112,7 @@ def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
 
 @cached_per_mesh
 def _count_wrong_sides(mesh: MeshData) -> tuple[int, int]:
+    """Return the result of `count_inward_pieces` for a mesh: the numbers of inward and of inconsistent pieces."""
     return count_inward_pieces(mesh.vertices, mesh.faces)
 
 
@@ -144,9 +145,9 @@ def _make_border_edge_table(corners: Floats) -> stored_tables.Tables:
 
 
 def find_odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
-    """Return the edges (k, 2) with an odd number of faces, as indices of positions, and the positions (p, 3).
+    """Return the edges with an odd number of faces (k, 2), as indices of positions, and the positions (p, 3).
 
-    Corners nearer to each other than about `grain` coincide."""
+    Corners nearer to each other than about `grain` share a position."""
     corners = vertices[faces].reshape(-1, 3)
     cells = round_to_voxels((corners - corners.min(axis=0)).reshape(-1, 3, 3) / grain)[0].reshape(-1, 3)
     _, first, name = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -159,5 +160,5 @@ def find_odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> 
 def count_open_solid_edges(solid: SolidData) -> int:
     """Return the number of edges with an odd number of triangles. A solid with such edges has no inside."""
     corners = solid.mesh.vertices[solid.mesh.faces]
-    loose, _ = count_open_edges(round_to_voxels((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
+    loose, _ = measure_closedness(round_to_voxels((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
     return loose

@@ -206,7 +206,7 @@ class GltfDocument:
         return np.ascontiguousarray(raw)
 
     def read_image_bytes(self, number: int) -> bytes:
-        """Return the bytes of an image's file, from a buffer or from a file beside this one."""
+        """Return the bytes of an image, from a buffer or from a file in the folder of the glTF file."""
         image = self.get_top_list("images")[number]
         if "bufferView" not in image:
             return self._fetch_buffer(image, number)

@@ -38,7 +38,7 @@ def read_gltf_mesh(data: bytes, notes: ImportNotes, node_name: str | None, read_
     """Return all meshes of the file's scene as one. Raises MeshError with the reason if that fails.
 
     `node_name`: the name of nodes or meshes; only these nodes and all below them are read.
-    `beside(path, cap)`: returns the bytes of a file in the same folder."""
+    `read_sibling(path, max_bytes)`: returns the bytes of a file in the same folder."""
     notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
     try:
         with np.errstate(all="ignore"):

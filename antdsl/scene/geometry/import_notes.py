@@ -61,12 +61,12 @@ class MeshImport:
     """The import report of one mesh of a scene. Lengths are in scene units.
 
     `polygons`: polygons with more than three corners.
-    `concave`, `crossing`: as in `ImportNotes`.
-    `dropped`: triangles without an area, or with a duplicate.
+    `concave`, `crossing`: numbers of polygons, as in `ImportNotes`.
+    `dropped`: triangles that were left out, since they have no area or are duplicates.
     `welded`: vertices moved onto others.
-    `left`: triangles in the scene; None if unknown.
     `border_edges`: edges with exactly one triangle.
-    `low`, `high`: the corners of the mesh's box."""
+    `low`, `high`: the corners of the mesh's box.
+    `remaining_triangles`: triangles in the scene; None if unknown."""
 
     file: str
     form: str
@@ -81,7 +81,7 @@ class MeshImport:
     skipped: tuple[str, ...]
     low: FloatTriple
     high: FloatTriple
-    left: int | None = None
+    remaining_triangles: int | None = None
 
 
 def format_import_report(mesh_import: MeshImport, units: str) -> Iterator[str]:
@@ -99,7 +99,11 @@ def format_import_report(mesh_import: MeshImport, units: str) -> Iterator[str]:
         else "",
         f"{_format_count(mesh_import.welded, 'vertex', 'vertices')} welded" if mesh_import.welded else "",
         f"{_format_count(mesh_import.dropped, 'degenerate or doubled triangle')} dropped"
-        + (f", {_format_count(mesh_import.left, 'triangle')} left" if mesh_import.left is not None else "")
+        + (
+            f", {_format_count(mesh_import.remaining_triangles, 'triangle')} left"
+            if mesh_import.remaining_triangles is not None
+            else ""
+        )
         if mesh_import.dropped
         else "",
         f"open, {_format_count(mesh_import.border_edges, 'border edge')}"

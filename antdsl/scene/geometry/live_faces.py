@@ -26,7 +26,9 @@ def has_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
 
 
 def find_live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
-    """Return whether each face with the corners a, b, c (m, 3) is ground. `numbers`: the result of `number_corners`."""
+    """Return whether each face is ground, bool[m]. `a`, `b`, `c` (m, 3): the corners of faces.
+
+    `numbers`: the result of `number_corners`."""
     live = has_area(a, b, c)
     key = np.sort(numbers, axis=1)
     live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
@@ -96,8 +98,9 @@ def number_components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]
 
 
 def _merge_cells(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
-    """Return new cell numbers int64[n]. Cells of one owner share a number if they have corners nearer to each other than
-    `grain`."""
+    """Return new cell numbers int64[n] for points in cells.
+
+    Cells of one owner share a number if they have points nearer to each other than `grain`."""
     begin = np.unique(cell, return_index=True)[1]
     near = np.stack(find_pairs_within(points[begin], grain), axis=1)
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]

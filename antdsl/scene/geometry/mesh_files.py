@@ -33,9 +33,9 @@ _MAX_COORDINATE_MM = 1e9  # mm; a thousand kilometres
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawMesh:
-    """A mesh with vertices in the file's units and axes, and the number of faces without area that were left out.
+    """A mesh in the file's units and axes. `dropped_faces`: the number of faces without area that were left out.
 
-    `own_vertices`, `own_faces`: the index of each vertex and face in the file.
+    `own_vertices`, `own_faces`: the index that each vertex and each face has in the file.
     `file_counts`: the numbers of vertices and triangles of the file."""
 
     vertices: Floats
@@ -51,26 +51,26 @@ def read_mesh(data: bytes, name: str, group: str | None = None, read_sibling: Si
     """Return the triangles of a file's bytes. Raises MeshError with the reason if there are none.
 
     `group`: the only group or object of an .obj file to read, or the only node of a glTF file, with all below it.
-    `beside(path, cap)`: returns the bytes of a file in the same folder."""
+    `read_sibling(path, max_bytes)`: returns the bytes of a file in the same folder."""
     is_cached = len(data) <= _MAX_CACHED_BYTES and not name.lower().endswith(
         ".gltf"
     )  # buffers of .gltf files may be in other files
-    return _read_cached(data, name, group) if is_cached else _read_checked(data, name, group, read_sibling)
+    return _read_cached_mesh(data, name, group) if is_cached else _read_and_check_mesh(data, name, group, read_sibling)
 
 
 _MAX_CACHED_BYTES = 2 * limits.MIB  # cache for files that are read again by the next scene of a folder
 
 
 @lru_cache(maxsize=16)
-def _read_cached(data: bytes, name: str, group: str | None) -> RawMesh:
+def _read_cached_mesh(data: bytes, name: str, group: str | None) -> RawMesh:
     """Read a mesh. Small meshes are cached for further scenes, so the arrays must not be changed."""
-    mesh = _read_checked(data, name, group, None)
+    mesh = _read_and_check_mesh(data, name, group, None)
     for array in (mesh.vertices, mesh.faces, mesh.own_vertices, mesh.own_faces):
         array.setflags(write=False)
     return mesh
 
 
-def _read_checked(data: bytes, name: str, group: str | None, read_sibling: SiblingReader | None) -> RawMesh:
+def _read_and_check_mesh(data: bytes, name: str, group: str | None, read_sibling: SiblingReader | None) -> RawMesh:
     notes = ImportNotes()
     return check_mesh(*read_mesh_arrays(data, name, group, read_sibling, notes), notes)
 
@@ -78,9 +78,9 @@ def _read_checked(data: bytes, name: str, group: str | None, read_sibling: Sibli
 def read_mesh_arrays(
     data: bytes, name: str, group: str | None = None, read_sibling: SiblingReader | None = None, notes: ImportNotes | None = None
 ) -> tuple[Floats, Faces]:
-    """Return vertices and all triangles of a file, with the arguments of `read_mesh`, without the checks of `check_mesh`.
+    """Return the vertices and all triangles of a file. They are not checked by `check_mesh`.
 
-    `notes`: receives the omissions."""
+    The arguments are those of `read_mesh`. `notes`: receives the elements that are left out."""
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in MESH_SUFFIXES:
@@ -192,6 +192,7 @@ MESH_SUFFIXES = (*READER_BY_SUFFIX, "obj", *GLTF_SUFFIXES)
 
 
 def _reject_sibling(path: str, max_bytes: int) -> bytes:
+    """Raise MeshError for a mesh file that names another file, since there is no reader for it."""
     raise MeshError("has a buffer in another file", "export it as .glb, which has its buffers inside")
 
 

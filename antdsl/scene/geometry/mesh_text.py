@@ -99,20 +99,20 @@ def _replace_continuation(end: re.Match[bytes]) -> bytes:
 class TextBlock:
     """The lines of a text that have words.
 
-    `number` int64[L]: the number of each line in the file, from 1.
-    `first`, `count` int64[L]: line k has the words `first[k]` to before `first[k] + count[k]`.
-    `start`, `end` int64[W]: the range of each word in the bytes `data`."""
+    `line_numbers` int64[L]: the number of each line in the file, from 1.
+    `first_words`, `word_counts` int64[L]: the index of the first word of each line, and its number of words.
+    `word_starts`, `word_ends` int64[W]: the range of each word in the bytes `data`."""
 
-    number: Integers
-    first: Integers
-    count: Integers
-    start: Integers
-    end: Integers
+    line_numbers: Integers
+    first_words: Integers
+    word_counts: Integers
+    word_starts: Integers
+    word_ends: Integers
     data: NDArray[np.uint8]
     _words: list[list[bytes]] = field(default_factory=list)
 
     def __len__(self) -> int:
-        return len(self.number)
+        return len(self.line_numbers)
 
     @property
     def words(self) -> list[bytes]:
@@ -124,15 +124,23 @@ class TextBlock:
     def select_lines(self, begin: int, stop: int) -> TextBlock:
         """Return a block with the lines `begin` to before `stop`."""
         part = slice(begin, stop)
-        return TextBlock(self.number[part], self.first[part], self.count[part], self.start, self.end, self.data, self._words)
+        return TextBlock(
+            self.line_numbers[part],
+            self.first_words[part],
+            self.word_counts[part],
+            self.word_starts,
+            self.word_ends,
+            self.data,
+            self._words,
+        )
 
     def line(self, k: int) -> list[bytes]:
-        """Return the words of the k-th line."""
-        return self.words[self.first[k] : self.first[k] + self.count[k]]
+        """Return the words of line `k` of the block."""
+        return self.words[self.first_words[k] : self.first_words[k] + self.word_counts[k]]
 
     def find_line_keywords(self) -> NDArray[np.bytes_]:
         """Return the first word of each line in lower case, limited to 8 letters."""
-        start, stop = self.start[self.first], self.end[self.first]
+        start, stop = self.word_starts[self.first_words], self.word_ends[self.first_words]
         found = np.zeros((len(self), 8), np.uint8)
         for k in range(min(8, int((stop - start).max(initial=0)))):
             char = self.data[np.minimum(start + k, len(self.data) - 1)]
@@ -144,7 +152,7 @@ class TextBlock:
         """Return the words at indices `word_indices` as numbers, in the same shape. Raises MeshError with the line of the first
         invalid number."""
         flat = word_indices.ravel()
-        longest = int((self.end[flat] - self.start[flat]).max(initial=0))
+        longest = int((self.word_ends[flat] - self.word_starts[flat]).max(initial=0))
         words = self.words
         if len(flat) and flat[-1] - flat[0] == len(flat) - 1 and (np.diff(flat) == 1).all():
             chosen = words[int(flat[0]) : int(flat[-1]) + 1]
@@ -171,13 +179,13 @@ class TextBlock:
 
     def find_line_number(self, word_index: int) -> int:
         """Return the line number of the word at index `word_index`."""
-        return int(self.number[np.searchsorted(self.first, word_index, side="right") - 1])
+        return int(self.line_numbers[np.searchsorted(self.first_words, word_index, side="right") - 1])
 
     def read_integers(self, word_indices: Integers, slash: bool = False) -> tuple[Integers, NDArray[np.bool_]]:
         """Return the words at indices `word_indices` as integers, and whether each word is an integer.
 
         With `slash`, only the part before a slash counts, as in `1/2/3`."""
-        start, end = self.start[word_indices], self.end[word_indices]
+        start, end = self.word_starts[word_indices], self.word_ends[word_indices]
         negative = self.data[start] == 45
         start = start + negative
         value = np.zeros(word_indices.shape, np.int64)
@@ -194,13 +202,13 @@ class TextBlock:
         if slash and (slashes := self.data == 47).any():
             slash_counts = np.concatenate(([0], np.cumsum(slashes)))
             is_integer |= slashes[np.minimum(stop, len(self.data) - 1)] & (
-                slash_counts[end] - slash_counts[self.start[word_indices]] <= 2
+                slash_counts[end] - slash_counts[self.word_starts[word_indices]] <= 2
             )
         return np.where(negative, -value, value), (length > 0) & (length <= _MAX_INTEGER_DIGITS) & is_integer
 
 
 def read_blocks(text: bytes, number: int = 1) -> Iterator[TextBlock]:
-    """Yield the lines of a `normalise_text` in blocks. Raises MeshError for a line that is too long.
+    """Yield the lines of a text from `normalise_text` in blocks. Raises MeshError for a line that is too long.
 
     `number`: the number of the first line in the file."""
     at = 0

@@ -34,7 +34,12 @@ def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> Polyg
 
 @dataclass(slots=True)
 class _ObjReader:
-    """The state of reading a file, block by block. `group`: the only group or object to read; None for all."""
+    """The state of reading a file, block by block.
+
+    `group`: the only group or object to read; None for all.
+    `points`: arrays of positions. `indices`: the vertex of each corner of polygons. `counts`, `lines`: the number of corners and
+    the line of each polygon.
+    `vertices`, `corners`: totals up to now. `names`: the groups and objects of the file."""
 
     notes: ImportNotes
     group: str | None
@@ -54,7 +59,7 @@ class _ObjReader:
         vertex, face = kind == b"v", (kind == b"f") | (kind == b"fo")
         vertex_counts = self.vertices + np.cumsum(vertex)
         if vertex.any():
-            self._read_vertices(block.number[vertex], block.first[vertex], block.count[vertex], block)
+            self._read_vertices(block.line_numbers[vertex], block.first_words[vertex], block.word_counts[vertex], block)
         within = np.ones(len(block), np.bool_) if self.group is None else self._select_group_lines(block, kind)
         chosen = face & within
         if chosen.any():
@@ -64,7 +69,7 @@ class _ObjReader:
             word = block.line(k)[0].lower()
             if word in _IGNORED_KEYWORDS:
                 continue
-            line = int(block.number[k])
+            line = int(block.line_numbers[k])
             if word in _SKIPPED_ELEMENT_NAMES:
                 self.notes.count_skipped(f"{_SKIPPED_ELEMENT_NAMES[word]} (`{word.decode()}`)", 1, line)
             elif word in _FREE_FORM_KEYWORDS:
@@ -83,15 +88,15 @@ class _ObjReader:
         self.points.append(block.read_floats(first[:, None] + np.arange(1, 4), "a vertex"))
 
     def _read_faces(self, block: mesh_text.TextBlock, lines: mesh_text.Integers, vertex_counts: mesh_text.Integers) -> None:
-        count = block.count[lines] - 1
-        number = block.number[lines]
+        count = block.word_counts[lines] - 1
+        number = block.line_numbers[lines]
         short = np.flatnonzero(count < 3)
         if len(short):
             raise mesh_text.MeshError(f"has a face of fewer than three corners in line {number[short[0]]:,}")
         self.corners += int(count.sum())
         mesh_text.check_count(self.corners // 3, limits.MAX_MESH_FACES, "faces")
         within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-        at = np.repeat(block.first[lines] + 1, count) + within
+        at = np.repeat(block.first_words[lines] + 1, count) + within
         index, is_integer = block.read_integers(at, slash=True)
         wrong = np.flatnonzero(~is_integer | (index == 0))
         if len(wrong):

@@ -61,7 +61,7 @@ def _read_ply_attribute(data: bytes, attribute: str | tuple[str, ...], width: in
                 return _read_scaled(data, header, element, columns, width)
     except HeaderError as error:
         raise PaintError(str(error)) from None
-    painted = [p.name for e in header.elements if e.name in ("vertex", "face") for p in e.properties if not p.count]
+    painted = [p.name for e in header.elements if e.name in ("vertex", "face") for p in e.properties if not p.length_type]
     words = " ".join(attribute) if isinstance(attribute, tuple) else attribute
     sample = "attribute: [nx, ny, nz]" if width == 3 else "attribute: NAME"
     what = "three attributes" if width == 3 else "attribute"
@@ -70,7 +70,7 @@ def _read_ply_attribute(data: bytes, attribute: str | tuple[str, ...], width: in
 
 def _find_columns(element: PlyElement, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
     """Return the names of an element's properties that form the attribute, or None if it lacks them."""
-    have = {p.name for p in element.properties if not p.count}
+    have = {p.name for p in element.properties if not p.length_type}
     if isinstance(attribute, tuple):
         return attribute if len(attribute) == width and have.issuperset(attribute) else None
     if width == 1:
@@ -84,7 +84,7 @@ def _find_columns(element: PlyElement, attribute: str | tuple[str, ...], width: 
 
 def _read_scaled(data: bytes, header: PlyHeader, element: PlyElement, columns: tuple[str, ...], width: int) -> Floats:
     values = read_columns(data, header, element, columns)
-    kinds = {p.name: p.kind for p in element.properties}
+    kinds = {p.name: p.value_type for p in element.properties}
     if any(kinds[name] == "u1" for name in columns):
         if width == 3:
             raise PaintError("has a vector of unsigned bytes, which cannot be negative", "write it as floating-point numbers")

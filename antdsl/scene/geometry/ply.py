@@ -26,16 +26,16 @@ class HeaderError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class PlyProperty:
-    """A property of an element. `count`: for a list, the type of its length; None for a single value."""
+    """A property of an element. `length_type`: for a list, the type of its length; None for a single value."""
 
     name: str
-    kind: str
-    count: str | None = None
+    value_type: str
+    length_type: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PlyElement:
-    """A kind of element of a file, such as `vertex`: its number and its properties."""
+    """A kind of element of a file, such as `vertex`. `count`: the number of these elements."""
 
     name: str
     count: int
@@ -43,7 +43,7 @@ class PlyElement:
 
     def compute_min_bytes(self) -> int:
         """Return the least number of bytes of one element. An empty list has only its length."""
-        return sum(np.dtype(p.count or p.kind).itemsize for p in self.properties)
+        return sum(np.dtype(p.length_type or p.value_type).itemsize for p in self.properties)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,7 @@ class PlyHeader:
 
 
 def read_header(data: bytes) -> PlyHeader:
-    """Return the header of a .ply file. Its counts are compared with the file's size. Raises HeaderError with the reason if they
-    differ."""
+    """Return the header of a .ply file. Raises HeaderError if it is invalid, or if its counts exceed the size of the file."""
     lines, body = _split_header_lines(data)
     order: str | None = None
     elements: list[PlyElement] = []

@@ -48,7 +48,7 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
     requested_names: dict[int, Collection[str]] = {}
     if vertex is None or not any(e is not None and e.count for e in (face, strips)):
         raise HeaderError("has no faces")
-    axes = {p.name.lower(): p.name for p in vertex.properties if not p.count}
+    axes = {p.name.lower(): p.name for p in vertex.properties if not p.length_type}
     if not {"x", "y", "z"} <= axes.keys():
         raise HeaderError("has vertices without x, y and z")
     requested_names[id(vertex)] = [axes[axis] for axis in "xyz"]
@@ -85,11 +85,11 @@ def _insert_restarts(values: Integers, counts: Integers) -> Integers:
 
 def _find_corner_property(element: PlyElement) -> str:
     """Return the name of the property that lists the corners of a face or strip."""
-    lists = [p for p in element.properties if p.count]
+    lists = [p for p in element.properties if p.length_type]
     named = [p for p in lists if p.name.lower() in _INDEX_PROPERTY_NAMES] or lists
     if len(named) != 1:
         raise HeaderError("has faces without exactly one list of vertices")
-    if named[0].kind[0] == "f" or str(named[0].count)[0] == "f":
+    if named[0].value_type[0] == "f" or str(named[0].length_type)[0] == "f":
         raise HeaderError("has faces that name their vertices by numbers that are not whole")
     return named[0].name
 
@@ -123,7 +123,7 @@ def read_elements(
         if id(element) in requested_names:
             element_columns[id(element)] = columns
     else:
-        read.note_rest(notes)
+        read.note_trailing_content(notes)
     return element_columns
 
 
@@ -146,11 +146,11 @@ class _TextBody:
             self._partial_block = block.select_lines(count, len(block))
             count -= min(count, len(block))
 
-    def note_rest(self, notes: ImportNotes) -> None:
+    def note_trailing_content(self, notes: ImportNotes) -> None:
         """Add a note if the file has lines after the last element."""
         for block in ([self._partial_block] if self._partial_block is not None else []) + list(self._blocks):
             if len(block):
-                notes.count_skipped("lines after the last element", len(block), int(block.number[0]))
+                notes.count_skipped("lines after the last element", len(block), int(block.line_numbers[0]))
 
     def read_columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
         """Return the requested columns of the next element, by property. Other columns are skipped."""
@@ -166,12 +166,12 @@ class _TextBody:
         return {name: _join_columns(each) for name, each in parts.items()}
 
     def _read_block(self, block: TextBlock, element: PlyElement, parts: Mapping[str, list[PlyColumn]]) -> None:
-        at, what = block.first, format_word(element.name.encode())
-        stop = block.first + block.count
+        at, what = block.first_words, format_word(element.name.encode())
+        stop = block.first_words + block.word_counts
         last = max(k for k, p in enumerate(element.properties) if p.name in parts)
-        for p in element.properties[: last + 1] if any(p.count for p in element.properties) else element.properties:
+        for p in element.properties[: last + 1] if any(p.length_type for p in element.properties) else element.properties:
             self._check_lines(block, at < stop, what)
-            if p.count is None:
+            if p.length_type is None:
                 if p.name in parts:
                     parts[p.name].append(PlyColumn(block.read_floats(at, f"`{format_word(p.name.encode())}` of a {what}")))
                 at = at + 1
@@ -185,10 +185,10 @@ class _TextBody:
                 values, are_whole = block.read_integers(word_indices)
                 if not are_whole.all():
                     line = block.find_line_number(int(word_indices[np.flatnonzero(~are_whole)[0]]))
-                    self._check_lines(block, block.number != line, what)
+                    self._check_lines(block, block.line_numbers != line, what)
                 parts[p.name].append(PlyColumn(values, count))
             at = at + 1 + count
-        if not any(p.count for p in element.properties):
+        if not any(p.length_type for p in element.properties):
             self._check_lines(block, at == stop, what)
 
     @staticmethod
@@ -196,7 +196,7 @@ class _TextBody:
         if not is_valid.all():
             k = int(np.flatnonzero(~is_valid)[0])
             text = format_word(b" ".join(block.line(k)[:6]))
-            raise HeaderError(f"has an incomplete {noun} in line {block.number[k]:,}: `{text}`")
+            raise HeaderError(f"has an incomplete {noun} in line {block.line_numbers[k]:,}: `{text}`")
 
 
 def _join_columns(parts: list[PlyColumn]) -> PlyColumn:
@@ -212,7 +212,7 @@ class _BinaryBody:
     def __init__(self, data: bytes, header: PlyHeader) -> None:
         self._data, self._byte_order, self._offset = data, header.byte_order, header.body_offset
 
-    def note_rest(self, notes: ImportNotes) -> None:
+    def note_trailing_content(self, notes: ImportNotes) -> None:
         """Add a note if the file has bytes after the last element."""
         rest = len(self._data) - self._offset
         if self._data[self._offset :].strip(b"\0 \n\r\t\x1a"):  # the format has no padding
@@ -221,16 +221,19 @@ class _BinaryBody:
     def read_columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
         """Return the requested columns of the next element, by property. Other columns are skipped."""
         if not element.count:
-            return {p.name: PlyColumn(np.empty(0), np.empty(0, np.int64) if p.count else None) for p in element.properties}
+            return {p.name: PlyColumn(np.empty(0), np.empty(0, np.int64) if p.length_type else None) for p in element.properties}
         lengths = self._read_first_lengths(element)
         if lengths is None:
             return self._read_uneven_lists(element, requested_names)
         layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
         for p in element.properties:
-            if p.count is not None:
-                layout += [(f"{p.name}#", self._byte_order + p.count), (p.name, self._byte_order + p.kind, (lengths[p.name],))]
+            if p.length_type is not None:
+                layout += [
+                    (f"{p.name}#", self._byte_order + p.length_type),
+                    (p.name, self._byte_order + p.value_type, (lengths[p.name],)),
+                ]
             else:
-                layout.append((p.name, self._byte_order + p.kind))
+                layout.append((p.name, self._byte_order + p.value_type))
         kind = np.dtype(layout)
         if self._offset + element.count * kind.itemsize > len(self._data):
             return self._read_uneven_lists(element, requested_names)
@@ -240,25 +243,26 @@ class _BinaryBody:
         self._offset += rows.nbytes
         found = {}
         for p in element.properties:
-            if p.name in requested_names and p.count is None:
+            if p.name in requested_names and p.length_type is None:
                 found[p.name] = PlyColumn(rows[p.name])
             elif p.name in requested_names:
                 found[p.name] = PlyColumn(rows[p.name].astype(np.int64).reshape(-1), np.full(element.count, lengths[p.name]))
         return found
 
     def _read_first_lengths(self, element: PlyElement) -> dict[str, int] | None:
-        """Return the list lengths of the first element, by property. All elements usually share them. Return None if they cannot
-        be read."""
+        """Return the lengths of the first element's lists, by property. Usually all elements have these lengths.
+
+        Return None if the lengths cannot be read."""
         at, lengths = self._offset, {}
         for p in element.properties:
-            if p.count is not None:
-                length = self._read_count(p.count, at, element, 0)
-                if length * np.dtype(p.kind).itemsize > len(self._data) - at:
+            if p.length_type is not None:
+                length = self._read_count(p.length_type, at, element, 0)
+                if length * np.dtype(p.value_type).itemsize > len(self._data) - at:
                     return None
                 lengths[p.name] = length
-                at += np.dtype(p.count).itemsize + length * np.dtype(p.kind).itemsize
+                at += np.dtype(p.length_type).itemsize + length * np.dtype(p.value_type).itemsize
             else:
-                at += np.dtype(p.kind).itemsize
+                at += np.dtype(p.value_type).itemsize
         return lengths
 
     def _read_count(self, kind: str, offset: int, element: PlyElement, row: int) -> int:
@@ -275,8 +279,8 @@ class _BinaryBody:
         once."""
         data, at, name = self._data, self._offset, format_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
-        counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.count}
-        steps = [_make_value_reader(self._byte_order, p.kind, p.count) for p in element.properties]
+        counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.length_type}
+        steps = [_make_value_reader(self._byte_order, p.value_type, p.length_type) for p in element.properties]
         names = [p.name if p.name in requested_names else "" for p in element.properties]
         try:
             for row in range(element.count):
@@ -300,9 +304,9 @@ class _BinaryBody:
         columns = {}
         for p in element.properties:
             if p.name in requested_names:
-                many = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
-                values = self._gather_values(np.array(starts[p.name], np.int64), many, p.kind)
-                columns[p.name] = PlyColumn(values.astype(np.int64), many) if p.count else PlyColumn(values)
+                many = np.array(counts[p.name], np.int64) if p.length_type else np.ones(element.count, np.int64)
+                values = self._gather_values(np.array(starts[p.name], np.int64), many, p.value_type)
+                columns[p.name] = PlyColumn(values.astype(np.int64), many) if p.length_type else PlyColumn(values)
         return columns
 
     def _gather_values(self, start: Integers, count: Integers, kind: str) -> NDArray[Any]:
@@ -323,7 +327,8 @@ _STRUCT_CODES = {
 def _make_value_reader(
     order: str, kind: str, count: str | None
 ) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
-    """Return the functions and sizes to read a value: its number of bytes; for a list, also the reader of its length and the
-    bytes of the length."""
+    """Return the number of bytes of a value, the reader of a list's length, and the number of bytes of this length.
+
+    For a property that is no list, the last two are None and 0. `kind`, `count`: the types of the value and of the length."""
     read = None if count is None else struct.Struct(order + _STRUCT_CODES[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

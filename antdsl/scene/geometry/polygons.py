@@ -141,9 +141,10 @@ def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 
 
 def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
-    """Return the triangles [p, n - 2, 3] of a fan for each of the polygons [p, n, 3], and whether each polygon crosses itself.
+    """Cut polygons [p, n, 3] into fans of triangles.
 
-    The third result is the corner at the centre of the fan. It is -1 if none of the tried fans covers the polygon."""
+    Returns triangles [p, n - 2, 3]; the corner at the centre of each fan, or -1 if none of the tried fans covers the polygon; and
+    whether each polygon crosses itself."""
     count = rings.shape[1]
     outline, has_area = _project_outlines(rings)
     crossed = ~has_area & _find_crossing(rings)
@@ -189,7 +190,9 @@ def _find_crossing(rings: Floats) -> NDArray[np.bool_]:
 
 
 def _cut_ears(outline: Floats) -> tuple[Integers, bool]:
-    """Return triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise, and whether the polygon crosses itself."""
+    """Return the triangles (m, 3) of the corners of one polygon, and whether the polygon crosses itself.
+
+    `outline` [n, 2]: the corners, counter-clockwise."""
     from mapbox_earcut import triangulate_float64
 
     grid = np.round(outline * _GRID_CELLS)
@@ -242,8 +245,9 @@ def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> 
 
 
 def _find_corner_chain(a: int, b: int, needed_edges: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
-    """Return the corners on the straight line from a to b that `needed_edges` edges connect. Empty if these edges leave the
-    line."""
+    """Return the corners between a and b on the straight line from a to b, if edges in `needed_edges` connect them.
+
+    The list is empty if these edges leave the line."""
     (ax, ay), (bx, by) = corners[a], corners[b]
     at = a
     chain: list[int] = []

@@ -79,21 +79,21 @@ def _read_text(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
         for word, code in _LINE_KIND_BY_KEYWORD.items():
             kind[letters == word] = code
         vertex = kind == _VERTEX_LINE
-        short = np.flatnonzero(vertex & (block.count < 4))
+        short = np.flatnonzero(vertex & (block.word_counts < 4))
         if len(short):
-            raise mesh_text.MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
-        corners.append(block.read_floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
+            raise mesh_text.MeshError(f"has a corner of fewer than three numbers in line {block.line_numbers[short[0]]:,}")
+        corners.append(block.read_floats(block.first_words[vertex][:, None] + np.arange(1, 4), "a corner"))
         if (kind == _OTHER_LINE).any():
             _check_unknown_lines(
-                block.number,
+                block.line_numbers,
                 kind,
                 [mesh_text.format_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER_LINE)],
                 notes,
             )
         used = (kind != _LOOP_LINE) & (kind != _SOLID_LINE) & (kind != _OTHER_LINE)
         kinds.append(kind[used])
-        numbers.append(block.number[used])
-        last = int(block.number[-1]) if len(block) else last
+        numbers.append(block.line_numbers[used])
+        last = int(block.line_numbers[-1]) if len(block) else last
         mesh_text.check_count(sum(map(len, corners)) // 3, limits.MAX_MESH_FACES, "faces")
     _check_facets(np.concatenate(kinds), np.concatenate(numbers), last)
     return np.concatenate(corners)

@@ -7,7 +7,7 @@ from math import isfinite
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program, TypeKind
-from antdsl.scene.checks.entry_checks import check_value, report_unknown
+from antdsl.scene.checks.entry_checks import check_value, report_unknown_name
 from antdsl.scene.crowds.casting_model import FacingDirection
 from antdsl.scene.crowds.initial_values import is_settable
 from antdsl.scene.document import PathKey
@@ -155,7 +155,7 @@ class _NoteCheck:
             name = self.scene.span(*self.path, *path).text
             self.report.error("unknown-thing", f"{words} `{name}`", self.scene.span(*self.path, *path), help)
         else:
-            report_unknown(self.report, self.scene, (*self.path, *path), words, names, key=False)
+            report_unknown_name(self.report, self.scene, (*self.path, *path), words, names, key=False)
 
     # --- attributes ---------------------------------------------------------------------------------------------------
 
@@ -166,7 +166,7 @@ class _NoteCheck:
             fitting = [a for s in species for a in self.program.species[s].attributes if a.name == name and is_settable(a)]
             if not fitting:
                 known = {a.name for s in species for a in self.program.species[s].attributes if is_settable(a)}
-                report_unknown(self.report, self.scene, path, f"`{'`, `'.join(species)}` has no attribute", known)
+                report_unknown_name(self.report, self.scene, path, f"`{'`, `'.join(species)}` has no attribute", known)
             elif isinstance(value, bool) != (fitting[0].type.kind is TypeKind.BOOL):
                 help = "write `true` or `false`" if fitting[0].type.kind is TypeKind.BOOL else "write a number"
                 self.report.error("wrong-value", f"`{name}` cannot have this value", self.scene.span(*path), help)

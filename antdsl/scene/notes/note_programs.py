@@ -1,4 +1,4 @@
-"""What notes add to a program: transitions to states, machines that play clips, and machines that turn parts of bodies.
+"""Additions of notes to a program: transitions to states, machines that play clips, and machines that turn parts of bodies.
 
 Each is switched by an event that only notes raise, so agents without a note behave as before. Plans, clips, fades, explanations
 and checks of bodies treat the additions like the program's own."""
@@ -101,7 +101,9 @@ def _add_changes(species: Species, machine: Machine, notes: Iterable[tuple[Note,
 
 
 def _make_machine(species: Species, name: str, displays: Sequence[tuple[str, Span, Statement, float]]) -> Machine:
-    """Return a machine with a state for each display, given by name, span, statement and fade time (s), and one without."""
+    """Return a machine with one state without a display, then one state for each of `displays`.
+
+    A display is the name of the state, a location, the statement that the state runs, and the fade time (s)."""
     first = displays[0][1]
     states = [_make_state(OFF_STATE, 0, (), first)]
     states += [_make_state(state, k, (line,), span) for k, (state, span, line, _) in enumerate(displays, 1)]

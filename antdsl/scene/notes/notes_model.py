@@ -335,7 +335,7 @@ GOAL_VERBS = frozenset((ReachNote.verb, PathNote.verb))  # agents may be too far
 
 
 def make_note_tag(verb: str) -> str:
-    """Return the tag of a verb's model. It is the last word in the location of an error."""
+    """Return the tag by which pydantic selects the model of a verb. It is the last word in the location of an error."""
     return f"{verb}{NOTE_TAG_SUFFIX}"
 
 

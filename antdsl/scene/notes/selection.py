@@ -50,10 +50,12 @@ class SelectableCamera(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelectableFrame:
-    """All that selectors read of one frame.
+    """All data of one frame that selectors read.
 
-    `lines`: the ids of named crowd lines. `item_points` (k, 3): by item, and by items, in mm from the scene's zero point.
-    `seed`: of shares without a seed. `unit_mm`: the scene's unit of length. `cameras`: by name, in this frame."""
+    `lines`: the ids of named crowd lines.
+    `item_points` (k, 3): positions in mm from the scene's zero point, by the name of an item, and by the name of items.
+    `seed`: for shares that have no seed of their own. `unit_mm`: the scene's unit of length. `cameras`: by name, in this
+    frame."""
 
     agents: Mapping[str, SelectableAgents]
     lines: Mapping[str, LineIds] = field(default_factory=dict)
@@ -80,7 +82,7 @@ def select_rows(selector: AnySelector, frame: SelectableFrame) -> Mask:
 
 
 def _find_named(name: AgentName, species: str, agents: SelectableAgents, frame: SelectableFrame) -> NDArray[np.bool_]:
-    """Return which agents of a species a name selects."""
+    """Return which agents of a species have the name `name`, bool[n]."""
     line = frame.lines.get(name.name)
     if line is None:
         numbers = agents.ids if name.name == species else np.full(len(agents.ids), -1, np.int64)
@@ -120,7 +122,7 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
 
 
 def _keep_nearest(masks: Mask, frame: SelectableFrame, targets: Floats, most: int) -> Mask:
-    """Return the `most` selected agents that are nearest to targets; of equally near ones, the first by species and id."""
+    """Return a mask of the `most` selected agents that are nearest to targets. Equal distances are ordered by species and id."""
     names = sorted(masks)
     rows = {name: np.flatnonzero(masks[name]) for name in names}
     distance = np.concatenate([_measure_nearest(frame.agents[name].position[rows[name]], targets) for name in names])
@@ -144,7 +146,10 @@ def _find_in_state(state: str, agents: SelectableAgents) -> NDArray[np.bool_]:
 
 
 def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[Floats | None, Mask | None]:
-    """Return the points (k, 3) of `near`, and the agents that are these points, which are not near themselves."""
+    """Return the points (k, 3) to which `near` is measured, and a mask of the agents at these points. Each is None if there is
+    none.
+
+    Agents in the mask do not count as near."""
     near = conditions.near
     if near is None:
         return None, None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.elementary import atan2_float64
 from antdsl.program.model import Dimension, TypeKind, WorldThing
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene.staging.mesh_cache import cached_per_mesh
 from antdsl.scene.staging.stage_things import compute_item_positions, follow_surface, list_simulated_frames, stage_usd_items
 from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_misspelled_names
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 DEFAULT_ITEM_RADIUS = 10.0  # mm
 
 
-def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, ItemThing]) -> tuple[stage_of.ItemData, ...] | None:
+def place_items(
+    staging: SceneStaging, name: str, value: UsdThing | dict[str, ItemThing]
+) -> tuple[setting_data.ItemData, ...] | None:
     """Return the items of one name, at the first frame. On failure, report an error and return None.
 
     Their motion is stored in `staging.item_tracks`."""
@@ -39,7 +41,7 @@ def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, It
         attributes = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (placing.model_extra or {}).items()}
         position = to_tuple(track[0])
         radius = DEFAULT_ITEM_RADIUS if radius is None else radius
-        items.append(stage_of.ItemData(item, position, radius, attributes, placing.look))
+        items.append(setting_data.ItemData(item, position, radius, attributes, placing.look))
         tracks.append(track)
     frames = max((len(track) for track in tracks), default=1)
     if frames > 1:
@@ -59,7 +61,9 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
     moves, tall = staging.moves_by_mesh.get(thing.on), 1 if staging.scene.model.up == "y" else 2
     track = track.copy()
     for k, place in enumerate(track):
-        frame_mesh = mesh if moves is None or k == 0 else stage_of.MeshData(moves.compute_vertices(mesh.vertices, k), mesh.faces)
+        frame_mesh = (
+            mesh if moves is None or k == 0 else setting_data.MeshData(moves.compute_vertices(mesh.vertices, k), mesh.faces)
+        )
         height = find_surface_height(frame_mesh, to_tuple(place), staging.scene.model.up)
         if height is None:
             words = f"`{item}` is neither above nor below `{thing.on}`"
@@ -72,7 +76,7 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
     return follow_surface(mesh, moves, to_tuple(track[0])) if moves is not None and not thing.keys else track
 
 
-def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) -> None:
+def check_crowds(staging: SceneStaging, crowds: Sequence[setting_data.CrowdData]) -> None:
     """Warn about a crowd that would start where there is no surface. It starts at the nearest surface point instead."""
     for crowd in crowds:
         if crowd.count and is_away_from_surfaces(crowd.place, staging, staging.scene.model.up):
@@ -82,7 +86,9 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) ->
             staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.line_index, "place"), help)
 
 
-def is_away_from_surfaces(placement: stage_of.PlacementData, things: SceneStaging | stage_of.WorldSetting, up: str) -> bool:
+def is_away_from_surfaces(
+    placement: setting_data.PlacementData, things: SceneStaging | setting_data.WorldSetting, up: str
+) -> bool:
     """Return whether no surface is above or below the disc in which a crowd starts. A start by area uses a ball instead."""
     if placement.disc_centre is None or placement.radius is None:
         return False
@@ -94,7 +100,7 @@ def is_away_from_surfaces(placement: stage_of.PlacementData, things: SceneStagin
 
 
 @cached_per_mesh
-def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.PointMm, radius: float, axes: tuple[int, ...]) -> bool:
+def _is_in_reach(mesh: setting_data.MeshData, middle: setting_data.PointMm, radius: float, axes: tuple[int, ...]) -> bool:
     """Return whether a mesh reaches into a ball. If an axis is left out of `axes`, the ball is a disc seen along this axis."""
     faces = _find_near_faces(mesh, middle, axes, radius)
     corners = np.zeros((len(faces), 3, 3))
@@ -115,7 +121,7 @@ def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.PointMm, radius: floa
 
 def _place_usd_items(
     staging: SceneStaging, name: str, value: UsdThing, thing: WorldThing
-) -> tuple[stage_of.ItemData, ...] | None:
+) -> tuple[setting_data.ItemData, ...] | None:
     """Return points or empties of a USD file as items; None on an error.
 
     Radius and attributes come from the file, else from `each`, else from the defaults."""
@@ -138,7 +144,7 @@ def _place_usd_items(
         attributes = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
         sizes = (points.radius[number], wide[number], DEFAULT_ITEM_RADIUS if radius is None else radius)
         size = next(float(size) for size in sizes if np.isfinite(size) and size > 0)
-        items.append(stage_of.ItemData(item, to_tuple(points.positions[0, number]), size, {**each, **attributes}, value.look))
+        items.append(setting_data.ItemData(item, to_tuple(points.positions[0, number]), size, {**each, **attributes}, value.look))
     if len(points.positions) > 1:
         staging.item_tracks[name] = points.positions
     return tuple(items)
@@ -149,10 +155,10 @@ def _list_turn_attributes(value: UsdThing) -> tuple[str, ...]:
 
 
 def _make_turn_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the columns of the attributes that receive the direction of empties.
+    """Return one column for each attribute of `turn`, which receives the direction of empties.
 
-    They are a unit vector (three columns), or its angle from +x about the scene's up, counted to the left. Columns are nan
-    without a direction. The angle is also nan if the direction is straight up or down."""
+    Three attributes get a unit vector. One attribute gets its angle from +x about the scene's up, counted to the left. Columns
+    are nan without a direction. The angle is also nan if the direction is straight up or down."""
     if value.turn is None:
         return []
     size = np.sqrt((ahead[:, 0] * ahead[:, 0] + ahead[:, 1] * ahead[:, 1]) + ahead[:, 2] * ahead[:, 2])
@@ -164,13 +170,13 @@ def _make_turn_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> 
     return [np.where(level > 1e-6, atan2_float64(left, x), np.nan)]
 
 
-def to_tuple(point: NDArray[np.float64]) -> stage_of.PointMm:
+def to_tuple(point: NDArray[np.float64]) -> setting_data.PointMm:
     """Return a point as three Python floats."""
     return float(point[0]), float(point[1]), float(point[2])
 
 
 def _find_near_faces(
-    mesh: stage_of.MeshData, point: stage_of.PointMm, axes: Sequence[int], reach: float = 0.0
+    mesh: setting_data.MeshData, point: setting_data.PointMm, axes: Sequence[int], reach: float = 0.0
 ) -> NDArray[np.int32]:
     """Return the faces (m, 3) with boxes that come within about `reach` of a point, along the given axes."""
     near = np.ones(len(mesh.faces), np.bool_)
@@ -184,7 +190,7 @@ def _find_near_faces(
 
 
 @cached_per_mesh
-def find_surface_height(mesh: stage_of.MeshData, point: stage_of.PointMm, up: str) -> float | None:
+def find_surface_height(mesh: setting_data.MeshData, point: setting_data.PointMm, up: str) -> float | None:
     """Return the highest coordinate of a mesh on the vertical line through a point; None if the line misses the mesh."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
     corners = mesh.vertices[_find_near_faces(mesh, point, flat)]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.program.tables.things import KIND_BY_WORD
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene.geometry.closed_meshes import count_border_edges, count_open_solid_edges, find_odd_edges
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.geometry.live_faces import has_area, has_live_face, number_components
@@ -58,7 +58,7 @@ def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: 
         report.warning("unread-content", words, span, "export everything that agents should meet as triangles or polygons")
 
 
-def check_origin_distances(staging: SceneStaging, setting: stage_of.WorldSetting) -> None:
+def check_origin_distances(staging: SceneStaging, setting: setting_data.WorldSetting) -> None:
     """Warn about meshes that extend so far from the world's origin that positions there are imprecise."""
     origin = compute_world_origin(setting)
     walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
@@ -71,8 +71,8 @@ def check_origin_distances(staging: SceneStaging, setting: stage_of.WorldSetting
 
 
 def weld_thing(
-    staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing, mesh: stage_of.MeshData
-) -> stage_of.MeshData:
+    staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing, mesh: setting_data.MeshData
+) -> setting_data.MeshData:
     """Return the mesh with its vertices welded, if the scene has `weld`. On an error, report it and return the mesh unchanged."""
     if isinstance(value, HeightThing) or value.weld is None:
         return mesh
@@ -112,12 +112,12 @@ class _WeldedMesh:
     `moved_count`: the number of moved vertices.
     `is_retained_face`: whether each of the previous faces still has three corners."""
 
-    mesh: stage_of.MeshData
+    mesh: setting_data.MeshData
     moved_count: int
     is_retained_face: NDArray[np.bool_]
 
 
-def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _WeldedMesh | None:
+def _weld_mesh(mesh: setting_data.MeshData, tolerance: float) -> _WeldedMesh | None:
     """Return the mesh with its vertices welded, without faces that lose a corner. Return None if no face with an area remains.
 
     Raises WeldError if the tolerance is much too large."""
@@ -125,13 +125,13 @@ def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _WeldedMesh | None:
     if not count:
         return _WeldedMesh(mesh, 0, np.ones(len(mesh.faces), np.bool_))
     keep = has_distinct_corners(vertices, mesh.faces)
-    welded_mesh = stage_of.MeshData(vertices, mesh.faces[keep])
+    welded_mesh = setting_data.MeshData(vertices, mesh.faces[keep])
     return (
         _WeldedMesh(welded_mesh, count, keep) if has_area(*(vertices[welded_mesh.faces[:, k]] for k in range(3))).any() else None
     )
 
 
-def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> stage_of.MeshData:
+def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> setting_data.MeshData:
     """Record the changes by welding, and return the welded mesh. Values painted on faces stay with the remaining faces."""
     raw = staging.raw_meshes[name]
     if welding.moved_count:
@@ -147,7 +147,9 @@ def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> s
     return welding.mesh
 
 
-def close_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> stage_of.SolidData:
+def close_solid(
+    staging: SceneStaging, name: str, value: MeshThing | UsdThing, solid: setting_data.SolidData
+) -> setting_data.SolidData:
     """Return the solid. If it is not closed and the scene has no `weld`, its vertices are welded.
 
     Reports an error if it still has no inside."""
@@ -210,8 +212,8 @@ def find_mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | No
     """Return the name of a thing's mesh for messages, and where the scene names the mesh."""
     value = staging.scene.model.world[name]
     assert isinstance(value, ThingModel)
-    key = "prim" if isinstance(value, UsdThing) else value.find_head()
-    return str(value.path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
+    key = "prim" if isinstance(value, UsdThing) else value.find_form_key()
+    return str(value.prim_path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
 
 
 def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
@@ -224,7 +226,7 @@ def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
         corners = mesh.vertices[mesh.faces].reshape(-1, 3)
         low, high = (edge(corners, axis=0) / unit for edge in (np.min, np.max))
         imports[name] = MeshImport(
-            file=str(getattr(value, value.find_head())) if isinstance(value, ThingModel) else name,
+            file=str(getattr(value, value.find_form_key())) if isinstance(value, ThingModel) else name,
             form=notes.form or ("USD" if isinstance(value, UsdThing) else "heights"),
             vertices=notes.vertices,
             triangles=notes.triangles,
@@ -233,7 +235,7 @@ def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
             crossing=notes.crossing_polygons,
             dropped=raw.dropped_faces,
             welded=staging.weld_counts.get(name, 0),
-            left=len(mesh.faces),
+            remaining_triangles=len(mesh.faces),
             border_edges=count_border_edges(mesh),
             skipped=tuple(notes.describe_skipped()),
             low=(float(low[0]), float(low[1]), float(low[2])),

@@ -25,10 +25,10 @@ Floats = NDArray[np.float64]
 class MeshMoves:
     """The vertices of a mesh over frames.
 
-    `tracks` float64 (groups, frames, 3, 4): vertex v has the transform `tracks[group[v], k]` from frame 0 to frame k.
+    `tracks` float64 (tracks, frames, 3, 4): `tracks[track_indices[v], k]` is the transform of vertex v from frame 0 to frame k.
     `track_indices`: the track of each vertex.
-    `deformed_vertices`: m vertices that are then shifted.
-    `offsets` float64 (frames, m, 3): these shifts in mm."""
+    `deformed_vertices`: the indices of m vertices that are shifted after the transform.
+    `offsets` float64 (frames, m, 3): the shifts of these vertices in mm."""
 
     track_indices: NDArray[np.int32]
     tracks: Floats
@@ -78,7 +78,7 @@ class MeshMoves:
         return MeshMoves(self.track_indices, tracks, self.deformed_vertices, offsets)
 
     def select_vertices(self, vertex_numbers: NDArray[np.int64]) -> MeshMoves:
-        """Return the moves of some vertices only. `vertex_numbers`: their indices, ascending."""
+        """Return the moves of some vertices only. `vertex_numbers`: the indices of these vertices, ascending."""
         place = np.full(len(self.track_indices), -1)
         place[vertex_numbers] = np.arange(len(vertex_numbers))
         left = np.flatnonzero(place[self.deformed_vertices] >= 0)

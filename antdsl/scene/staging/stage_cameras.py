@@ -1,4 +1,4 @@
-"""Staging of cameras: their position, aim, top and focal length at each written frame, in mm and the scene's axes."""
+"""Staging of cameras: their position, target, up direction and focal length at each written frame, in mm and the scene's axes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene.camera_models import Camera, UsdCamera
 from antdsl.scene.staging.stage_things import interpolate_values, read_usd
 from antdsl.scene.thing_models import UP_VECTORS, convert_point
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-def stage_cameras(staging: SceneStaging) -> dict[str, stage_of.CameraData]:
+def stage_cameras(staging: SceneStaging) -> dict[str, setting_data.CameraData]:
     """Return the cameras that do not depend on agents, by name. On failure, report an error and leave the camera out."""
-    cameras: dict[str, stage_of.CameraData] = {}
+    cameras: dict[str, setting_data.CameraData] = {}
     for name, value in staging.scene.model.named_cameras.items():
         if isinstance(value, Camera):
             cameras[name] = _stage_placed_camera(staging, value)
@@ -28,7 +28,7 @@ def stage_cameras(staging: SceneStaging) -> dict[str, stage_of.CameraData]:
     return cameras
 
 
-def _stage_placed_camera(staging: SceneStaging, value: Camera) -> stage_of.CameraData:
+def _stage_placed_camera(staging: SceneStaging, value: Camera) -> setting_data.CameraData:
     model = staging.scene.model
     frames = range(model.frames.first, model.frames.last + 1 if value.keys else model.frames.first + 1)
 
@@ -39,10 +39,10 @@ def _stage_placed_camera(staging: SceneStaging, value: Camera) -> stage_of.Camer
     at, look_at = (interpolate_keys(name, lambda point: convert_point(point, model.unit_mm)) for name in ("at", "look_at"))
     focal = interpolate_keys("focal", lambda length: (0.0 if length is None else length.number,))[:, 0]
     up = np.tile(np.array(UP_VECTORS[model.up]), (len(frames), 1))
-    return stage_of.CameraData(at, look_at, up, focal, model.frames.first)
+    return setting_data.CameraData(at, look_at, up, focal, model.frames.first)
 
 
-def _stage_usd_camera(staging: SceneStaging, name: str, value: UsdCamera) -> stage_of.CameraData | None:
+def _stage_usd_camera(staging: SceneStaging, name: str, value: UsdCamera) -> setting_data.CameraData | None:
     from antdsl.scene.geometry.usd import read_usd_camera
 
     model = staging.scene.model
@@ -50,6 +50,6 @@ def _stage_usd_camera(staging: SceneStaging, name: str, value: UsdCamera) -> sta
     if camera is None:
         return None
     written = slice(model.preroll if len(camera.at) > 1 else 0, None)
-    return stage_of.CameraData(
+    return setting_data.CameraData(
         camera.at[written], camera.look_at[written], camera.up[written], camera.focal[written], model.frames.first
     )

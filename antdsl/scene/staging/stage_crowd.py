@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Dimension, TypeKind
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene.crowds.crowd_data import ReleaseData
 from antdsl.scene.crowds.crowd_model import Placement, UsdPositions, Walk
 from antdsl.scene.crowds.initial_values import stage_initial_values
@@ -27,33 +27,33 @@ if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-def stage_crowd(staging: SceneStaging, item_points: PointsByName, number: int) -> stage_of.CrowdData:
+def stage_crowd(staging: SceneStaging, item_points: PointsByName, number: int) -> setting_data.CrowdData:
     """Return a crowd line of the scene. Errors go into the report."""
     scene = staging.scene
     model, line = scene.model, scene.model.crowd[number]
     begin, interval, count = line.find_release(model.frames.first, model.fps)
-    return stage_of.CrowdData(
+    return setting_data.CrowdData(
         line.species,
         count,
         stage_placement(staging, item_points, line.place, "crowd", number, "place"),
         number,
         stage_walk(scene, line.walk),
-        _single_library_body(line.body_weights),
-        line.layers(),
+        _find_single_library_body(line.body_weights),
+        line.list_worn_layers(),
         line.name or "",
         None if line.frames is None and line.seconds is None else ReleaseData(begin, interval),
         stage_initial_values(scene, staging.program, Report(), number),
     )
 
 
-def _single_library_body(weights: Mapping[str, float]) -> str:
-    """Return the word of a crowd line's body if it is the only one and from the library, else an empty text."""
+def _find_single_library_body(weights: Mapping[str, float]) -> str:
+    """Return the word of a crowd line's body if the line has one body, from the library. Otherwise return an empty text."""
     return next((text for text in weights if len(weights) == 1 and text in BODY_WORDS), "")
 
 
 def stage_placement(
     staging: SceneStaging, item_points: PointsByName, placement: Placement, *path: PathKey
-) -> stage_of.PlacementData:
+) -> setting_data.PlacementData:
     """Return the starting positions of a crowd line, in mm and the scene's axes. Errors go into the report."""
     scene = staging.scene
     points, ahead, values = None, None, {}
@@ -70,7 +70,7 @@ def stage_placement(
         points = staging.read_points(placement.points, 1, *path, "points")
         if points is not None:
             points = points * scene.model.unit_mm
-    return stage_of.PlacementData(
+    return setting_data.PlacementData(
         surfaces=(placement.on,) if placement.on is not None else (),
         disc_centre=stage_point(staging, item_points, placement.around, placement.radius, *path),
         ray_origin=stage_point(staging, item_points, placement.inside, None, *path, key="inside"),
@@ -103,7 +103,7 @@ def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.fl
     return {name: column for name, column in columns.items() if np.isfinite(column).any()}
 
 
-def stage_walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
+def stage_walk(scene: Scene, walk: Walk | None) -> setting_data.WalkData | None:
     """Return a walk with a unit direction, in mm and seconds; None without a walk."""
     if walk is None:
         return None
@@ -115,7 +115,7 @@ def stage_walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
         if walk.speed.is_bare
         else walk.speed.to_base_units(model.unit_mm, float(1 / model.fps))
     )
-    return stage_of.WalkData((x / size, y / size, z / size), speed, walk.length.to_millimetres(model.unit_mm))
+    return setting_data.WalkData((x / size, y / size, z / size), speed, walk.length.to_millimetres(model.unit_mm))
 
 
 def _read_spacing(scene: Scene, spacing: Quantity | str | None) -> float:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene import thing_models as model
-from antdsl.scene.checks.entry_checks import report_unknown
+from antdsl.scene.checks.entry_checks import report_unknown_name
 from antdsl.scene.geometry.mesh_files import RawMesh, rotate_points, rotate_up
 from antdsl.scene.geometry.painted import PaintError, read_painted_values
 from antdsl.scene.quantities import Quantity
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _DEFAULT_INTERVAL_SECONDS = 1.0  # s
 
 
-def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.PaintedThing) -> stage_of.FlowData | None:
+def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.PaintedThing) -> setting_data.FlowData | None:
     """Return a flow in mm and the scene's axes. On failure, report an error and return None."""
     if isinstance(thing, model.PaintedThing):
         return _stage_painted(staging, name, thing, 3)
@@ -36,7 +36,9 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
     if isinstance(thing, model.BorderFlow):
         within = convert_to_mm(thing.within)
         assert within is not None
-        return stage_of.BorderFlowData(on or (thing.border,), within, thing.falloff, thing.strength, convert_to_mm(thing.cell))
+        return setting_data.BorderFlowData(
+            on or (thing.border,), within, thing.falloff, thing.strength, convert_to_mm(thing.cell)
+        )
     goal = find_flow_target(thing)
     assert goal is not None
     target = _stage_target(staging, name, *goal)
@@ -48,13 +50,13 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
             _DEFAULT_INTERVAL_SECONDS if thing.every is None else thing.every.to_base_units(model_.unit_mm, float(1 / model_.fps))
         )
         clearance = convert_to_mm(thing.room) or 0.0
-        return stage_of.SolvedFlowData(
+        return setting_data.SolvedFlowData(
             target, thing.slope, clearance, dict(thing.maps), thing.crowding, every, thing.strength, convert_to_mm(thing.cell), on
         )
     assert isinstance(thing, model.SpreadFlow)
     direction, gather = goal[0], thing.gather if isinstance(thing, model.TangentFlow) else 0.0
     radius, cell = convert_to_mm(thing.radius), convert_to_mm(thing.cell)
-    return stage_of.SpreadFlowData(direction, target, radius, thing.falloff, thing.strength, cell, on, gather)  # type: ignore[arg-type]
+    return setting_data.SpreadFlowData(direction, target, radius, thing.falloff, thing.strength, cell, on, gather)  # type: ignore[arg-type]
 
 
 def _stage_target(staging: SceneStaging, name: str, key: str, target: model.Target) -> FlowTarget | None:
@@ -66,10 +68,10 @@ def _stage_target(staging: SceneStaging, name: str, key: str, target: model.Targ
         if points is None:
             return None
         points = points * scene.model.unit_mm
-        return FlowTarget(points, np.zeros(len(points)), line=len(points) > 1)
+        return FlowTarget(points, np.zeros(len(points)), is_line=len(points) > 1)
     if target in staging.curves:
         points = staging.curves[target][0]
-        return FlowTarget(points, np.zeros(len(points)), line=True, name=target)
+        return FlowTarget(points, np.zeros(len(points)), is_line=True, name=target)
     of, which, target_items = target, None, items.get(target) or ()
     if not target_items:
         own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == target]
@@ -92,15 +94,15 @@ def _report_no_target(staging: SceneStaging, name: str, key: str, target: str) -
         staging.report.error("missing-thing", words, staging.scene.span("world", name, key), help)
         return
     known = [*items, *(item.name for each in items.values() for item in each)]
-    report_unknown(staging.report, staging.scene, ("world", name, key), "no curve and no item is named", known, key=False)
+    report_unknown_name(staging.report, staging.scene, ("world", name, key), "no curve and no item is named", known, key=False)
 
 
-def stage_map(staging: SceneStaging, name: str, thing: model.PaintedThing) -> stage_of.PaintedValues | None:
+def stage_map(staging: SceneStaging, name: str, thing: model.PaintedThing) -> setting_data.PaintedValues | None:
     """Return a map on the vertices or faces of a surface. On failure, report an error and return None."""
     return _stage_painted(staging, name, thing, 1)
 
 
-def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, width: int) -> stage_of.PaintedValues | None:
+def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, width: int) -> setting_data.PaintedValues | None:
     """Return painted values on the vertices or faces of a surface, as the surface is in the scene.
 
     `width`: 1 for the numbers of a map, 3 for the vectors of a flow. On failure, report an error and return None."""
@@ -109,7 +111,7 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
     raw, mesh = staging.raw_meshes.get(surface), staging.scene.model.world.get(surface)
     if isinstance(mesh, model.UsdThing) and mesh.usd == thing.painted:
         values = stage_usd_paint(staging, name, thing, mesh, width)
-        return None if values is None else stage_of.PaintedValues(surface, values, False)
+        return None if values is None else setting_data.PaintedValues(surface, values, False)
     data = staging.read_file(thing.painted, limits.MAX_MESH_BYTES, "world", name, "painted")
     if data is None or raw is None or not isinstance(mesh, model.MeshThing | model.HeightThing):
         return None  # the error was reported with the mesh
@@ -133,7 +135,7 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
         mirrored, own_up = (mesh.scale < 0, mesh.own_up or up) if isinstance(mesh, model.MeshThing) else (False, "y")
         values = values * (-1.0 if mirrored else 1.0)
         values = limit_length(rotate_points(rotate_up(values, own_up, up), find_first_rotation(staging, mesh)))
-    return stage_of.PaintedValues(surface, values if width == 3 else values[:, 0], of_faces)
+    return setting_data.PaintedValues(surface, values if width == 3 else values[:, 0], of_faces)
 
 
 def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float64], bool] | None:

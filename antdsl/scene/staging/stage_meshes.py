@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from antdsl import limits
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene.geometry.heights import compute_deviation, make_height_surface, read_heights
 from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, make_limited_mesh, place_mesh, read_mesh
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
+def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing) -> setting_data.MeshData | None:
     """Return a mesh at the first frame. On failure, report an error and return None. Its motion is stored in `staging.motion`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
-        key, display_name, factor, own_up = "prim", value.path, value.scale, up
+        key, display_name, factor, own_up = "prim", value.prim_path, value.scale, up
         geometry = stage_usd_mesh(staging, name, value)
     elif isinstance(value, HeightThing):
         key, display_name, factor, own_up = "height", value.height, 1.0, "y"
@@ -63,6 +63,7 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
 
 
 def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
+    """Return a mesh of one file, and None as its motion; None after an error."""
     data = staging.read_file(value.mesh, limits.MAX_MESH_BYTES, "world", name, "mesh")
     if data is None:
         return None
@@ -79,7 +80,7 @@ def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tup
 
 
 def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
-    """Return a surface of height samples, in mm with y up."""
+    """Return a surface of height samples in mm with y up, and None as its motion; None after an error."""
     data = staging.read_file(value.height, limits.MAX_MESH_BYTES, "world", name, "height")
     if data is None:
         return None
@@ -97,7 +98,7 @@ def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> t
     return raw, None
 
 
-def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -> stage_of.SolidData | None:
+def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -> setting_data.SolidData | None:
     """Return a solid. On failure, report an error and return None.
 
     A request for too many voxels is rejected before any voxel is created."""
@@ -109,5 +110,5 @@ def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -
     report_too_many(
         staging, across[0] * across[1] * across[2], limits.MAX_VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
     )
-    solid = stage_of.SolidData(mesh, edge)
+    solid = setting_data.SolidData(mesh, edge)
     return close_solid(staging, name, value, solid) if staging.report.ok else solid

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene.camera_models import DEFAULT_CAMERA
 from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.closed_meshes import check_obstacle_sides
@@ -47,14 +47,14 @@ class SceneStaging:
     program: Program
     report: Report = field(default_factory=Report)
     hashes: dict[str, str] = field(default_factory=dict)
-    surfaces: dict[str, stage_of.MeshData] = field(default_factory=dict)
-    obstacles: dict[str, stage_of.MeshData] = field(default_factory=dict)
-    solids: dict[str, stage_of.SolidData] = field(default_factory=dict)
+    surfaces: dict[str, setting_data.MeshData] = field(default_factory=dict)
+    obstacles: dict[str, setting_data.MeshData] = field(default_factory=dict)
+    solids: dict[str, setting_data.SolidData] = field(default_factory=dict)
     curves: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # (frames, k, 3); a single frame if static
-    items: dict[str, tuple[stage_of.ItemData, ...]] = field(default_factory=dict)
+    items: dict[str, tuple[setting_data.ItemData, ...]] = field(default_factory=dict)
     item_tracks: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # positions (frames, n, 3) of items that move
-    flows: dict[str, stage_of.FlowData] = field(default_factory=dict)
-    maps: dict[str, stage_of.PaintedValues] = field(default_factory=dict)
+    flows: dict[str, setting_data.FlowData] = field(default_factory=dict)
+    maps: dict[str, setting_data.PaintedValues] = field(default_factory=dict)
     raw_meshes: dict[str, RawMesh] = field(default_factory=dict)  # meshes as in their files
     moves_by_mesh: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
     # mm, for height surfaces: the largest distance of triangles from bilinear patches
@@ -122,7 +122,7 @@ CHECKS: Mapping[str, Callable[[SceneStaging], None]] = {
 }  # fmt: skip
 
 
-_MESHES = ("surfaces", "obstacles", "solids")
+_MESH_GROUPS = ("surfaces", "obstacles", "solids")
 
 
 def _stage_things(staging: SceneStaging, *groups: str) -> None:
@@ -141,13 +141,13 @@ def _stage_things(staging: SceneStaging, *groups: str) -> None:
 
 def build_setting(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
-) -> tuple[stage_of.WorldSetting | None, Report, dict[str, str]]:
+) -> tuple[setting_data.WorldSetting | None, Report, dict[str, str]]:
     """Return the setting, the report, and a hash of each file read. The setting is None if there are errors.
 
     `overrides`: params from the user."""
     staging = SceneStaging(scene, program)
     model = scene.model
-    for group in (*_MESHES, "curves", "items"):
+    for group in (*_MESH_GROUPS, "curves", "items"):
         _stage_things(staging, group)
     _stage_things(staging, "flows", "maps")  # first, because they contain curves and items
     item_points = {item.name: item.position for group in staging.items.values() for item in group} | {
@@ -158,7 +158,7 @@ def build_setting(
     check_crowds(staging, crowds)
     cameras = stage_cameras(staging)
     starts = {
-        name: stage_of.FieldStartData(
+        name: setting_data.FieldStartData(
             start.start,
             stage_point(staging, item_points, start.around, start.radius, "fields", name),
             convert_length(scene, start.radius),
@@ -172,7 +172,7 @@ def build_setting(
     params = {name: value.to_base_units(model.unit_mm, dt) for name, value in param_values.items() if name in program.params}
     things: dict[str, Any] = {group: getattr(staging, group) for group in READERS}
     things["curves"] = {name: positions[0] for name, positions in staging.curves.items()}
-    setting = stage_of.WorldSetting(
+    setting = setting_data.WorldSetting(
         fps=model.fps,
         substeps=model.substeps,
         uses_rays=model.stick == "rays",
@@ -193,7 +193,7 @@ def build_setting(
             curves={name: positions for name, positions in staging.curves.items() if len(positions) > 1},
         ),
         cameras=cameras,
-        level_of_detail=_stage_detail(scene, cameras.get(DEFAULT_CAMERA)),
+        level_of_detail=_stage_level_of_detail(scene, cameras.get(DEFAULT_CAMERA)),
         deviations=staging.deviations,
         imports=collect_imports(staging),
         spans={name: scene.span("world", name) for name in model.world},
@@ -207,15 +207,15 @@ def build_setting(
 def collect_import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
     """Return the report on each mesh that can be read, even if the scene has errors."""
     staging = SceneStaging(scene, program)
-    for group in _MESHES:
+    for group in _MESH_GROUPS:
         _stage_things(staging, group)
     return collect_imports(staging)
 
 
-def _stage_detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:
+def _stage_level_of_detail(scene: Scene, camera: setting_data.CameraData | None) -> setting_data.DetailData | None:
     """Return the level of detail, or None if the scene has none. `camera`: the default camera."""
     lod = scene.model.lod
     if lod is None or camera is None:
         return None
     near, far = lod.near.to_millimetres(scene.model.unit_mm), convert_length(scene, lod.far)
-    return stage_of.DetailData(camera.at, near, float("inf") if far is None else far, camera.first)
+    return setting_data.DetailData(camera.at, near, float("inf") if far is None else far, camera.first)

@@ -1,4 +1,4 @@
-"""The shapes of places in crowd lines: ranks, clumps, lines and volumes, and the directions in which agents begin."""
+"""Placements of crowd lines: ranks, clumps, lines and volumes, and the directions in which agents begin."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from antdsl.diagnostics.suggestion import find_nearest_name
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene.crowds.casting_model import FACING_WORDS, Facing, FacingDirection, Ranks
 from antdsl.scene.crowds.crowd_data import ClumpsData, FacingData, ItemCentre, RanksData, VolumeData
 from antdsl.scene.crowds.crowd_model import Placement
@@ -27,7 +27,7 @@ def convert_length(scene: Scene, value: Quantity | None) -> float | None:
     return None if value is None else value.to_millimetres(scene.model.unit_mm)
 
 
-PointsByName = Mapping[str, stage_of.PointMm]
+PointsByName = Mapping[str, setting_data.PointMm]
 
 
 def stage_point(
@@ -37,7 +37,7 @@ def stage_point(
     radius: Quantity | None,
     *path: PathKey,
     key: str = "around",
-) -> stage_of.PointMm | None:
+) -> setting_data.PointMm | None:
     """Return a centre in mm: a point, an item's position, or the origin if only a radius is given."""
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
@@ -51,7 +51,7 @@ def stage_point(
 
 
 def stage_shapes(staging: SceneStaging, item_points: PointsByName, placement: Placement, *path: PathKey) -> dict[str, Any]:
-    """Return the values of `PlacementData` for the shapes and directions of a place."""
+    """Return the values of `PlacementData` for the shapes and directions of a placement."""
     scene, clumps = staging.scene, placement.clumps
     return {
         "ranks": None if placement.ranks is None else _stage_ranks(scene, placement.ranks, int(path[1])),
@@ -99,7 +99,7 @@ def _stage_facing(staging: SceneStaging, item_points: PointsByName, facing: Faci
 
 
 def _find_centre_item(staging: SceneStaging, around: PointValue | str | None) -> ItemCentre | None:
-    """Return the item that a place is around; None for points."""
+    """Return the item that is the centre of a placement; None if the centre is a point."""
     if not isinstance(around, str):
         return None
     for name, items in staging.items.items():

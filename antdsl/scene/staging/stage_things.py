@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene import setting as stage_of
+from antdsl.scene import setting as setting_data
 from antdsl.scene.crowds.crowd_model import UsdPositions
 from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.import_notes import ImportNotes
@@ -165,11 +165,11 @@ def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[R
     """Return the meshes below a prim and their motion, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
-    mesh = read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
+    mesh = read_usd(staging, value.usd, value.prim_path, value.purpose, ("world", name), read_usd_mesh)
     if mesh is None:
         return None
     if mesh.unread_shape_types:
-        words = f"shapes of the types {', '.join(mesh.unread_shape_types)} below `{value.path}` are not read"
+        words = f"shapes of the types {', '.join(mesh.unread_shape_types)} below `{value.prim_path}` are not read"
         staging.report.warning("usd-left-out", words, staging.scene.span("world", name, "prim"), "turn them into meshes")
     return mesh.raw_mesh, mesh.motion
 
@@ -215,7 +215,7 @@ def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh:
         staging.report.error("bad-paint", "a primvar has one name", span, f"write `attribute: {attribute[0]}`")
         return None
     painted_mesh = read_usd(
-        staging, mesh.usd, mesh.path, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute])
+        staging, mesh.usd, mesh.prim_path, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute])
     )
     if painted_mesh is None:
         return None
@@ -242,7 +242,7 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
     if isinstance(value, UsdThing):
         from antdsl.scene.geometry.usd import read_usd_curve
 
-        positions = read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
+        positions = read_usd(staging, value.usd, value.prim_path, value.purpose, ("world", name), read_usd_curve)
         factor, own_up = value.scale, model.up
     else:
         files = (
@@ -305,7 +305,9 @@ def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoi
     from antdsl.scene.geometry.usd import read_usd_points
 
     kind = name if value.kind is None and value.prim is None else value.kind
-    points = read_usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
+    points = read_usd(
+        staging, value.usd, value.prim_path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind)
+    )
     if points is None:
         return None
     transforms = _make_key_transforms(staging, value, value.scale, staging.scene.model.up)
@@ -333,7 +335,7 @@ def stage_usd_places(staging: SceneStaging, value: UsdPositions, *path: PathKey)
     return read_usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
 
 
-def follow_surface(mesh: stage_of.MeshData, mesh_moves: MeshMoves, point: stage_of.PointMm) -> Floats:
+def follow_surface(mesh: setting_data.MeshData, mesh_moves: MeshMoves, point: setting_data.PointMm) -> Floats:
     """Return the positions (frames, 3) of a point that is attached to its triangle on a moving surface."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -26,7 +26,7 @@ _OPTIONAL_ATTRIBUTES = ("max_turn", "min_speed")  # agents have these values onl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdFile:
-    """The points of a USD file, with the name of the file and the location where the scene names it."""
+    """The points of a USD file. `name`: the name of the file. `span`: the location where the scene names the file."""
 
     staging: SceneStaging
     name: str

@@ -20,7 +20,7 @@ from antdsl.outputs.edits.frame_rows import FrameRows
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
 from antdsl.outputs.edits.verbs.agent_moves import find_axes, make_moves
 from antdsl.outputs.edits.verbs.terrain import MirroredTerrain
-from antdsl.scene.crowds.body_choice import number_of_key, species_of_key
+from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key
 from antdsl.scene.notes.selectors import Selector
 from antdsl.scene.thing_models import UNIT_MM
 from antdsl.scene.values import Length, parse_one_of
@@ -93,8 +93,8 @@ class MirrorLayer(EditLayer):
 
     def _pair_legs(self, key: str) -> NDArray[np.intp]:
         """Return for each leg of a body the leg on the other side."""
-        number = next(k for k, entry in enumerate(self.manifest.species) if entry.name == species_of_key(key))
-        body = self._bodies.body(number, body_index=number_of_key(key))
+        number = next(k for k, entry in enumerate(self.manifest.species) if entry.name == find_species_of_key(key))
+        body = self._bodies.body(number, body_index=find_number_of_key(key))
         feet = [body.definition.rig.joint(leg.foot) for leg in body.definition.legs]
         poses = body.compute_poses((), 1)
         feet_rest = (

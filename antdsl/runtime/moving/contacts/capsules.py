@@ -32,7 +32,7 @@ from antdsl.runtime.moving.contacts.capsule_distances import (
 )
 from antdsl.runtime.moving.contacts.loads import LOAD_REGISTER, extend_trunks
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.crowds.body_choice import species_of_key
+from antdsl.scene.crowds.body_choice import find_species_of_key
 from antdsl.scene.library_bodies import (
     CAPSULE_BY_BODY,
     LOAD_FRONT_BY_BODY,
@@ -56,7 +56,7 @@ def find_capsule(world: World, key: str) -> TrunkCapsule:
 
     The shape comes from the body's own file. Without one, it comes from the body that the first crowd line names, then from the
     body with the species' name. The capsule of a flat whole body is raised above its feet."""
-    own, species = world.setting.body_capsules.get(key), species_of_key(key)
+    own, species = world.setting.body_capsules.get(key), find_species_of_key(key)
     is_whole = world.plan.species[species].has_whole_body
     if own is not None:
         capsule = TrunkCapsule(own.length, own.width, own.height, own.forward_offset)

@@ -42,7 +42,7 @@ class UsdMesh:
 class UsdCamera:
     """A camera. Positions are in mm, one row per frame, or a single row for a static camera.
 
-    `focal`: in mm for a sensor 36 mm wide."""
+    `up`: the direction to the top of the picture. `focal`: the focal length in mm for a sensor 36 mm wide."""
 
     at: Floats
     look_at: Floats
@@ -73,6 +73,7 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
 
 
 def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMoves:
+    """Return the checked motion of `count` vertices over `frames` frames."""
     tracks = answer.require_array("moves:tracks", "f8", None, frames, 3, 4)
     deformed = answer.require_indices("moves:bent", "i8", count, None)
     offsets = answer.require_array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
@@ -82,6 +83,7 @@ def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMoves:
 
 
 def _read_values(answer: ReaderMessage, name: str, count: int) -> Floats:
+    """Return the checked values of a primvar at `count` vertices: numbers (count,) or vectors (count, 3)."""
     array = answer.arrays.get(name)
     return (
         answer.require_array(name, "f8", count)
@@ -91,16 +93,16 @@ def _read_values(answer: ReaderMessage, name: str, count: int) -> Floats:
 
 
 def wrap_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
-    """Wrap a function so that an invalid answer raises UsdError."""
+    """Return a reader like `read` that raises UsdError for an invalid answer."""
 
     @wraps(read)
-    def read_checked(stage: UsdStage) -> T:
+    def read_or_raise_usd_error(stage: UsdStage) -> T:
         try:
             return read(stage)
         except ProtocolError as error:
             raise stage.make_answer_error(error) from None
 
-    return read_checked
+    return read_or_raise_usd_error
 
 
 def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:

@@ -39,7 +39,7 @@ def read_curve_positions(stage: OpenStage) -> Floats:
         names = ", ".join(f"`{prim.GetPath()}`" for prim in curves[:4])
         raise UsdError("bad-usd", f"below `{path}` are {len(curves)} curves", f"name one of them: {names}")
     prim, curve = curves[0], geom.BasisCurves(curves[0])
-    counts = list(curve.GetCurveVertexCountsAttr().Get(stage.first) or [])
+    counts = list(curve.GetCurveVertexCountsAttr().Get(stage.first_time) or [])
     if len(counts) != 1:
         raise UsdError("bad-usd", f"`{prim.GetPath()}` holds {len(counts)} curves, not one", "split it into one prim per curve")
     bends = len(stage.times) > 1 and (
@@ -47,7 +47,7 @@ def read_curve_positions(stage: OpenStage) -> Floats:
     )
     travels = stage.is_moving(prim)
     transforms = stage.compute_scene_transforms(prim, travels)
-    first = _read_polyline(curve, stage.first, prim)
+    first = _read_polyline(curve, stage.first_time, prim)
     if len(first) > limits.MAX_AGENTS:
         raise UsdError("too-large", f"`{prim.GetPath()}` has more than {limits.MAX_AGENTS:,} points")
     times = stage.times if bends or travels else stage.times[:1]

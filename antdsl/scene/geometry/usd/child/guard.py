@@ -19,7 +19,7 @@ ReaderAnswer = tuple[dict[str, Any], Mapping[str, Any]]
 
 
 def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[ReaderMessage], ReaderAnswer]:
-    """Return the function changed to raise every problem of the file as a ReadRefusal.
+    """Return a reader like `read` that raises every problem of the file as a ReadRefusal.
 
     The `about` of the ReadRefusal is `mesh` for unusable meshes, and `exception` for errors of USD."""
 

@@ -53,7 +53,9 @@ class JoinedMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeshShape:
-    """A mesh prim with its places. `points`: at the first frame. `is_deformed`: whether the points move relative to the prim."""
+    """A mesh prim with all transforms at which it appears in the scene.
+
+    `points`: its vertices at the first frame. `is_deformed`: whether the vertices move relative to the prim."""
 
     placed_mesh: PlacedMesh
     points: Floats
@@ -62,7 +64,7 @@ class _MeshShape:
 
     @property
     def count(self) -> int:
-        """Return the number of places."""
+        """Return how often the mesh appears in the scene."""
         return len(self.placed_mesh.transforms)
 
 
@@ -95,8 +97,8 @@ def _read_shape(stage: OpenStage, placed_mesh: PlacedMesh) -> _MeshShape:
     """Return the points and triangles of a mesh prim. Holes and left-handed orientation are respected, subdivision is not."""
     prim, mesh = placed_mesh.prim, import_pxr_module("UsdGeom").Mesh(placed_mesh.prim)
     path = prim.GetPath()
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first) or [], np.int64)
-    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(stage.first) or [], np.int64)
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first_time) or [], np.int64)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(stage.first_time) or [], np.int64)
     points = _read_points(mesh, stage.times[0])
     if counts.sum() != len(corners) or (counts < 0).any():
         raise MeshError(f"has at `{path}` a number of corners that does not match its faces")
@@ -106,9 +108,11 @@ def _read_shape(stage: OpenStage, placed_mesh: PlacedMesh) -> _MeshShape:
         if len(stage.times) > 1 and attribute.ValueMightBeTimeVarying():
             _check_same_faces(stage, attribute, path)
     is_filled = np.ones(len(counts), np.bool_)
-    holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first) or [], np.int64)
+    holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first_time) or [], np.int64)
     is_filled[holes[(holes >= 0) & (holes < len(counts))]] = False
-    faces = _make_triangles(points, counts, corners, is_filled, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
+    faces = _make_triangles(
+        points, counts, corners, is_filled, mesh.GetOrientationAttr().Get(stage.first_time) == "leftHanded", path
+    )
     is_deformed = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
     return _MeshShape(placed_mesh, points, faces, is_deformed)
 
@@ -119,7 +123,7 @@ def _read_points(mesh: Any, time: float) -> Floats:
 
 
 def _check_same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
-    first = attribute.Get(stage.first)
+    first = attribute.Get(stage.first_time)
     for time in stage.times[1:]:
         if attribute.Get(import_pxr_module("Usd").TimeCode(time)) != first:
             raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE_HELP)
@@ -229,7 +233,7 @@ def _read_values(stage: OpenStage, shape: _MeshShape, name: str) -> Floats:
     primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         raise UsdError("no-such-prim", f"`{prim.GetPath()}` has no primvar `{name}`", f"paint `primvars:{name}` on it")
-    values = np.array(primvar.ComputeFlattened(stage.first), np.float64)
+    values = np.array(primvar.ComputeFlattened(stage.first_time), np.float64)
     values = values.reshape(-1, 1) if values.ndim == 1 and not _is_vector(primvar) else values.reshape(-1, values.shape[-1])
     if primvar.GetInterpolation() == "constant" and len(values) == 1:
         values = np.repeat(values, len(shape.points), axis=0)

@@ -67,7 +67,7 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
     attribute, path = points.GetPointsAttr(), prim.GetPath()
     moving = len(stage.times) > 1 and attribute.ValueMightBeTimeVarying()
     transforms = stage.compute_scene_transforms(prim, stage.is_moving(prim))
-    count = len(attribute.Get(stage.first) or [])
+    count = len(attribute.Get(stage.first_time) or [])
     times = stage.times if moving or len(transforms) > 1 else stage.times[:1]
     check_motion_bytes(count * len(times) * 24, f"`{path}`")
     positions = np.empty((len(times), count, 3))
@@ -76,7 +76,7 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
         if len(frame_points) != count:
             raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE_HELP)
         positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], frame_points)
-    widths = np.array(points.GetWidthsAttr().Get(stage.first) or [], np.float64)
+    widths = np.array(points.GetWidthsAttr().Get(stage.first_time) or [], np.float64)
     one = find_uniform_scale(transforms[0])
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
     names = tuple(_read_names(prim, count))
@@ -98,7 +98,7 @@ def _read_names(prim: Any, count: int) -> list[str]:
 def _read_numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
     values_by_name = {}
     for primvar in import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues():
-        value = primvar.ComputeFlattened(stage.first)
+        value = primvar.ComputeFlattened(stage.first_time)
         numbers = np.atleast_1d(np.array(value)) if value is not None else np.empty(0)
         if numbers.dtype.kind in "fiu" and numbers.ndim == 1 and len(numbers) in (1, count):
             values_by_name[str(primvar.GetPrimvarName())] = np.broadcast_to(numbers.astype(np.float64), count).copy()
@@ -120,7 +120,7 @@ def _find_prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
     others: set[str] = set()
     for prim in stage.find_visible_prims(stage.prim):
         attribute = prim.GetAttribute(f"{_USER_NAMESPACE}:kind")
-        word = attribute.Get(stage.first) if attribute and attribute.HasValue() else None
+        word = attribute.Get(stage.first_time) if attribute and attribute.HasValue() else None
         if word is not None and str(word) == kind and prim.IsA(import_pxr_module("UsdGeom").Xformable):
             prims.append(prim)
         elif word is not None and len(others) < _MAX_LISTED_KINDS:
@@ -144,7 +144,7 @@ def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
     texts: dict[str, tuple[str, ...]] = {}
     for attribute in prim.GetAuthoredPropertiesInNamespace(_USER_NAMESPACE):
         name = str(attribute.GetName()).removeprefix(f"{_USER_NAMESPACE}:")
-        value = attribute.Get(stage.first) if ":" not in name and hasattr(attribute, "HasValue") else None
+        value = attribute.Get(stage.first_time) if ":" not in name and hasattr(attribute, "HasValue") else None
         if isinstance(value, float) and not np.isfinite(value):
             words = f"`{name}` of `{prim.GetPath()}` is {value:g}, which is not finite"
             raise UsdError("bad-usd", words, "give it a finite one", "usd")

@@ -85,7 +85,7 @@ def _find_placed_instances(
             "too-large", f"`{prim.GetPath()}` has point instancers nested more than {_MAX_NESTED_INSTANCERS} levels deep"
         )
     instancer = import_pxr_module("UsdGeom").PointInstancer(prim)
-    index = np.array(instancer.GetProtoIndicesAttr().Get(stage.first) or [], np.int64)
+    index = np.array(instancer.GetProtoIndicesAttr().Get(stage.first_time) or [], np.int64)
     if not len(index):
         return
     chosen = _find_unmasked_instances(stage, instancer, len(index))
@@ -108,14 +108,16 @@ def _find_placed_instances(
 
 
 def _compose_pairs(outer: Floats, inner: Floats) -> Floats:
-    """Return every inner transform followed by every outer one. (a, f, 3, 4) and (b, g, 3, 4) give (a·b, max(f, g), 3, 4)."""
+    """Return the product of each outer with each inner transform, which is applied first.
+
+    Transforms (a, f, 3, 4) and (b, g, 3, 4) of f and g frames give (a·b, max(f, g), 3, 4)."""
     check_motion_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
     composed = compose_transforms(outer[:, None], inner[None])
     return composed.reshape(-1, *composed.shape[2:])
 
 
 def _find_unmasked_instances(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.bool_]:
-    mask = list(instancer.ComputeMaskAtTime(stage.first))
+    mask = list(instancer.ComputeMaskAtTime(stage.first_time))
     return np.array(mask, np.bool_) if len(mask) == count else np.ones(count, np.bool_)
 
 
@@ -135,7 +137,7 @@ def _compute_instance_transforms(stage: OpenStage, instancer: Any, count: int) -
     times = stage.times if moved else stage.times[:1]
     check_motion_bytes(count * len(times) * 96, f"the instances of `{path}`")
     transforms = np.empty((count, len(times), 3, 4))
-    first = list(instancer.GetProtoIndicesAttr().Get(stage.first))
+    first = list(instancer.GetProtoIndicesAttr().Get(stage.first_time))
     for k, time in enumerate(times):
         code = usd.TimeCode(time)
         if k and list(instancer.GetProtoIndicesAttr().Get(code) or []) != first:
@@ -166,7 +168,7 @@ def _find_prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, F
     walk = iter(usd.PrimRange(root, usd.TraverseInstanceProxies(usd.PrimIsActive & usd.PrimIsLoaded)))
     for prim in walk:
         image = geom.Imageable(prim)
-        if image and image.GetVisibilityAttr().Get(stage.first) == "invisible":
+        if image and image.GetVisibilityAttr().Get(stage.first_time) == "invisible":
             walk.PruneChildren()
             continue
         inner = prim.IsA(geom.PointInstancer)

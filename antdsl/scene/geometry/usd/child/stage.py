@@ -41,7 +41,7 @@ class OpenStage:
     stage: Any
 
     @property
-    def first(self) -> Any:
+    def first_time(self) -> Any:
         """Return USD's time code of the first requested frame."""
         return import_pxr_module("Usd").TimeCode(self.times[0])
 
@@ -50,7 +50,7 @@ class OpenStage:
         image = import_pxr_module("UsdGeom").Imageable(prim)
         if not image:
             return True
-        return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first) != "invisible"
+        return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first_time) != "invisible"
 
     def find_visible_prims(self, prim: Any) -> Iterator[Any]:
         """Yield the prim and its visible descendants. Instances are included, prototypes of point instancers are not."""
@@ -58,7 +58,7 @@ class OpenStage:
         walk = iter(usd.PrimRange(prim, usd.TraverseInstanceProxies()))
         for descendant in walk:
             if not self.is_visible(descendant):
-                if geom.Imageable(descendant).ComputeVisibility(self.first) == "invisible":
+                if geom.Imageable(descendant).ComputeVisibility(self.first_time) == "invisible":
                     walk.PruneChildren()
                 continue
             if descendant.IsA(geom.PointInstancer):
