@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.boxes import EDGE_TOLERANCE, MAX_LENGTHENING, MIN_PLANE_SINE
-from antdsl.ground.mesh.crossings import MAX_SLOPE_RUN, MIN_SQUARED_CUT_SINE, OFF_FACE_TOUCHES
+from antdsl.ground.mesh.crossings import MAX_RUN_PER_RISE, MIN_SQUARED_CUT_SINE, MIN_TOUCHES_OFF_FACE
 from antdsl.ground.mesh.stretches import (
     BORDER_INWARD_SHARE,
     CROSSINGS_BEFORE_NUDGE,
@@ -340,7 +340,7 @@ class Reference:
                 leans = -float(up @ n) / (float(n @ w.direction) or 1.0)
                 result.append(
                     (
-                        previous + OFF_FACE_TOUCHES * touch * float(np.clip(leans, -MAX_SLOPE_RUN, MAX_SLOPE_RUN)),
+                        previous + MIN_TOUCHES_OFF_FACE * touch * float(np.clip(leans, -MAX_RUN_PER_RISE, MAX_RUN_PER_RISE)),
                         other,
                         previous,
                         crossing_place,
@@ -351,11 +351,11 @@ class Reference:
         _, other, previous, crossing_place = min(result, key=lambda each: each[:2])
         n, towards = self.normal[other], float(self.normal[other] @ w.direction)
         steep = up - (up @ n) * n
-        off = steep * (OFF_FACE_TOUCHES * touch / max(float(steep @ steep), MIN_SQUARED_CUT_SINE))
+        off = steep * (MIN_TOUCHES_OFF_FACE * touch / max(float(steep @ steep), MIN_SQUARED_CUT_SINE))
         back = not self.together(own, w.side, other, -1.0 if towards > 0 else 1.0)
         if back or self._tight(other, own, crossing_place, off):
             soonest = min(each[2] for each in result)
-            near = max(soonest - OFF_FACE_TOUCHES * touch / max(abs(towards), 1 / MAX_SLOPE_RUN), 0.0) if back else 0.0
+            near = max(soonest - MIN_TOUCHES_OFF_FACE * touch / max(abs(towards), 1 / MAX_RUN_PER_RISE), 0.0) if back else 0.0
             return Landing(own, self.onto(own, w.place + w.direction * near), self.side_of(own, -up), near, shut=True)
         return Landing(other, self.onto(other, crossing_place + off), -1.0 if towards > 0 else 1.0, previous)
 
@@ -385,7 +385,7 @@ class Reference:
             begins = float(self.normal[third] @ (place - self.corners[third, 0]))
             ends = begins + float(self.normal[third] @ off)
             hit = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
-            if third != own and hit and self._within(third, place, 2 * OFF_FACE_TOUCHES * touch):
+            if third != own and hit and self._within(third, place, 2 * MIN_TOUCHES_OFF_FACE * touch):
                 return True
         return False
 

@@ -20,15 +20,14 @@ from antdsl.numerics.vectors import rotate_between_normals
 
 Rows = NDArray[np.intp]
 
-_SUNK_VOXELS = 0.05  # voxels below a solid's surface; mesh ground down to this depth is still open
+_OPEN_DEPTH_VOXELS = 0.05  # voxels below a solid's surface; mesh ground down to this depth is still open
 _MAX_SURFACE_CHANGES = 4  # maximum number of changes between meshes and solids in one step
 _EYE_HEIGHT_PER_BODY = 0.02  # body lengths above the path from which an agent searches for meshes
 
 
 @dataclass(slots=True)
 class _WalkState:
-    """Agents during a walk: footings, orientations and `remaining_displacements` displacements. Each component of a vector is
-    contiguous."""
+    """Agents during a walk: footings, positions, orientations, and remaining displacements. Each component is contiguous."""
 
     footing: Footing
     place: Floats
@@ -43,8 +42,8 @@ class _WalkState:
 
 @dataclass(slots=True)
 class _SolidEntries:
-    """Agents that entered undug solid: their numbers, the solid, the part of their path before the entry, and the entry's
-    position."""
+    """Agents that entered undug solid: their rows, the numbers of the solids, the fraction of their path before the entry, and
+    the positions of the entries."""
 
     rows: Rows
     solids: NDArray[np.intp]
@@ -53,7 +52,7 @@ class _SolidEntries:
 
 
 class CombinedGround:
-    """Meshes (None without any) and solids by name. The names of solids come after those of meshes."""
+    """A ground of meshes (None without any) and named solids. The names of solids come after those of meshes."""
 
     def __init__(self, meshes: MeshSurfaces | None, solids: Mapping[str, Volume], up: Floats) -> None:
         self.meshes = meshes
@@ -91,7 +90,7 @@ class CombinedGround:
         height = np.where(known, ((place - points) * up).sum(axis=1), -np.inf)
         for k, volume in enumerate(self._volumes):
             is_requested = self.names[self._count + k] in names
-            buried = known & (volume.sample(place) < -_SUNK_VOXELS * volume.voxel)
+            buried = known & (volume.sample(place) < -_OPEN_DEPTH_VOXELS * volume.voxel)
             rows = np.arange(len(points)) if is_requested else np.flatnonzero(buried)
             if not rows.size:
                 continue
@@ -209,8 +208,8 @@ class CombinedGround:
     # ---- parts of moving
 
     def _walk_stretch(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
-        """Walk `rows` on their current mesh or solid. Place agents that meet another one on it. Return the agents with distance
-        left."""
+        """Walk `rows` on their current mesh or solid. Agents that reach another one are placed on its surface. Return the agents
+        with distance left."""
         again = []
         on = walk.footing.mesh[rows]
         mesh = rows[on < self._count]
@@ -256,14 +255,14 @@ class CombinedGround:
     def _find_entries(self, end: Floats, start: Callable[[Rows], Floats], ignored_solid: int = -1) -> _SolidEntries:
         """Return the agents that enter undug solid on the path to `end`.
 
-        `start` is a function that returns the start positions of some rows. Solid number `ignored_solid` is ignored."""
+        `start`: returns the start positions of some rows. `ignored_solid`: the number of a solid that is ignored."""
         part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)
         positions = np.zeros((len(end), 3))
         for k, volume in enumerate(self._volumes):
             if k == ignored_solid:
                 continue
             near = find_rows_in_box(end, volume.low, volume.high)
-            inside = near[volume.sample(take_rows(end, near)) < -_SUNK_VOXELS * volume.voxel]
+            inside = near[volume.sample(take_rows(end, near)) < -_OPEN_DEPTH_VOXELS * volume.voxel]
             if not inside.size:
                 continue
             a, b = start(inside), end[inside]
@@ -278,7 +277,7 @@ class CombinedGround:
     def _step_onto_solid(
         self, walk: _WalkState, rows: Rows, entries: _SolidEntries, move: GroundMove, body: Floats, threads: int, is_last: bool
     ) -> Rows:
-        """Place the agents in `rows` that entered a solid on it. Return the agents with distance left."""
+        """Place the agents of `entries` on the surface of the solid that each entered. Return the agents with distance left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
             mine = np.flatnonzero(entries.solids == k)
@@ -380,7 +379,7 @@ class CombinedGround:
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
         """Return which agents have a mesh across their path, as seen from slightly above the path.
 
-        Return also the part of the path before the mesh, and the footing at the mesh."""
+        Return also the fraction of the path before the mesh, and the footing at the mesh."""
         n = len(start)
         if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.create_unplaced(n)

@@ -73,15 +73,17 @@ class MovingGround(MeshGround):
         known = (mesh >= 0) & (mesh < len(self._is_moving))
         return np.flatnonzero(known & self._is_moving.take(np.where(known, mesh, 0)))
 
-    def axes(self, footing: Footing) -> FaceAxes:
-        """Return the frames (3, n) of the faces below agents: along the first edge, across it, and along the normal of the
-        winding."""
+    def compute_axes(self, footing: Footing) -> FaceAxes:
+        """Return the frames of the faces below agents: the axes along the first edge, across it, and along the normal, (3, n)
+        each.
+
+        The normal follows the winding of the face."""
         face, _ = self._compute_face_numbers(footing)
         t = self._topology
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
     def compute_rest_axes(self, footing: Footing) -> FaceAxes:
-        """Return the frames of the same faces in their rest positions, as `axes`."""
+        """Return the frames of the faces below agents in their rest positions, in the form of `compute_axes`."""
         face, _ = self._compute_face_numbers(footing)
         t = self._rest_topology
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
@@ -94,7 +96,8 @@ class MovingGround(MeshGround):
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
 
     def list_moving_boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
-        """Return the moving meshes at their current position: mask of their faces, lowest and highest corner."""
+        """Return for each moving mesh, at its current position: a mask of its faces, and the lowest and highest corner of its
+        box."""
         return [(self._mesh_of_face == k, *self._box_by_mesh[name]) for k, name in enumerate(self.names) if self._is_moving[k]]
 
     def _group_surfaces(self) -> NDArray[np.int32]:
@@ -211,7 +214,7 @@ class _MovingClearances:
         ground = self._ground
         still = self._static_clearances.get_face_parts(reach)
         count, first = np.zeros(len(ground._faces), np.int32), np.zeros(len(ground._faces), np.int64)
-        count[self._static_faces], first[self._static_faces] = still.count, still.first
+        count[self._static_faces], first[self._static_faces] = still.parts_per_edge, still.first_parts
         at = self._find_faces_near_moving(reach)
         count[at], first[at] = 1, len(still.clearances)
         return FacePartClearances(reach, first, count, np.append(still.clearances, 0.0))

@@ -31,7 +31,7 @@ _MESH_DEFAULTS: dict[str, ColumnArray | float] = dict.fromkeys(
 
 
 def take_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
-    """Return some rows of an array, by `take`, which is several times faster than indexing."""
+    """Return the rows `rows` of an array. NumPy's `take` is several times faster than indexing."""
     return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
 
 
@@ -164,7 +164,7 @@ class Footing:
 
     @staticmethod
     def select(use_first: Flags, first: Footing, second: Footing) -> Footing:
-        """Return, on meshes, the footings of `first` where `use_first` is true, else those of `second`."""
+        """Return footings on meshes: those of `first` where `use_first` is true, else those of `second`."""
         return Footing({name: np.where(use_first, column, second.columns[name]) for name, column in first.columns.items()})
 
 
@@ -194,7 +194,7 @@ class GroundMove:
         return self.position, self.up, self.heading, self.direction, self.travelled, self.is_blocked, self.is_lost
 
     def take_rows(self, rows: Rows) -> GroundMove:
-        """Return the results of some rows."""
+        """Return the results of the agents in some rows."""
         position, up, heading, direction, travelled, blocked, lost = (take_rows(column, rows) for column in self.list_columns())
         return GroundMove(self.footing.take_rows(rows), position, up, heading, direction, travelled, blocked, lost)
 
@@ -294,12 +294,12 @@ class MeshSurfaces(Ground, Protocol):
     def find_path_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
         """Return which straight paths from `origin` [n,3] by `displacement` [n,3] hit a surface.
 
-        Return also the part of the path before the hit, and the footing at the hit."""
+        The other results are the fraction of the path before the hit, and the footing at the hit."""
 
     def find_hit_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
         """Return the numbers, ascending, of straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
 
-        Return also the part of the path before the hit, and the face's unit normal (3, k), by its winding."""
+        The other results are the fraction of the path before the hit, and the face's unit normal (3, k), by its winding."""
 
     def find_rows_near_slopes(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
         """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.

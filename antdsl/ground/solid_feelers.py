@@ -88,7 +88,7 @@ class SolidFeelers:
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Return, for each request, its number and all rows of its agents: all of them need `cast_feelers`."""
+        """Return, for each query, its number and all rows of its agents: all of them need `cast_feelers`."""
         return list_query_rows(queries)
 
     def find_nearest_within(

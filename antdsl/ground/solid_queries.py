@@ -17,9 +17,9 @@ _ENTRY_REFINEMENTS = 5  # number of refinements: the interval with the entry is 
 
 
 def find_entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
-    """Return the share of each path from `start` to `end` before it first enters the solid. `end` lies in the solid.
+    """Return the fraction of each path from `start` to `end` before it first enters the solid. `end` is in the solid.
 
-    The share ends at the last sample in air. It is 0 if `start` is not in air."""
+    The fraction ends at the last sample in air. It is 0 if `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
     for _ in range(_ENTRY_REFINEMENTS):
         parts = free + long * (np.arange(_STEP_SAMPLES) / _STEP_SAMPLES)[:, None]

@@ -26,7 +26,7 @@ def move_by_rays(
     Crowd Simulation in Houdini, section 4.3.8). The text of that section prefers the longer ray, its pseudo-code the nearest hit.
     The longer ray would pass through every wall that ray 2 hits.
 
-    `position` is the ray's hit in float32, so it is slightly off its face. An agent without a hit stays and is `blocked`."""
+    `position` is the ray's hit in float32, so it is slightly off its face. An agent without a hit stays and `is_blocked`."""
     known = footing.face >= 0
     wish = np.where(np.isfinite(wish).all(axis=0) & known, wish, 0.0)
     place, length = ground.position(footing).T, np.sqrt(dot(wish, wish))

@@ -54,7 +54,7 @@ class CutPlane:
         per mm."""
         copied = deepcopy(volume)
         bricks = copied.bricks
-        nodes = bricks.origin[self.axis] + np.arange(bricks.nodes[self.axis]) * bricks.voxel
+        nodes = bricks.origin[self.axis] + np.arange(bricks.node_counts[self.axis]) * bricks.voxel
         depth = (nodes + offset[self.axis]) * scale - self.at
         depth = (-depth if self.cuts_below else depth) / scale
         low = depth.reshape(-1, BRICK_SIDE_NODES).max(axis=1) > bricks.min_distance  # layers of bricks that the plane changes

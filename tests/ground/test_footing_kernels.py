@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.creases import find_candidates, mark_rows_near
+from antdsl.ground.mesh.creases import find_candidates_near_rises, mark_rows_in_near_cells
 from antdsl.ground.mesh.footings import find_max_step_and_size, write_positions, write_sides
 
 N = 2000
@@ -83,7 +83,9 @@ def test_candidates_have_the_rung_of_their_reach() -> None:
     rung = np.frexp(np.clip(reach, width, largest))[1] - np.frexp(width)[1]
     for begin, end in ((0, 900), (900, N)):
         rows, rungs = np.full((2, N), -9)
-        at, count, bits = find_candidates(mesh, face, first, clearances, sizes, reach, width, largest, rows, rungs, begin, end)
+        at, count, bits = find_candidates_near_rises(
+            mesh, face, first, clearances, sizes, reach, width, largest, rows, rungs, begin, end
+        )
         expected = []
         for i in range(begin, end):
             number = first[mesh[i]] + face[i] if 0 <= mesh[i] < 2 and face[i] >= 0 and reach[i] > 0 else -1
@@ -98,7 +100,7 @@ def test_rows_are_near_by_the_cell_of_their_position() -> None:
     near, low, width = rng.random((5, 4, 7)) < 0.5, embed([-3.0, 10.0, 2.0], 1e3), 1.5
     place, rows, rungs = rng.uniform(-6, 20, (N, 3)), rng.permutation(N)[:500], rng.integers(-1, 3, 500)
     expected = rungs.copy()
-    mark_rows_near(rows, rungs, 1, place, low, width, near, 20, 480)
+    mark_rows_in_near_cells(rows, rungs, 1, place, low, width, near, 20, 480)
     cells = np.clip(np.floor((place[rows] - low) / width), 0, np.array(near.shape) - 1).astype(int)
     changed = 20 + np.flatnonzero(expected[20:480] == 1)
     expected[changed] = np.where(near[tuple(cells[changed].T)], -1, -2)

@@ -136,7 +136,9 @@ def bound(size: int) -> World:
 
 def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     waiting: list[int] = []
-    monkeypatch.setattr(walk_events.CrowdWalk, "continue_waiting", looked_at(walk_events.CrowdWalk.continue_waiting, waiting))
+    monkeypatch.setattr(
+        walk_events.CrowdWalk, "continue_waiting_agents", looked_at(walk_events.CrowdWalk.continue_waiting_agents, waiting)
+    )
     populations = []
     for marks in (True, False):
         world = bound(300)

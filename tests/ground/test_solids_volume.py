@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from antdsl.ground.solid import UnusableMesh, Volume, trilinear
-from antdsl.ground.solid.bricks import MASK64, compute_fill_steps, hash_nodes
+from antdsl.ground.solid.bricks import UINT64_MASK, compute_fill_steps, hash_nodes
 from antdsl.ground.solid_feelers import SolidFeelers
 
 Dig = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -32,8 +32,8 @@ def random_directions(n: int, seed: int = 1) -> np.ndarray:
 
 def nodes(solid: Volume) -> np.ndarray:
     """Where all nodes are."""
-    count = np.prod(solid.bricks.nodes)
-    return solid.low + np.stack(np.unravel_index(np.arange(count), solid.bricks.nodes), axis=1) * solid.voxel
+    count = np.prod(solid.bricks.node_counts)
+    return solid.low + np.stack(np.unravel_index(np.arange(count), solid.bricks.node_counts), axis=1) * solid.voxel
 
 
 def digging(n: int = 60, seed: int = 3) -> Dig:
@@ -113,7 +113,7 @@ def test_the_gradient_is_that_of_the_samples() -> None:
 def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> None:
     rng, solid = np.random.default_rng(1), ball(voxel=voxel)
     solid.carve_balls(rng.normal(size=(30, 3)) * 6, rng.uniform(1, 4, 30), np.arange(30))
-    dense, count = solid.bricks.to_dense().astype(np.float64), np.array(solid.bricks.nodes)
+    dense, count = solid.bricks.to_dense().astype(np.float64), np.array(solid.bricks.node_counts)
     points = rng.uniform(solid.low - 3, solid.high + 3, (20_000, 3))
     points[1000:3000] = solid.low + np.round((points[1000:3000] - solid.low) / voxel) * voxel  # at nodes
     at = np.clip((points - solid.bricks.origin) / voxel, 0, count - 1)
@@ -244,7 +244,7 @@ def test_the_order_of_digging_does_not_matter() -> None:
     first = a.carve_balls(centres, radii, owners)
     order = np.random.default_rng(5).permutation(len(radii))
     second = b.carve_balls(centres[order], radii[order], owners[order])
-    assert a.compute_digest() == b.compute_digest() and (a.bricks.steps == b.bricks.steps)
+    assert a.compute_digest() == b.compute_digest() and (a.bricks.volume_steps == b.bricks.volume_steps)
     per_owner = [np.bincount(o, r, len(radii)) for o, r in ((owners, first), (owners[order], second))]
     assert (per_owner[0] == per_owner[1]).all()
 
@@ -293,11 +293,11 @@ def test_digging_is_that_of_every_ball_at_every_node(voxel: float) -> None:
             np.bincount(first, np.where(new_distances > old_distances, lost, 0), len(order)) * solid.bricks.step_volume
         )
         assert np.array_equal(removed, expected) and (removed > 0).sum() > 10
-        i, j, k = np.unravel_index(np.arange(len(points)), solid.bricks.nodes)
+        i, j, k = np.unravel_index(np.arange(len(points)), solid.bricks.node_counts)
         brick = ((i >> 4) * solid.bricks.shape[1] + (j >> 4)) * solid.bricks.shape[2] + (k >> 4)
         number = (brick << 12) + ((i & 15) << 8) + ((j & 15) << 4) + (k & 15)
         change = (hash_nodes(number, new_distances) - hash_nodes(number, old_distances)).sum(dtype=np.uint64)
-        assert solid.bricks.node_hash_sum == (mark + int(change)) & MASK64
+        assert solid.bricks.node_hash_sum == (mark + int(change)) & UINT64_MASK
 
 
 def test_balls_without_sense_and_far_away_dig_nothing_and_great_ones_everything() -> None:
@@ -355,7 +355,7 @@ def test_a_state_of_something_else_is_refused() -> None:
 
 def test_memory_is_that_of_the_surface() -> None:
     solid = ball(60.0)
-    assert solid.nbytes < 0.6 * np.prod(solid.bricks.nodes) * 4
+    assert solid.nbytes < 0.6 * np.prod(solid.bricks.node_counts) * 4
     assert solid.sample(np.full((1, 3), np.nan)).shape == (1,)
 
 

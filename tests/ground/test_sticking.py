@@ -91,13 +91,13 @@ def test_agents_near_other_pieces_are_the_same_bits_for_any_threads(monkeypatch:
     monkeypatch.setattr(parallel, "count_available_cores", lambda: 8)
     hill, waiting = terrain(60.0, 20), []
     pieces = {"hill": hill, **{f"ball {k}": ball(4.0, (6.0 * k - 20.0, 0.0, 3.0 * k - 10.0), 12) for k in range(8)}}
-    on = walk_events.CrowdWalk.continue_waiting
+    on = walk_events.CrowdWalk.continue_waiting_agents
 
     def counted(self: walk_events.CrowdWalk, pending: walk_events.WaitingAgents, *arguments: Any) -> Any:
         waiting.append(pending.float_rows.shape[1])
         return on(self, pending, *arguments)
 
-    monkeypatch.setattr(walk_events.CrowdWalk, "continue_waiting", counted)
+    monkeypatch.setattr(walk_events.CrowdWalk, "continue_waiting_agents", counted)
     ends = []
     for threads in (1, 2, 7):
         ground, rng = MeshGround(pieces), np.random.default_rng(3)

@@ -217,8 +217,8 @@ def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
         face = rng.integers(0, len(corners), 2000)
         b1 = rng.random(2000)
         b2 = rng.random(2000) * (1 - b1)
-        n = parts.count[face]
-        part = parts.first[face] + np.minimum((b1 * n).astype(int), n - 1) * n + np.minimum((b2 * n).astype(int), n - 1)
+        n = parts.parts_per_edge[face]
+        part = parts.first_parts[face] + np.minimum((b1 * n).astype(int), n - 1) * n + np.minimum((b2 * n).astype(int), n - 1)
         clear = np.where(n > 0, parts.clearances[np.where(n > 0, part, 0)], parts.reach)
         a, b, c = (corners[face, k] for k in range(3))
         place = a + b1[:, None] * (b - a) + b2[:, None] * (c - a)

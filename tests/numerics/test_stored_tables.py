@@ -73,8 +73,8 @@ def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
         DistanceGrid(corners)._cell_bounds,
     ]
     other += [
-        parts.first,
-        parts.count,
+        parts.first_parts,
+        parts.parts_per_edge,
         parts.clearances,
         cells.get_nearest_cells(7),
         np.array(count_border_edges(MeshData(*mesh))),

@@ -263,10 +263,12 @@ def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:
     for k in range(STEPS // 2):
         turn, shift = 0.05 * k, np.array([0.3 * k, 0.0, -0.2 * k])
         spin = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
-        previous_axes = moving.axes(at.footing)
+        previous_axes = moving.compute_axes(at.footing)
         moving.pose_meshes({"block": mesh[0] @ spin.T + shift})
         heading, up = (
-            sum(axis * (was * v.T).sum(axis=0) for axis, was in zip(moving.axes(at.footing), previous_axes, strict=True)).T
+            sum(
+                axis * (was * v.T).sum(axis=0) for axis, was in zip(moving.compute_axes(at.footing), previous_axes, strict=True)
+            ).T
             for v in (at.heading, at.up)
         )
         heading = heading + np.cross(up, heading) * rng.normal(0, 0.3, (len(up), 1))
@@ -297,8 +299,8 @@ def test_faces_that_cut_each_other_are_known_and_no_others_are() -> None:
     near = np.flatnonzero(np.linalg.norm(corners.mean(axis=1) - [0.0, 12.0, 0.0], axis=1) < 16.0)
     for f in near:
         scene = RayScene(corners[f], np.arange(3, dtype=np.int32)[None])
-        known = table.cuts.of(np.array([f]))[1]
-        assert all(f in table.cuts.of(np.array([g]))[1] for g in known)
+        known = table.cuts.list_cutting_faces(np.array([f]))[1]
+        assert all(f in table.cuts.list_cutting_faces(np.array([g]))[1] for g in known)
         for k in range(3):
             edge = corners[near][:, [k, (k + 1) % 3]]
             hit, part, _, _ = scene.find_hits_along_step(edge[:, 0], edge[:, 1] - edge[:, 0])

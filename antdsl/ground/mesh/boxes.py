@@ -29,7 +29,7 @@ class BoxTree(NamedTuple):
     """The arrays of `FaceBoxes` for kernels."""
 
     triangle_order: Array1[I64]
-    first: Array1[I64]
+    level_starts: Array1[I64]
     bounds: Array2[F64]
 
 
@@ -41,7 +41,7 @@ class FaceList(NamedTuple):
 
 
 class BoxHit(NamedTuple):
-    """The first face on a path (-1 for none), the part of the path before it, and the corner weights of the hit."""
+    """The first face on a path (-1 for none), the fraction of the path before it, and the corner weights of the hit."""
 
     face: I64
     path_fraction: F64
@@ -53,12 +53,12 @@ class FaceBoxes:
     """A tree of boxes over triangles.
 
     - `triangle_order`: the triangles in the order of the smallest boxes, one triangle each
-    - `first`: level k has the boxes `first[k]` to `first[k + 1]` (exclusive); each holds `BOXES_PER_NODE` boxes of the level
-      below
-    - `bounds` (n, 6): of all boxes, the least x, y, z, then the greatest"""
+    - `level_starts`: level k has the boxes `level_starts[k]` to `level_starts[k + 1]` (exclusive); each holds `BOXES_PER_NODE`
+      boxes of the level below
+    - `bounds` (n, 6): the least x, y, z of each box, then the greatest"""
 
     triangle_order: Index
-    first: Index
+    level_starts: Index
     bounds: Floats
 
     @staticmethod
@@ -80,34 +80,37 @@ class FaceBoxes:
         """Update `bounds` after triangles moved. Triangles before `first_moved` in the order have not moved."""
         a, b, c = (vertices.take(faces[self.triangle_order[first_moved:], k], axis=0) for k in range(3))
         ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
-        self.bounds[first_moved : self.first[1]] = ends
-        for k in range(1, len(self.first) - 1):
+        self.bounds[first_moved : self.level_starts[1]] = ends
+        for k in range(1, len(self.level_starts) - 1):
             first_moved //= BOXES_PER_NODE
-            ends = self.bounds[self.first[k - 1] + BOXES_PER_NODE * first_moved : self.first[k]]
+            ends = self.bounds[self.level_starts[k - 1] + BOXES_PER_NODE * first_moved : self.level_starts[k]]
             ends = np.concatenate([ends, np.repeat(ends[-1:], -len(ends) % BOXES_PER_NODE, axis=0)]).reshape(
                 -1, BOXES_PER_NODE, 6
             )
-            rows = slice(self.first[k] + first_moved, self.first[k + 1])
+            rows = slice(self.level_starts[k] + first_moved, self.level_starts[k + 1])
             self.bounds[rows, :3], self.bounds[rows, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
 
     def to_box_tree(self) -> BoxTree:
         """Return the arrays for kernels."""
-        return BoxTree(self.triangle_order, self.first, self.bounds)
+        return BoxTree(self.triangle_order, self.level_starts, self.bounds)
 
     def find_overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
-        """Return pairs of a query box (3, k) and a triangle with a box that overlaps it."""
+        """Return the pairs of a query box and a triangle's box that overlap: the numbers of the query boxes, and of the
+        triangles.
+
+        `low`, `high` (3, k): the corners of the query boxes."""
         box_numbers, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
         if not self.triangle_order.size:
             return box_numbers[:0], node[:0]
-        for k in range(len(self.first) - 2, -1, -1):
-            bounds = self.bounds.take(self.first[k] + node, axis=0).T
+        for k in range(len(self.level_starts) - 2, -1, -1):
+            bounds = self.bounds.take(self.level_starts[k] + node, axis=0).T
             over = (bounds[0] <= high[0].take(box_numbers)) & (bounds[3] >= low[0].take(box_numbers))
             for axis in (1, 2):
                 over &= (bounds[axis] <= high[axis].take(box_numbers)) & (bounds[3 + axis] >= low[axis].take(box_numbers))
             box_numbers, node = box_numbers[over], node[over]
             if k:
                 node = (BOXES_PER_NODE * node[:, None] + np.arange(BOXES_PER_NODE)).ravel()
-                real = node < self.first[k] - self.first[k - 1]
+                real = node < self.level_starts[k] - self.level_starts[k - 1]
                 box_numbers, node = np.repeat(box_numbers, BOXES_PER_NODE)[real], node[real]
         return box_numbers, self.triangle_order.take(node)
 
@@ -126,7 +129,7 @@ def gather_faces(
     """Write the triangles with boxes that overlap a query box into `face_list`, and return their number.
 
     The query box contains the points `first_point` and `second_point`, and is `margin` mm larger. Triangles are given by
-    positions in the order of all triangles. `face` and the triangles of `piece` are left out."""
+    positions in the order of all triangles. `face` and the triangles of the piece `piece` are left out."""
     order, first, bounds = boxes
     numbers, behind = face_list
     count, waiting = 0, 0

@@ -29,13 +29,15 @@ _MAX_RELATIVE_DISTANCE = 0.1  # share of the size of the other pieces
 _DISTANCE_NOISE = 1e-4  # share of the ground's extent; exceeds the error of float32 distances
 _MAX_CELLS_PER_AXIS = 192  # cells along the longest side of a ground
 _SMOOTH_EDGE_COSINE = 0.7071067811865476  # cosine of the largest angle between faces at a smooth edge
-_MIN_BEND = np.radians(14.0)  # radians; a body on smoothed ground does not touch a smaller rise
-_MIN_WIDE_TURN = np.radians(5.0)  # radians; at an edge of a wide face that turns less, a body does not touch the ground
+_MIN_BEND_ANGLE = np.radians(14.0)  # radians; a body on smoothed ground does not touch a smaller rise
+_MIN_WIDE_FACE_TURN = np.radians(5.0)  # radians; at an edge of a wide face that turns less, a body does not touch the ground
 _BEND_RINGS = 2  # rings of faces around such an edge; smoothed normals are off the normals of all faces at its ends
-_WIDE_PER_BODY = 0.6  # body lengths; a face of this height has at most one edge below either half of a body
-_MAX_CURL = 0.84  # radians per body length; on ground that curves more, feet would turn faster than a body by default
+_WIDE_FACE_PER_BODY = 0.6  # body lengths; a face of this height has at most one edge below either half of a body
+_MAX_CURVATURE_PER_BODY = (
+    0.84  # radians per body length; on ground that curves more, feet would turn faster than a body by default
+)
 _NO_CELL = np.iinfo(np.int32).max
-_PLACES_PER_THREAD = 512  # fewer positions are not worth another thread
+_POSITIONS_PER_THREAD = 512  # fewer positions are not worth another thread
 _EXPONENT_BIAS = 1022  # offset from the exponent bits of a float64 to the exponent of np.frexp
 
 
@@ -57,40 +59,40 @@ def find_inner_creases(table: MeshTopology, corners: Floats) -> Index:
     return np.flatnonzero(is_crease)
 
 
-def sharp_edges(table: MeshTopology, corners: Floats) -> Index:
+def find_sharp_edges(table: MeshTopology, corners: Floats) -> Index:
     """Return the half-edges at which the ground turns by more than a smooth edge, up or down."""
-    half, cosine, _ = _edge_turns(table)
+    half, cosine, _ = _measure_edge_turns(table)
     return half[cosine < _SMOOTH_EDGE_COSINE]
 
 
-def bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index, NDArray[np.bool_]]:
-    """Return the half-edges at which a body of `size` mm may meet rising ground or must turn ahead of its feet, and which wide
-    faces are at or near an edge at which the ground turns, bool[m].
+def find_bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index, NDArray[np.bool_]]:
+    """Return the half-edges at which a body may meet rising ground or must turn ahead of its feet, and a mask bool[m] of faces.
 
-    A body crosses several narrow faces at once, so each of their edges counts even for a smaller turn."""
-    half, cosine, face = _edge_turns(table)
+    The mask has wide faces at or near an edge at which the ground turns. `size`: the size of the body (mm). A body crosses
+    several narrow faces at once, so each of their edges counts even for a smaller turn."""
+    half, cosine, face = _measure_edge_turns(table)
     length = np.sqrt(((corners[face, (half % 3 + 2) % 3] - corners[face, (half % 3 + 1) % 3]) ** 2).sum(axis=1))
     area = np.sqrt((np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) ** 2).sum(axis=1))
     height = np.full(len(corners), np.inf)
     np.minimum.at(height, face, area[face] / np.maximum(length, 1e-300))
-    reach = _WIDE_PER_BODY * size
+    reach = _WIDE_FACE_PER_BODY * size
     is_wide, height = height >= reach, np.minimum(height[face], height[table.link[0, half] >> 3])
-    turn = _MIN_BEND * np.minimum(height / reach, 1.0)
+    turn = _MIN_BEND_ANGLE * np.minimum(height / reach, 1.0)
     far = corners[table.link[0, half] >> 3, (table.link[0, half] >> 1) & 3].T - corners[face, (half % 3 + 1) % 3].T
     climbs = dot(table.normal.take(face, axis=1), far) > 0
     # Agents may stand on either side of a sheet: an edge that descends on one side rises on the other.
     climbs |= bool((table.link[0].reshape(-1, 3)[table.is_live] == NO_LINK).any())
     bends, wide = (cosine < elementary.cos(turn.astype(np.float32))) & climbs, height >= reach
-    curls = cosine < elementary.cos((_MAX_CURL * np.minimum(height / size, 1.0)).astype(np.float32))
+    curls = cosine < elementary.cos((_MAX_CURVATURE_PER_BODY * np.minimum(height / size, 1.0)).astype(np.float32))
     has_bend = np.zeros(len(corners), np.bool_)
-    has_bend[face[wide & (cosine < elementary.cos(np.float32(_MIN_WIDE_TURN)))]] = True
+    has_bend[face[wide & (cosine < elementary.cos(np.float32(_MIN_WIDE_FACE_TURN)))]] = True
     for _ in range(_BEND_RINGS):
         has_bend[face[has_bend[table.link[0, half] >> 3]]] = True
     return half[(bends & ~wide) | curls], has_bend & is_wide
 
 
-def _edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
-    """Return the half-edges with a link, the cosine of the ground's turn at each, and their faces."""
+def _measure_edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
+    """Return the half-edges with a link, the cosine of the angle between the two faces at each, and the face of each."""
     half = np.flatnonzero(table.link[0] != NO_LINK)
     face, link = half // 3, table.link[0, half]
     beyond = table.normal.take(link >> 3, axis=1) * np.where(link & 1, -1.0, 1.0)
@@ -98,10 +100,12 @@ def _edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
 
 
 class CreaseMap:
-    """A grid of the positions that have an inner crease, another piece or a face that cuts its own piece within reach.
+    """A grid of the positions near which there is an inner crease, another piece, or a face that cuts its own piece.
 
-    Input: `corners` float64[m,3,3] of the faces, the `table` of their topology, which faces to consider, and the half-edges that
-    count as creases."""
+    - `corners` float64[m,3,3]: the corners of the faces
+    - `table`: the topology of the faces
+    - `face_mask`: which faces to consider
+    - `half`: the half-edges that count as creases"""
 
     def __init__(self, corners: Floats, table: MeshTopology, face_mask: NDArray[np.bool_], half: Index) -> None:
         live = np.flatnonzero(table.is_live & face_mask)
@@ -116,7 +120,7 @@ class CreaseMap:
         self._inputs = (corners, table, face_mask, half)
 
     @cached_property
-    def _grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
+    def _crease_and_piece_grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
         """Return the cells that contain a crease. With several pieces, return also the least and the greatest piece in each
         cell."""
         corners, table, minded, half = self._inputs
@@ -143,16 +147,15 @@ class CreaseMap:
         return is_marked
 
     def find_rows_near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
-        """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. The result contains all rows
-        that have one.
+        """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. No row that has one is missing.
 
-        A rung is the exponent of 2 of a reach, counted from that of a cell. Rows of rung -1 count as near; others are tested by
-        the grid of their rung. `rung_bits` has a bit for each such rung. The result for a position and a reach does not depend on
-        the other queries."""
+        The rung of a reach is its binary exponent, counted from that of a cell. Rows of rung -1 count as near; others are tested
+        by the grid of their rung. `rung_bits` has a bit for each such rung. The result for a position and a reach does not depend
+        on the other queries."""
         for rung in range(rung_bits.bit_length()):
             if rung_bits >> rung & 1:
                 work = partial(
-                    mark_rows_near,
+                    mark_rows_in_near_cells,
                     rows,
                     rungs,
                     rung,
@@ -161,7 +164,7 @@ class CreaseMap:
                     self._width,
                     self._get_cells_within(self._lowest_rung + rung),
                 )
-                parallel.run_in_parts(work, len(rows), threads, _PLACES_PER_THREAD)
+                parallel.run_in_parts(work, len(rows), threads, _POSITIONS_PER_THREAD)
         is_near: NDArray[np.bool_] = rungs == -1
         return is_near
 
@@ -177,7 +180,7 @@ class CreaseMap:
 
     def _spread_cells(self, rings: int) -> stored_tables.Tables:
         """Return a mask of the cells within `rings` cells of a crease, another piece or a cut."""
-        sharp, *pieces = self._grids
+        sharp, *pieces = self._crease_and_piece_grids
         is_near: NDArray[np.bool_] = filter_maximum(sharp, rings) if sharp.any() else sharp
         if pieces:
             least, most = filter_minimum(pieces[0], rings), filter_maximum(pieces[1], rings)
@@ -186,7 +189,7 @@ class CreaseMap:
 
 
 def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return the result of `compute_slope_clearance`, stored for other runs."""
+    """Return the result of `compute_slope_clearance`. It is stored for later runs."""
     inputs = (corners, table.is_live, table.link, table.piece, table.cuts.is_cut, half)
     tables = stored_tables.get_or_compute(
         "clear of rises", len(corners), inputs, lambda: {"clear": compute_slope_clearance(corners, table, half)}
@@ -196,10 +199,10 @@ def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> F
 
 
 def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return, for each face, float64[m], a distance (mm) within which there is no crease, no other piece and no cut face.
+    """Return for each face, float64[m], a distance (mm) within which there is no crease, no other piece and no cut face.
 
-    `half`: the half-edges that are creases. It is 0 for cut faces, and infinite on ground without creases, other pieces and
-    cuts."""
+    `half`: the half-edges that are creases. The distance of a cut face is 0. It is infinite on ground without creases, other
+    pieces and cuts."""
     from scipy.spatial import cKDTree
 
     middle = corners.mean(axis=1)
@@ -220,7 +223,7 @@ def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -
     elif pieces.size > 1:
         distances = np.minimum(distances, _measure_piece_distance(corners, table.piece, pieces, middle, error))
     if cut.size:
-        distances = np.minimum(distances, _scene_of(corners[cut]).find_closest(middle)[3] - error)
+        distances = np.minimum(distances, _build_ray_scene(corners[cut]).find_closest(middle)[3] - error)
         distances[cut] = 0.0
     clear: Floats = np.maximum(distances, 0.0)
     return clear
@@ -250,7 +253,7 @@ def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle:
     bound = np.stack([_measure_box_distance(along, least, most) for least, most in zip(low, high, strict=True)])
     bound[np.searchsorted(pieces, piece[rows]), np.arange(rows.size)] = np.inf
     begin, best = bound.argmin(axis=0), np.full(rows.size, np.inf)
-    scenes = [_scene_of(corners[each]) for each in own]
+    scenes = [_build_ray_scene(corners[each]) for each in own]
     for first in (True, False):
         for k, scene in enumerate(scenes):
             chosen_rows = np.flatnonzero(begin == k if first else (begin != k) & (bound[k] < best))
@@ -259,13 +262,13 @@ def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle:
     return distances
 
 
-def _scene_of(corners: Floats) -> RayScene:
-    """Return a scene of rays of faces with these corners, float64[k,3,3]."""
+def _build_ray_scene(corners: Floats) -> RayScene:
+    """Return a scene of rays for faces with these corners, float64[k,3,3]."""
     return RayScene(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3))
 
 
 def _measure_box_distance(positions: Floats, low: Floats, high: Floats) -> Floats:
-    """Return the distance of positions (3, n) from a box; 0 inside."""
+    """Return the distance of positions (3, n) from the box with the corners `low` and `high`; 0 inside."""
     x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(positions, low, high, strict=True))
     away: Floats = np.sqrt(x * x + y * y + z * z)
     return away
@@ -274,8 +277,10 @@ def _measure_box_distance(positions: Floats, low: Floats, high: Floats) -> Float
 class SlopeMap:
     """Where a surface may rise ahead of agents on a ground.
 
-    Input: `corners` float64[m,3,3] of its faces, the `table` of their topology, for each moving mesh a mask bool[m] of its faces,
-    and the half-edges that count as creases."""
+    - `corners` float64[m,3,3]: the corners of the faces
+    - `table`: the topology of the faces
+    - a mask bool[m] of the faces of each moving mesh
+    - the half-edges that count as creases"""
 
     def __init__(self, corners: Floats, table: MeshTopology, moving_masks: Sequence[NDArray[np.bool_]], half: Index) -> None:
         still = np.ones(len(corners), np.bool_)
@@ -304,7 +309,7 @@ class SlopeMap:
             return np.empty(0, np.int64)  # no face has a rise within the reach
         rows, rungs = np.empty((2, len(reach)), np.int64)
         on = (mesh, face, first, self._face_clearances, self._face_sizes, reach, *self._crease_map.reach_range)
-        parts = parallel.run_in_parts(partial(find_candidates, *on, rows, rungs), len(reach), threads)
+        parts = parallel.run_in_parts(partial(find_candidates_near_rises, *on, rows, rungs), len(reach), threads)
         rows, rungs = parallel.join_parts(parts, rows, rungs)
         if not len(rows):
             return rows
@@ -322,7 +327,7 @@ def _compute_rung(reach: F64, width: F64, largest: F64) -> I64:
 
 
 @kernel
-def find_candidates(
+def find_candidates_near_rises(
     mesh: Array1[I32],
     face: Array1[I32],
     first: Array1[I64],
@@ -336,11 +341,11 @@ def find_candidates(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Write the rows of agents within `reach` of a rise, among `begin` to `end` (exclusive), and their rungs, from index `begin`
-    on.
+    """Write the rows of agents within `reach` of a rise, and their rungs. Agents `begin` to `end` (exclusive) are tested.
 
-    The rung is -1, or the rung of the reach for agents on a face larger than their reach. Returns `begin`, the number of these
-    agents, and the rungs of `CreaseMap` to query, as bits from the rung of `width` on."""
+    The arrays are written from index `begin` on. The rung is -1, or the rung of the reach for agents on a face larger than their
+    reach. Returns `begin`, the number of these agents, and the rungs of `CreaseMap` to query, as bits from the rung of `width`
+    on."""
     count, rung_bits = begin, 0
     lowest = _compute_rung(width, width, largest)
     for i in range(begin, end):
@@ -359,7 +364,7 @@ def find_candidates(
 
 
 @kernel
-def mark_rows_near(
+def mark_rows_in_near_cells(
     rows: Array1[I64],
     rungs: Array1[I64],
     rung: I64,
@@ -370,8 +375,9 @@ def mark_rows_near(
     begin: I64,
     end: I64,
 ) -> None:
-    """Replace `rung` by a result, for agents `begin` to `end` (exclusive): -1 for agents in a `is_near_slope` cell, -2 for
-    others."""
+    """Replace the rung `rung` in `rungs` by a result: -1 in a cell of the mask `is_near_slope`, -2 in other cells.
+
+    It applies to agents `begin` to `end` (exclusive)."""
     for k in range(begin, end):
         if rungs[k] != rung:
             continue

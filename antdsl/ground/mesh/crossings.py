@@ -22,9 +22,9 @@ from antdsl.ground.mesh.walkers import CutTables, FaceWalker, NearbySurfaces, Su
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, inlined, kernel_helper
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, clamp_weights, dot, fmax, load_vector, minus, plus, times
 
-OFF_FACE_TOUCHES = 16.0  # distance, in touch lengths, of feet from the face they left: more than the tolerance of its border
+MIN_TOUCHES_OFF_FACE = 16.0  # distance, in touch lengths, of feet from the face they left: more than the tolerance of its border
 MIN_SQUARED_CUT_SINE = 1e-6  # squared sine of the angle of a cut; limits how far feet are moved from a flat cut
-MAX_SLOPE_RUN = 1e3  # mm along a face per mm up, above which the face counts as level
+MAX_RUN_PER_RISE = 1e3  # mm along a face per mm up, above which the face counts as level
 
 
 @kernel_helper
@@ -57,14 +57,14 @@ def find_crossing(
             continue
         crossing_distance = min(max(begins / (begins - ends if begins != ends else 1.0), 0.0), 1.0) * length
         crossing_place = plus(place, times(direction, crossing_distance))
-        if not _is_within(table, row, crossing_place, 4 * touch) or not _leads_through(
+        if not _is_within_face(table, row, crossing_place, 4 * touch) or not _leads_through(
             table, link, f, side, other, begins, crossing_place, touch
         ):
             continue
         # Keep a distance from the surface that was left: otherwise the next step could not tell the side of the feet.
         # So the face that is first at that distance counts.
         leans = -dot(up, normal) / (towards if towards != 0 else 1.0)
-        late = crossing_distance + OFF_FACE_TOUCHES * touch * min(max(leans, -MAX_SLOPE_RUN), MAX_SLOPE_RUN)
+        late = crossing_distance + MIN_TOUCHES_OFF_FACE * touch * min(max(leans, -MAX_RUN_PER_RISE), MAX_RUN_PER_RISE)
         soonest = min(soonest, crossing_distance)
         if late < best or (late == best and other < face):
             face, best, best_distance = other, late, crossing_distance
@@ -74,14 +74,14 @@ def find_crossing(
     normal = load_vector(table, row + NORMAL_OFFSET)
     crossing_place, towards = plus(place, times(direction, best_distance)), dot(normal, direction)
     steep = minus(up, times(normal, dot(up, normal)))
-    off = times(steep, OFF_FACE_TOUCHES * touch / max(dot(steep, steep), MIN_SQUARED_CUT_SINE))
+    off = times(steep, MIN_TOUCHES_OFF_FACE * touch / max(dot(steep, steep), MIN_SQUARED_CUT_SINE))
     pieces, side_groups = around.sides
     back = pieces[f] == pieces[face] and side_groups[1 if side < 0 else 0, f] != side_groups[1 if towards > 0 else 0, face]
     if back or _is_blocked_by_third_sheet(table, cuts, face, f, crossing_place, off, touch):
         # Up to the distance that feet keep from the cutting face; in a corner, not at all.
         near = 0.0
         if back:
-            near = max(soonest - OFF_FACE_TOUCHES * touch / max(abs(towards), 1 / MAX_SLOPE_RUN), 0.0)
+            near = max(soonest - MIN_TOUCHES_OFF_FACE * touch / max(abs(towards), 1 / MAX_RUN_PER_RISE), 0.0)
         weights = _compute_landing_weights(table, ROW_FLOATS * f, plus(place, times(direction, near)))
         return SurfaceLanding(
             f, weights, (-1.0 if -dot(load_vector(table, ROW_FLOATS * f + NORMAL_OFFSET), up) > 0 else 1.0), near, 0.0, True
@@ -118,7 +118,7 @@ def _compute_landing_weights(table: Array1[F64], row: I64, place: Vec3) -> Trian
 
 
 @inlined
-def _is_within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
+def _is_within_face(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
     """Return whether a position in the plane of a face is in it, or outside by at most about `touch` mm."""
     c, s = _to_face_frame(table, row, place)
     rate1, rate2, shear = table[row + RATE1_OFFSET], table[row + RATE2_OFFSET], table[row + SHEAR_OFFSET]
@@ -141,8 +141,8 @@ def _find_lowest_corner_height(table: Array1[F64], face: I64, other: I64, sign: 
 def _leads_through(
     table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, start_height: F64, crossing_place: Vec3, touch: F64
 ) -> BOOL:
-    """Return whether a path continues behind another face's plane, or ends there. It reaches the plane from height
-    `start_height`, at `crossing_place`.
+    """Return whether a path continues beyond the plane of another face. It reaches the plane at `crossing_place`, from height
+    `start_height`.
 
     False if the current face only touches the other one and its neighbour folds back at that line, into a wedge without space."""
     sign = -1.0 if start_height < 0 else 1.0
@@ -178,5 +178,5 @@ def _is_blocked_by_third_sheet(
         begins = dot(normal, minus(place, load_vector(table, row + CORNER_OFFSET)))
         ends = begins + dot(normal, offset)
         is_touched = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
-        is_tight = is_tight or (is_touched and _is_within(table, row, place, 2 * OFF_FACE_TOUCHES * touch))
+        is_tight = is_tight or (is_touched and _is_within_face(table, row, place, 2 * MIN_TOUCHES_OFF_FACE * touch))
     return is_tight

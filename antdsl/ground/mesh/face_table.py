@@ -59,5 +59,5 @@ def pack_rows(packed_table: Floats, table: MeshTopology, mesh_of: NDArray[np.int
 
 
 def mark_border_links(packed_table: Floats, half: NDArray[np.int64], link: int) -> None:
-    """Write `link`, NO_LINK or OPEN, for some half-edges without a link into a packed table."""
+    """Write `link`, which is NO_LINK or OPEN_BORDER_LINK, for some half-edges without a link into a packed table."""
     packed_table.reshape(-1, ROW_FLOATS)[half // 3, EDGES_OFFSET + 4 * (half % 3) + EDGE_LINK] = link

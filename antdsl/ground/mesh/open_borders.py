@@ -46,7 +46,7 @@ def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale,
 def _select_open_borders(
     table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, reach: float, half: Index
 ) -> tuple[NDArray[np.bool_], int]:
-    """Return which of some half-edges are open borders, and the number of checked pairs.
+    """Return a mask of the half-edges `half` that are open borders, and the number of checked pairs.
 
     A pair is a half-edge and a face within `reach` mm of the half-edge's box."""
     face, k = half // 3, half % 3

@@ -26,7 +26,7 @@ _MAX_CELLS_PER_AXIS = 1 << 20  # along an axis
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelfCuts:
-    """Pairs of faces of the same piece that cut each other: face f and the faces `other[first[f]:first[f + 1]]`."""
+    """Pairs of faces of the same piece that cut each other. Face f is cut by `cutting_faces[first[f]:first[f + 1]]`."""
 
     first: Index
     cutting_faces: Index
@@ -36,8 +36,8 @@ class SelfCuts:
         """Return which faces are cut."""
         return np.diff(self.first) > 0
 
-    def of(self, face: Index) -> tuple[Index, Index]:
-        """Return all faces that cut the queried faces: the index of the queried face, and the number of the cutting face."""
+    def list_cutting_faces(self, face: Index) -> tuple[Index, Index]:
+        """Return all pairs of a queried face and a face that cuts it: the index in `face`, and the number of the cutting face."""
         count = np.diff(self.first).take(face)
         which = np.repeat(np.arange(face.size), count)
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)

@@ -54,12 +54,12 @@ def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s
 
 @inlined
 def get_clearance(clearances: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
-    """Return a distance (mm) around a position without any other piece; at most `reach`. See `FacePartClearances`."""
+    """Return a distance (mm) around the point of face `f` without any other piece; at most `reach`. See `FacePartClearances`."""
     n = clearances.parts_per_edge[f]
     if n == 0:
         return clearances.reach
     column, row = round_to_int(np.floor(weights[0] * n)), round_to_int(np.floor(weights[1] * n))
-    return clearances.clearances[clearances.first[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
+    return clearances.clearances[clearances.first_parts[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
 
 
 @inlined
@@ -136,7 +136,7 @@ def walk_stretches(
 
 @inlined
 def turn_along_border(edge: FaceDirection, direction: FaceDirection, left: F64) -> tuple[FaceDirection, F64]:
-    """Return the direction along an open border, and the distance left in that direction."""
+    """Return the direction along an open border, and the distance left in that direction. `left`: the distance left before."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0

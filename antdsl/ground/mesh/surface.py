@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import MeshArrays, RayScene
 from antdsl.ground.mesh import footings
 from antdsl.ground.mesh.boxes import FaceBoxes
-from antdsl.ground.mesh.creases import SlopeMap, bend_edges, find_inner_creases, sharp_edges
+from antdsl.ground.mesh.creases import SlopeMap, find_bend_edges, find_inner_creases, find_sharp_edges
 from antdsl.ground.mesh.surface_clearance import PieceClearances
 from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY, GroundScale
 from antdsl.ground.mesh.topology import MeshTopology, build_topology, find_facing_sides
@@ -113,7 +113,7 @@ class MeshGround:
     def find_path_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
         """Return which straight paths from `origin` [n,3] by `displacement` [n,3] hit a surface.
 
-        Return also the part of the path before the hit, and the footing at the hit."""
+        The other results are the fraction of the path before the hit, and the footing at the hit."""
         part, face = self._cast_steps(np.asarray(origin, np.float64).T, np.asarray(displacement, np.float64).T, threads)
         is_hit = face >= 0
         place = origin.T + displacement.T * np.where(is_hit, part, 0.0)
@@ -126,7 +126,7 @@ class MeshGround:
     def find_hit_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
         """Return the numbers, ascending, of straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
 
-        Return also the part of the path before the hit, and the face's unit normal (3, k), by its winding."""
+        The other results are the fraction of the path before the hit, and the face's unit normal (3, k), by its winding."""
         scene, live = self._get_ray_scene(None)
         return scene.find_hit_normals(origin, displacement, self._topology.normal, live, threads)
 
@@ -203,10 +203,11 @@ class MeshGround:
     def mark_bends(
         self, footing: Footing, place: Floats, size: Floats, levels: NDArray[np.uint8], threads: int = 1
     ) -> NDArray[np.bool_]:
-        """Write how the ground bends around agents of `size` [n] mm at positions [n,3] into `levels`.
+        """Write how the ground bends around agents of `size` [n] mm at positions [n,3] into `levels`. Return a mask of wide
+        faces.
 
         The level is 2 within 1.6 body lengths of a sharp edge, another piece, a cut or a moving mesh. It is 1 for other agents
-        within 0.9 body lengths of narrow faces that rise or curve much, and 0 for all others. Return which wide faces are
+        within 0.9 body lengths of narrow faces that rise or curve much, and 0 for all others. The mask bool[m] has the wide faces
         at or near an edge at which the ground turns."""
         part, power = np.frexp(max(float(np.fmax.reduce(size, initial=0.0)), 1e-6))
         rung = float(np.ldexp(np.ceil(part * 8) / 8, power))  # rounded, so that tables exist for a few sizes only
@@ -214,8 +215,8 @@ class MeshGround:
         if rung not in self._bends:
             corners = self._vertices[self._faces]
             if self._sharp is None:
-                self._sharp = SlopeMap(corners, self._topology, own, sharp_edges(self._topology, corners))
-            half, has_bend = bend_edges(self._topology, corners, rung)
+                self._sharp = SlopeMap(corners, self._topology, own, find_sharp_edges(self._topology, corners))
+            half, has_bend = find_bend_edges(self._topology, corners, rung)
             self._bends[rung] = SlopeMap(corners, self._topology, own, half) if half.size else None, has_bend
         moving = [(low, high) for _, low, high in self.list_moving_boxes()]
         narrow, has_bend = self._bends[rung]
@@ -227,7 +228,8 @@ class MeshGround:
         return has_bend
 
     def list_moving_boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
-        """Return the moving meshes at their current position: mask of their faces, lowest and highest corner."""
+        """Return for each moving mesh, at its current position: a mask of its faces, and the lowest and highest corner of its
+        box."""
         return []
 
     def to_world_vectors(self, face: Index, c: Floats, s: Floats) -> Floats:
@@ -274,7 +276,7 @@ class MeshGround:
         distances, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
         results = (*to, place, above, ahead, along, distances, blocked)
-        self._get_walk_tables().with_parts(parts, self._box_tree, self._scale).step(
+        self._get_walk_tables().combine_with_clearances(parts, self._box_tree, self._scale).step(
             body, at, (wish, heading_t, up_t), results, threads, stop_at_borders
         )
         return GroundMove(moved, place.T, above.T, ahead.T, along.T, distances, blocked, moved.face < 0)
@@ -304,7 +306,9 @@ class MeshGround:
     # ---- parts
 
     def _cast_steps(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
-        """Return the part of the step at which each ray (3, k) hits (infinite for no hit), and the face over all meshes (-1)."""
+        """Return the fraction of the step at which each ray (3, k) hits, and the number of the face over all meshes.
+
+        Without a hit they are infinite and -1."""
         scene, live = self._get_ray_scene(None)
         which, t, mesh, local = scene.find_hits_along_step(origin.T, step.T, threads)
         part, face = np.full(origin.shape[1], np.inf), np.full(origin.shape[1], -1, np.int64)

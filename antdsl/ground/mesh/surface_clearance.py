@@ -28,13 +28,14 @@ class FacePartClearances:
     """Faces cut into parts, and the distance of each part from other pieces.
 
     - `reach`: the largest distance (mm) that is distinguished
-    - `count`: face f has `count[f]` by `count[f]` parts along its first and second edge; 0 if no other piece is within `reach`
-    - `first`: the number of the first part of each face
+    - `first_parts`: the number of the first part of each face
+    - `parts_per_edge`: face f has `parts_per_edge[f]` by `parts_per_edge[f]` parts along its first and second edge; 0 if no other
+      piece is within `reach`
     - `clearances`: a distance (mm) around each part without any other piece"""
 
     reach: float
-    first: Index
-    count: NDArray[np.int32]
+    first_parts: Index
+    parts_per_edge: NDArray[np.int32]
     clearances: Floats
 
 

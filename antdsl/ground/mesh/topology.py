@@ -31,8 +31,9 @@ _FLOAT_COLUMNS = tuple(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshTopology:
-    """Tables over all faces. Vectors are (3, m), so that each component is contiguous.
+    """Tables over all m faces. Vectors are (3, m), so that each component is contiguous.
 
+    - `is_live`: whether a face is ground. `weld` (m, 3): the number of each corner by position.
     - A point of face f is `corner + b1 * edge1 + b2 * edge2`.
     - `axis1`, `axis2`, `normal`: the frame of a face. A direction (c, s) in it changes b1 by `c * rate1 - s * shear` and b2 by `s
       * rate2`.
@@ -40,7 +41,9 @@ class MeshTopology:
       k+1 to k+2.
     - `link[side, 3f+k]`: the neighbour across half-edge 3f+k, or NO_LINK, for an agent on the side of the normal (0) or the other
       side (1). A link is 8 times the neighbouring face, plus twice the corner opposite its half-edge, plus one if that face has
-      opposite winding."""
+      opposite winding.
+    - `piece`: the connected piece of each face; `side_groups` (2, m): the group of each side of a face.
+    - `smooth` (9, m): the smooth normals at the three corners."""
 
     is_live: NDArray[np.bool_]
     corner: Floats
@@ -145,7 +148,7 @@ def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice
 
 
 def _compute_shape_arrays(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_]) -> dict[str, Floats]:
-    """Return all arrays of a table that depend on corner positions, by the names in _FLOATS."""
+    """Return all arrays of a table that depend on corner positions, by the names in _FLOAT_COLUMNS."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     edge1, edge2 = b - a, c - a
     across = np.cross(edge1, edge2)

@@ -63,7 +63,7 @@ AGENT_ROW, FACE_ROW, CROSSINGS_ROW, HOPS_ROW, BLOCKED_ROW, IS_NEAR_ROW, EVENT_RO
 LEFT_OUT_STATUS, FINISHED_STATUS, WAITING_STATUS = range(
     3
 )  # state of an agent after the first loop; other callers leave agents out, for `walk_all`
-PREFETCH_EIGHTS = 2  # number of groups of eight agents between a prefetch and its use
+PREFETCH_GROUPS_AHEAD = 2  # number of groups of eight agents between a prefetch and its use
 PREFETCH_GROUP_SIZE = 64  # agents with rows prefetched together; they fit into the first-level cache
 
 
@@ -118,12 +118,12 @@ def walk_agent(
 
 
 @inlined
-def compact_waiting(
+def compact_waiting_agents(
     statuses: Array1[U8], float_rows: Array2[F64], integer_rows: Array2[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
     """Return how many of the agents `begin` to `end` (exclusive) wait, and how many are left out.
 
-    The columns of `float_rows` and `integer_rows` of waiting agents are moved together, from column `begin` on."""
+    The columns of waiting agents in `float_rows` and `integer_rows` are moved next to each other, from column `begin` on."""
     waiting, left = 0, 0
     for k in range(begin, end):
         if statuses[k] == WAITING_STATUS:
@@ -179,13 +179,13 @@ def walk_all(
             walk = walk_agent(surface, clearances, False, f, weights, overs[i], body[i], step, look, above_it)
             if walk.stop.event:
                 statuses[i] = WAITING_STATUS
-                store_waiting(float_rows, integer_rows, i, body[i], walk)
+                store_waiting_agent(float_rows, integer_rows, i, body[i], walk)
                 continue
             # No edge leads to another mesh.
             store_footing(end_footings, i, mesh[i], walk.walker.face - first[mesh[i]], walk.height, walk.walker)
             poses.travelled[i] = walk.progress.travelled
             _store_pose(poses, i, compute_final_pose(surface.table, walk.walker, walk.height))
-    waiting, left = compact_waiting(statuses, float_rows, integer_rows, begin, end)
+    waiting, left = compact_waiting_agents(statuses, float_rows, integer_rows, begin, end)
     return begin, waiting, left
 
 
@@ -208,7 +208,7 @@ def continue_walks(
     table, first, boxes = surface.table, surface.first, piece_tables.boxes
     face_list = FaceList(
         piece_tables.buffer,
-        compute_buffer_index(begin, piece_tables.count, piece_tables.buffer_count) * boxes.triangle_order.size,
+        compute_buffer_index(begin, piece_tables.agent_count, piece_tables.buffer_count) * boxes.triangle_order.size,
     )
     around = NearbySurfaces(piece_tables.sides, boxes, piece_tables.length_tolerances, face_list)
     for k in range(begin, end):
@@ -326,7 +326,7 @@ def _compute_search_margin(noise: F64, body: F64) -> F64:
 
 
 @kernel_helper
-def store_waiting(float_rows: Array2[F64], integer_rows: Array2[I64], i: I64, body: F64, walk: AgentWalk) -> None:
+def store_waiting_agent(float_rows: Array2[F64], integer_rows: Array2[I64], i: I64, body: F64, walk: AgentWalk) -> None:
     """Record an agent that waits. If it has followed borders, their number and the fact that it is blocked are recorded too."""
     high, over, walker, progress, stop = walk
     integer_rows[AGENT_ROW, i], integer_rows[HOPS_ROW, i], integer_rows[BLOCKED_ROW, i], integer_rows[IS_NEAR_ROW, i] = (

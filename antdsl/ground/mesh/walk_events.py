@@ -25,7 +25,9 @@ _WAITING_PER_THREAD = 16  # fewer waiting agents are not worth another thread
 
 @dataclass(frozen=True, slots=True)
 class WaitingAgents:
-    """Agents that wait after the first loop: their floats and integers, one column each, and the number of agents left out."""
+    """Agents that wait after the first loop. `float_rows`, `integer_rows`: their values, one column per agent.
+
+    `left_out_count`: the number of agents that are left out."""
 
     float_rows: Floats
     integer_rows: NDArray[np.int64]
@@ -39,7 +41,7 @@ class WaitingAgents:
 
 
 class WalkTables:
-    """Input of the loops: the `table` of faces, the mesh int32[m] of each face, the first face of each mesh, and the packed
+    """The tables of a walk: the `table` of faces, the mesh int32[m] of each face, the first face of each mesh, and the packed
     table."""
 
     def __init__(self, table: MeshTopology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
@@ -59,8 +61,8 @@ class WalkTables:
             mark_border_links(self.packed_table, self._open_half_edges, NO_LINK)
         pack_rows(self.packed_table, self.table, self._mesh, faces)
 
-    def with_parts(self, parts: FacePartClearances, boxes: FaceBoxes, scale: GroundScale) -> CrowdWalk:
-        """Return the walk with `parts`, the distances to other surfaces."""
+    def combine_with_clearances(self, parts: FacePartClearances, boxes: FaceBoxes, scale: GroundScale) -> CrowdWalk:
+        """Return the walk over these tables with clearances `parts`, the tree `boxes` and the tolerances of `scale`."""
         return CrowdWalk(self, parts, boxes, scale)
 
     def build_crowd_walk(
@@ -79,13 +81,14 @@ class WalkTables:
             self._last_crowd_walk,
         )
         if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
-            known = self._last_crowd_walk = self.with_parts(parts, boxes, scale)
+            known = self._last_crowd_walk = self.combine_with_clearances(parts, boxes, scale)
         return known
 
 
 @dataclass(frozen=True, slots=True)
 class CrowdWalk:
-    """A `walk` with `parts` (distances to other surfaces), `boxes` (their locations) and a `scale` (tolerances)."""
+    """A walk of a crowd. `walk`: the tables of faces. `parts`: distances to other surfaces. `boxes`: their locations. `scale`:
+    tolerances."""
 
     walk: WalkTables
     parts: FacePartClearances
@@ -97,7 +100,7 @@ class CrowdWalk:
         walk, parts = self.walk, self.parts
         surface = walkers.SurfaceTables(walk.packed_table, walk.table.link, walk.table.has_forked_edges, walk.first)
         return surface, walkers.ClearanceTables(
-            parts.first, parts.count, parts.clearances, parts.reach, self.scale.distance_noise
+            parts.first_parts, parts.parts_per_edge, parts.clearances, parts.reach, self.scale.distance_noise
         )
 
     def step(
@@ -109,17 +112,18 @@ class CrowdWalk:
         threads: int,
         stop_at_borders: bool,
     ) -> None:
-        """Move agents with wish, heading and up (3, n) from footings `start` to the result arrays `results`. With
-        `stop_at_borders`, paths end at open borders."""
+        """Make one step of agents. `start`: the arrays of their footings. `vectors`: wish, heading and up (3, n).
+
+        `results`: the arrays that receive the results. With `stop_at_borders`, paths end at open borders."""
         n = body.size
         how = np.empty(n, np.uint8)
         placed, moved, blocked = walkers.FootingArrays._make(results[:5]), walkers.PoseArrays._make(results[5:10]), results[10]
         reals, wholes = np.empty((loop.FLOAT_ROW_COUNT, n)), np.empty((loop.INTEGER_ROW_COUNT, n), np.int64)
         work = partial(loop.walk_all, *self.build_tables(), start, body, vectors, reals, wholes, how, placed, moved)
         waiting = WaitingAgents.merge_parts(parallel.run_in_parts(work, n, threads), reals, wholes)
-        self.continue_waiting(waiting, how, placed, moved, blocked, threads, stop_at_borders)
+        self.continue_waiting_agents(waiting, how, placed, moved, blocked, threads, stop_at_borders)
 
-    def continue_waiting(
+    def continue_waiting_agents(
         self,
         waiting_agents: WaitingAgents,
         statuses: NDArray[np.uint8],
@@ -129,8 +133,9 @@ class CrowdWalk:
         threads: int,
         stop_at_borders: bool = False,
     ) -> NDArray[np.int64]:
-        """Move waiting agents to footings `footings` and poses `poses`, and mark those that are `is_blocked`; return their
-        rows."""
+        """Complete the step of waiting agents, and return their rows.
+
+        `footings`, `poses`: receive the results. `is_blocked`: receives whether each agent is blocked."""
         reals, wholes = waiting_agents.float_rows, waiting_agents.integer_rows
         rows: NDArray[np.int64] = wholes[loop.AGENT_ROW]
         if not rows.size:

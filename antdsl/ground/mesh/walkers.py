@@ -13,7 +13,7 @@ FaceDirection = tuple[F64, F64]  # cosine and sine in the frame of a face
 
 
 class SurfaceTables(NamedTuple):
-    """Tables of faces for a walk: the packed table, `link` and `has_forked_edges` of the topology, and the first face of each
+    """Tables of faces for a walk: the packed table, `link` and `has_forked_edges` of the topology, and the `first` face of each
     mesh."""
 
     table: Array1[F64]
@@ -23,11 +23,11 @@ class SurfaceTables(NamedTuple):
 
 
 class ClearanceTables(NamedTuple):
-    """Distances to other pieces, as in `FacePartClearances`.
+    """Distances to other pieces: the arrays of `FacePartClearances`.
 
     An agent searches for pieces within its path, plus EYE_HEIGHT_PER_BODY times its body, plus `distance_noise`."""
 
-    first: Array1[I64]
+    first_parts: Array1[I64]
     parts_per_edge: Array1[I32]
     clearances: Array1[F64]
     reach: F64
@@ -96,9 +96,10 @@ class WalkStop(NamedTuple):
 
 
 class SurfaceLanding(NamedTuple):
-    """The face on which an agent continues (-1 for none).
+    """The face on which an agent continues (-1 for none), with the weights of the landing point and the side of the face.
 
-    Also its weights, its side, its distance and height, and whether the agent stops there."""
+    `distance`, `height`: the distance to the landing point and its height over the current face (mm). `ends_walk`: whether the
+    agent stops there."""
 
     face: I64
     weights: TriangleWeights
@@ -112,7 +113,7 @@ class PieceTables(NamedTuple):
     """The tables for a search of other pieces.
 
     - `buffer`: `buffer_count` parts, each with space for all faces
-    - `count`: the number of agents"""
+    - `agent_count`: the number of agents"""
 
     sides: SideGroups
     cuts: CutTables
@@ -120,7 +121,7 @@ class PieceTables(NamedTuple):
     length_tolerances: LengthTolerances
     buffer: Array1[I64]
     buffer_count: I64
-    count: I64
+    agent_count: I64
 
 
 class FootingArrays(NamedTuple):

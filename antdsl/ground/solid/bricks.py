@@ -19,7 +19,7 @@ BRICK_SIDE_NODES = 16  # nodes along the edge of a brick
 BRICK_NODES = BRICK_SIDE_NODES**3
 AIR_SLOT, SOLID_SLOT = 0, 1  # slots shared by many bricks
 FILL_STEPS_PER_VOXEL = 256  # steps between an empty and a full voxel
-MASK64 = (1 << 64) - 1
+UINT64_MASK = (1 << 64) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,12 @@ class UnusableMesh:
 
 @dataclass(slots=True)
 class BrickGrid:
-    """Distances of a solid's nodes. Node (i, j, k) lies at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...).
+    """Distances of a solid's nodes. Node (i, j, k) is at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...).
 
     - `table`: the slot of each brick
     - `values` float32[slots * 4096]: the distances of each slot's nodes, the last axis fastest, limited to `min_distance` ..
       `max_distance`
+    - `volume_steps`, `start_volume_steps`: the solid volume now and before digging, in steps of `step_volume`
 
     All nodes of the outermost layer are air. So a point outside the grid has the distance of the nearest point in the grid."""
 
@@ -48,7 +49,7 @@ class BrickGrid:
     table: NDArray[np.int32]  # one slot per brick, flat
     values: NDArray[np.float32]  # may have capacity for more slots than are used
     used_slots: int  # number of slots in use
-    steps: int = 0
+    volume_steps: int = 0
     start_volume_steps: int = 0
     needs_meshing: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # whether each brick must be meshed again
     original_values: dict[int, Distances | None] = field(
@@ -58,14 +59,14 @@ class BrickGrid:
     start_digest: bytes = b""  # digest of the start
 
     @property
-    def nodes(self) -> tuple[int, int, int]:
+    def node_counts(self) -> tuple[int, int, int]:
         """Return the number of nodes along each axis."""
         a, b, c = self.shape
         return a * BRICK_SIDE_NODES, b * BRICK_SIDE_NODES, c * BRICK_SIDE_NODES
 
     @property
     def step_volume(self) -> float:
-        """Return the volume of one step, mm³, rounded to 16 binary digits: any number of steps times this volume is exact."""
+        """Return the volume of one volume step, mm³. It is rounded to 16 binary digits, so that its multiples are exact."""
         fraction, exponent = np.frexp(self.voxel**3 / FILL_STEPS_PER_VOXEL)
         return float(np.ldexp(np.round(np.ldexp(fraction, 16)), int(exponent) - 16))
 
@@ -79,13 +80,13 @@ class BrickGrid:
         """Return the distances of all nodes, float32[x, y, z]."""
         pool = self.values[: self.used_slots * BRICK_NODES].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES)
         blocks = pool[self.table.reshape(self.shape)]
-        return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
+        return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.node_counts))
 
     def record_start(self) -> None:
         """Measure the solid volume and store it as the start value."""
         used = self.values[: self.used_slots * BRICK_NODES]
         filled = compute_fill_steps(used, self.voxel).reshape(-1, BRICK_NODES).sum(axis=1, dtype=np.int64)
-        self.steps = self.start_volume_steps = int(filled.take(self.table).sum())
+        self.volume_steps = self.start_volume_steps = int(filled.take(self.table).sum())
         self.needs_meshing = np.zeros(self.table.size, bool)
         self.mark_for_meshing(np.flatnonzero(self.table >= 2))
         hasher = sha256(
@@ -123,8 +124,8 @@ class BrickGrid:
     # ---- keeping
 
     def compute_digest(self) -> bytes:
-        """Return a digest that is equal for equal distances, in whichever slots the bricks are. It costs almost nothing."""
-        counts = np.array([self.node_hash_sum, self.steps], np.uint64)
+        """Return a digest that is equal for equal distances, also if the bricks are in other slots. It costs almost nothing."""
+        counts = np.array([self.node_hash_sum, self.volume_steps], np.uint64)
         return sha256(self.start_digest + counts.tobytes()).digest()
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -133,7 +134,7 @@ class BrickGrid:
         return {
             "bricks": bricks,
             "values": self.values.reshape(-1, BRICK_NODES)[self.table[bricks]],
-            "steps": np.array(self.steps, np.int64),
+            "steps": np.array(self.volume_steps, np.int64),
             "start": np.frombuffer(self.start_digest, np.uint8).copy(),
         }
 
@@ -154,10 +155,10 @@ class BrickGrid:
         pool = self.values.reshape(-1, BRICK_NODES)
         slots = self.table[bricks]
         nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(BRICK_NODES)
-        self.node_hash_sum = int((hash_nodes(nodes, values) - hash_nodes(nodes, pool[slots])).sum(dtype=np.uint64)) & MASK64
+        self.node_hash_sum = int((hash_nodes(nodes, values) - hash_nodes(nodes, pool[slots])).sum(dtype=np.uint64)) & UINT64_MASK
         pool[slots] = values
         self.original_values = {brick: was for brick, was in self.original_values.items() if brick in set(bricks.tolist())}
-        self.steps = int(arrays["steps"])
+        self.volume_steps = int(arrays["steps"])
 
     def mark_for_meshing(self, bricks: Index) -> None:
         """Mark changed bricks for meshing. The bricks before them are marked too, because their last cells reach into the changed
@@ -186,8 +187,9 @@ def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
 
 
 def compute_fill_steps(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
-    """Return how full the voxel around each node is, 0 .. 256. It is half full at the surface, and empty or full from half a
-    voxel away."""
+    """Return the solid share of the voxel around each node, in steps of 1/256: 0 .. 256.
+
+    It is half at the surface, and 0 or 256 from half a voxel away."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)
     steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(FILL_STEPS_PER_VOXEL)).astype(
         np.int32

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.solid.bricks import AIR_SLOT, BRICK_NODES, BRICK_SIDE_NODES, FILL_STEPS_PER_VOXEL, MASK64, BrickGrid
+from antdsl.ground.solid.bricks import AIR_SLOT, BRICK_NODES, BRICK_SIDE_NODES, FILL_STEPS_PER_VOXEL, UINT64_MASK, BrickGrid
 from antdsl.machine_code.kernels import F32, F64, I32, I64, U32, U64, Array1, Array2, inlined, kernel
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ class ChangedNodes:
 
     - `nodes`: brick * 4096 + index in the brick
     - `values`: the new distances
-    - `balls`: the balls"""
+    - `balls`: the number of the ball"""
 
     nodes: Index
     values: Distances
@@ -63,7 +63,7 @@ def carve_balls(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index
         bricks.prepare_bricks(np.flatnonzero(changed))
         at = (bricks.table.take(brick).astype(np.int64) << 12) + (reached.nodes & (BRICK_NODES - 1))
         lost = _write_changes(bricks, at, reached, len(order))
-        bricks.steps -= int(lost.sum())
+        bricks.volume_steps -= int(lost.sum())
         removed[order] = lost * bricks.step_volume
     return removed
 
@@ -74,10 +74,10 @@ def _select_balls(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[In
     reach = (radii - bricks.min_distance) / bricks.voxel
     with np.errstate(invalid="ignore"):
         meets = np.isfinite(local).all(axis=1) & np.isfinite(radii) & (radii > 0)
-        meets &= ((local > -reach[:, None] - 1) & (local < np.array(bricks.nodes) + reach[:, None] + 1)).all(axis=1)
+        meets &= ((local > -reach[:, None] - 1) & (local < np.array(bricks.node_counts) + reach[:, None] + 1)).all(axis=1)
     rows = np.flatnonzero(meets)
     # Limited to the width of the grid, for a ball of any size.
-    return rows, np.ceil(np.minimum(reach[rows], 2.0 * max(bricks.nodes))).astype(np.int64)
+    return rows, np.ceil(np.minimum(reach[rows], 2.0 * max(bricks.node_counts))).astype(np.int64)
 
 
 def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> ChangedNodes:
@@ -131,14 +131,14 @@ def _carve_small_balls(bricks: BrickGrid, centres: Floats, radii: Floats, rows: 
 
 
 def _write_changes(bricks: BrickGrid, value_indices: Index, changed_nodes: ChangedNodes, count: int) -> Index:
-    """Store the maximum of the new distances in each node. Return the number of volume steps that each ball removed."""
+    """Store the maximum of the old and the new distances in each changed node. Return the volume steps that each ball removed."""
     old_values = bricks.values.take(value_indices)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * value_indices.size - 1).bit_length(), -1, np.int32)
     bits = (changed_nodes.values.view(np.uint32), old_values.view(np.uint32))
     changes = (changed_nodes.nodes, changed_nodes.values, changed_nodes.balls)
     bricks.node_hash_sum += write_changes(bricks.values, value_indices, changes, old_values, bits, 1.0 / bricks.voxel, best, lost)
-    bricks.node_hash_sum &= MASK64
+    bricks.node_hash_sum &= UINT64_MASK
     return lost
 
 
@@ -198,7 +198,7 @@ def write_changes(
     removed_steps: Array1[I64],
 ) -> U64:
     """Store the greatest new value at each index `value_indices`. Add to `removed_steps` the volume steps that each ball removed.
-    Return the change of the bricks' mark.
+    Return the change of `node_hash_sum`.
 
     - `bits`: the bits of the new distances and of the `old_values`
     - `strongest_rows`: a hash table of row numbers; its size is a power of two, and all entries are -1 at the start"""

@@ -87,7 +87,10 @@ def iterate_nodes_near(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
 
 
 def _select_projected_inside(projected_points: Floats, t: Index, u: Index, v: Index) -> Index:
-    """Return the indices of the points that are over their triangle (k, 3, 2), or near its outline."""
+    """Return the indices of points that are over their triangle, or near its outline.
+
+    `projected_points` (k, 3, 2): the corners of triangles in a plane. `t`, `u`, `v`: the triangle and the coordinates of each
+    point."""
     inside = np.ones(t.size, bool)
     turn = np.sign(
         (projected_points[:, 1, 0] - projected_points[:, 0, 0]) * (projected_points[:, 2, 1] - projected_points[:, 0, 1])
@@ -152,7 +155,10 @@ class _DistanceField:
     def _compute_nearer_distances(
         self, nodes: list[Index], triangle: NDArray[np.integer], only_unmeasured: bool
     ) -> tuple[Index, Distances, NDArray[np.integer]]:
-        """Return array positions, distances and triangles of nodes in the bricks. See `measure`."""
+        """Return the array positions, distances and triangles of those nodes that are in the bricks.
+
+        With `only_unmeasured`, nodes that have a distance to a close triangle are left out. Otherwise distances above
+        EXACT_DISTANCE_VOXELS are left out."""
         x, y, z = nodes
         nx, ny, nz = self._shape
         inside = (x >= 0) & (x < nx * 16) & (y >= 0) & (y < ny * 16) & (z >= 0) & (z < nz * 16)

@@ -35,14 +35,14 @@ def to_brick_tables(bricks: BrickGrid) -> tuple[Any, ...]:
 def sample_distances(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> Floats:
     """Return the signed distance at positions (mm)."""
     signed_distances = np.empty(len(x))
-    write_distances(to_brick_tables(bricks), _contiguous_columns(x, y, z), signed_distances)
+    write_distances(to_brick_tables(bricks), _make_columns_contiguous(x, y, z), signed_distances)
     return signed_distances
 
 
 def sample_with_gradients(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the signed distance at positions (mm), and its gradient."""
+    """Return the signed distance at positions (mm), and the x, y and z of its gradient."""
     d, gx, gy, gz = np.empty((4, len(x)))
-    write_distance_and_gradient(to_brick_tables(bricks), _contiguous_columns(x, y, z), d, (gx, gy, gz))
+    write_distance_and_gradient(to_brick_tables(bricks), _make_columns_contiguous(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
 
 
@@ -60,7 +60,7 @@ def sample_smooth_gradients(
     ]
 
 
-def _contiguous_columns(*columns: Floats) -> list[Floats]:
+def _make_columns_contiguous(*columns: Floats) -> list[Floats]:
     """Return columns in the form that kernels need: contiguous in memory, all of one type."""
     return [np.ascontiguousarray(c, np.float64) for c in columns]
 
@@ -111,10 +111,10 @@ def _clamp_to_node(place: F64, low: F64, inverse_voxel: F64, nodes: I64) -> tupl
 def load_cell_corners(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[tuple[F64, F64, F64, F64], tuple[F64, F64, F64, F64], Vec3]:
-    """Return the values at the corners of the cell that contains a point, four and four, and the point's position in the cell, 0
-    .. 1.
+    """Return the values at the corners of the cell that contains a point, and the point's position in the cell, 0 .. 1.
 
-    A point outside the grid, or with NaN, counts as on the border of the grid."""
+    The first four values are at the lower x, the next four at the upper x. A point outside the grid, or with NaN, counts as on
+    the border of the grid."""
     over = 1.0 / grid[3]
     i, fx = _clamp_to_node(p[0], grid[0], over, grid[4] * 16)
     j, fy = _clamp_to_node(p[1], grid[1], over, grid[5] * 16)
@@ -182,8 +182,7 @@ class SurfacePoints:
 
 
 def project_to_surface(bricks: BrickGrid, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
-    """Project points onto the surface, as `Volume.project_to_surface`. If there is no result, the point and its hint are
-    returned."""
+    """Project points onto the surface, as `Volume.project_to_surface`. Without a result, the point and its hint are returned."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, is_in_reach = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)

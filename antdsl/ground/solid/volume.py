@@ -66,7 +66,7 @@ class Volume:
     @property
     def high(self) -> Floats:
         """Return the highest corner of the grid, float64[3] mm."""
-        return self.bricks.origin + (np.array(self.bricks.nodes) - 1) * self.bricks.voxel
+        return self.bricks.origin + (np.array(self.bricks.node_counts) - 1) * self.bricks.voxel
 
     # ---- asking
 
@@ -81,7 +81,7 @@ class Volume:
         return self.sample_with_gradients(points)[1]
 
     def sample_with_gradients(self, points: Floats) -> tuple[Distances, Distances]:
-        """Return the results of `sample` and `gradient`, for little more than the cost of one."""
+        """Return the results of `sample` and `sample_gradients`, for little more than the cost of one."""
         distance, *gradient = trilinear.sample_with_gradients(self.bricks, *_split_columns(points))
         return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
 
@@ -117,12 +117,12 @@ class Volume:
 
     def measure_volume(self) -> float:
         """Return the solid volume in mm³. Each voxel counts in steps of 1/256, by the depth of its node."""
-        return self.bricks.steps * self.bricks.step_volume
+        return self.bricks.volume_steps * self.bricks.step_volume
 
     @property
     def removed_volume(self) -> float:
         """Return the volume dug so far, mm³."""
-        return (self.bricks.start_volume_steps - self.bricks.steps) * self.bricks.step_volume
+        return (self.bricks.start_volume_steps - self.bricks.volume_steps) * self.bricks.step_volume
 
     # ---- showing
 

@@ -94,7 +94,7 @@ def _find_near_bricks(bricks: BrickGrid, corners: Floats) -> Index:
 
 
 def _fill_distances(bricks: BrickGrid, shell: TriangleShell, near_bricks: Index, corners: Floats) -> None:
-    """Write the distances of the bricks near the surface, and the signs of all bricks."""
+    """Write the distances of the nodes in bricks near the surface. Set all other bricks to air or undug solid."""
     flags, inside = compute_brick_signs(shell, bricks.shape, near_bricks)
     away = compute_node_distances(bricks.shape, near_bricks, corners, _OUTER_BAND_VOXELS).reshape(-1, BRICK_NODES)
     np.minimum(away, np.float32(_OUTER_BAND_VOXELS), out=away)

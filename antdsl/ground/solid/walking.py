@@ -141,15 +141,15 @@ def _prefetch_cells(
 
 
 class WalkResult(NamedTuple):
-    """The result of an agent's steps: position, normal, direction, travelled distance, and whether the agent is blocked or
+    """The result of an agent's steps: position, normal, direction, distance travelled (mm), and whether the agent is blocked or
     lost."""
 
     place: Vec3
     normal: Vec3
     direction: Vec3
     length: F64
-    blocked: BOOL
-    lost: BOOL
+    is_blocked: BOOL
+    is_lost: BOOL
 
 
 @kernel_helper
@@ -233,10 +233,10 @@ def _project_to_surface(
     tolerance: F64,
 ) -> tuple[Vec3, Vec3, F64]:
     """Project the end of a path of `length` from `p`, a point on the zero level. Return the projected point, the gradient and the
-    distance.
+    signed distance there.
 
     The method is Newton's. Where the gradient jumps between cells, as at a sharp edge, Newton steps may oscillate and never
-    converge. But just below the start is solid, and just above it is air. So the surface lies between the point and one of these
+    converge. But just below the start is solid, and just above it is air. So the surface is between the point and one of these
     two points."""
     voxel = grid[3]
     far = (p[0] + direction[0] * length, p[1] + direction[1] * length, p[2] + direction[2] * length)

@@ -277,7 +277,7 @@ def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
 
 def _solid_versions(world: World) -> list[int]:
     """Return a number for each solid that changes when the solid is dug."""
-    return [volume.bricks.steps for volume in world.solids.values()]
+    return [volume.bricks.volume_steps for volume in world.solids.values()]
 
 
 def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags, point: Index | None = None) -> CrossableGround:

@@ -310,7 +310,7 @@ class _CrowdSubstep:
         above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
         (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
         placed, moved = get_footing_arrays(footing), PoseArrays(place, above, ahead, direction, distance)
-        rows = walk.continue_waiting(waiting_agents, statuses, placed, moved, blocked, self.threads)
+        rows = walk.continue_waiting_agents(waiting_agents, statuses, placed, moved, blocked, self.threads)
         if waiting_agents.left_out_count:
             others = np.flatnonzero(statuses != loop.FINISHED_STATUS)
             result = GroundMove(footing, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))

@@ -136,7 +136,9 @@ def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp
         return vectors
     footing = population.footing.take_on_meshes(np.arange(len(population))[rows][on])
     turned = _rotate_vectors(
-        ground.compute_rest_axes(footing), ground.axes(footing), np.stack([np.asarray(v, np.float64)[on] for v in vectors])
+        ground.compute_rest_axes(footing),
+        ground.compute_axes(footing),
+        np.stack([np.asarray(v, np.float64)[on] for v in vectors]),
     )
     turned_vectors = vec.copy(vectors)
     for component, value in zip(turned_vectors, turned, strict=True):
@@ -157,7 +159,7 @@ def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] 
     standing = population.footing.take_on_meshes(np.arange(len(population))[rows][on])
     rest_points = np.stack([np.asarray(p, np.float64)[on] for p in positions])
     away = _rotate_vectors(
-        ground.compute_rest_axes(standing), ground.axes(standing), rest_points - ground.compute_rest_positions(standing).T
+        ground.compute_rest_axes(standing), ground.compute_axes(standing), rest_points - ground.compute_rest_positions(standing).T
     )
     current_positions = vec.copy(positions)
     for component, value in zip(current_positions, ground.position(standing).T + away, strict=True):
@@ -176,13 +178,13 @@ def _find_riders(ground: MovingGround | None, population: Population) -> tuple[N
     if ground is None:
         return np.empty(0, np.intp), None
     rows = ground.find_rows_on_moving(population.footing.mesh)
-    return rows, ground.axes(population.footing.take_on_meshes(rows))
+    return rows, ground.compute_axes(population.footing.take_on_meshes(rows))
 
 
 def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: FaceAxes) -> None:
     """Move and rotate agents with their face after the ground has moved: position, up, heading and velocity."""
     footing = population.footing.take_on_meshes(rows)
-    next_axes = ground.axes(footing)
+    next_axes = ground.compute_axes(footing)
     now = population.now
     turned = {
         name: _rotate_vectors(previous_axes, next_axes, _read_vectors(population, name, rows))

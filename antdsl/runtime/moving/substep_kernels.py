@@ -13,12 +13,12 @@ from antdsl.ground.mesh.stretches import compute_final_pose
 from antdsl.ground.mesh.walk import (  # fmt: skip
     FINISHED_STATUS,
     LEFT_OUT_STATUS,
-    PREFETCH_EIGHTS,
+    PREFETCH_GROUPS_AHEAD,
     WAITING_STATUS,
-    compact_waiting,
+    compact_waiting_agents,
     prefetch_faces,
     store_footing,
-    store_waiting,
+    store_waiting_agent,
     walk_agent,
 )
 from antdsl.ground.mesh.walkers import ClearanceTables, FootingArrays, SurfaceTables
@@ -138,9 +138,9 @@ def walk_triangles(
     mesh, face, b1s, b2s, overs = footing
     first, step, how = surface.first, arrival.step, pending_walks.statuses
     registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
-    for group in range(begin - 8 * PREFETCH_EIGHTS, end, 8):
+    for group in range(begin - 8 * PREFETCH_GROUPS_AHEAD, end, 8):
         # Columns need explicit prefetches: there are more than a processor prefetches automatically.
-        k = group + 8 * PREFETCH_EIGHTS
+        k = group + 8 * PREFETCH_GROUPS_AHEAD
         for columns in (arrival.velocity, step, *registers, arrival.limits):
             for each in columns:
                 prefetch(each, k)
@@ -153,7 +153,9 @@ def walk_triangles(
             prefetch(each, 3 * k + 16)
         for each in (mesh, face):
             prefetch(each, k + 64)
-        prefetch_faces(surface, mesh, face, max(group + 8 * PREFETCH_EIGHTS, begin), min(group + 8 * PREFETCH_EIGHTS + 8, end))
+        prefetch_faces(
+            surface, mesh, face, max(group + 8 * PREFETCH_GROUPS_AHEAD, begin), min(group + 8 * PREFETCH_GROUPS_AHEAD + 8, end)
+        )
         for i in simd_range(max(group, begin), min(group + 8, end)):
             how[i] = LEFT_OUT_STATUS
             if mesh[i] < 0 or face[i] < 0:
@@ -168,7 +170,7 @@ def walk_triangles(
             walk = walk_agent(surface, clearances, True, f, weights, overs[i], long, displacement, look, up)
             if walk.stop.event:
                 how[i] = WAITING_STATUS
-                store_waiting(pending_walks.float_values, pending_walks.integer_values, i, np.float64(size[i]), walk)
+                store_waiting_agent(pending_walks.float_values, pending_walks.integer_values, i, np.float64(size[i]), walk)
                 continue
             how[i] = FINISHED_STATUS
             # No edge connects two meshes.
@@ -177,7 +179,7 @@ def walk_triangles(
             for k in range(3):
                 place[k, i] = pose.place[k]
             update_arrived_agent(i, pose, walk.stop.followed_borders > 0, arrival)
-    waiting, left = compact_waiting(how, pending_walks.float_values, pending_walks.integer_values, begin, end)
+    waiting, left = compact_waiting_agents(how, pending_walks.float_values, pending_walks.integer_values, begin, end)
     return begin, waiting, left
 
 
