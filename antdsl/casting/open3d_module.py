@@ -38,7 +38,7 @@ def load_open3d() -> Any:
     try:
         import open3d
     except (ImportError, OSError) as problem:
-        raise ImportError(_describe_load_failure(str(problem))) from problem
+        raise ImportError(_describe_load_failure(str(problem)), name="open3d") from problem
     return open3d
 
 
@@ -56,4 +56,4 @@ def require_open3d() -> None:
 
     The check itself is fast. Open3D is slow to import, and may be needed only late in a run."""
     if find_spec("open3d") is None:
-        raise ImportError(_describe_load_failure("the package is not installed"))
+        raise ImportError(_describe_load_failure("the package is not installed"), name="open3d")

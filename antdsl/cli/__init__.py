@@ -41,7 +41,14 @@ from antdsl.cli.commands import (  # noqa: E402
     test,
 )
 from antdsl.cli.commands.manual import docs  # noqa: E402
-from antdsl.cli.exits import CommandError, ExitCode, find_machine_failure, limit_threads, make_failure_error  # noqa: E402
+from antdsl.cli.exits import (  # noqa: E402
+    CommandError,
+    ExitCode,
+    find_machine_failure,
+    limit_threads,
+    make_failure_error,
+    make_missing_package_error,
+)
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 
 
@@ -232,6 +239,9 @@ def _run_command_line() -> int:
     except Exception as problem:
         if (cause := find_machine_failure(problem)) is not None:
             end = make_failure_error(cause)
+            print(end.message, end.hint, sep="\n", file=sys.stderr)
+            return end.code
+        if (end := make_missing_package_error(problem)) is not None:
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
         from antdsl.machine_code.llvm_compiler import MachineCodeUnavailable

@@ -173,6 +173,18 @@ def make_failure_error(problem: OSError | MemoryError, operation: str = "", retr
     return CommandError(ExitCode.INPUT_OUTPUT, words, f"{describe_recovery(problem)} {retry_advice}")
 
 
+def make_missing_package_error(problem: Exception) -> CommandError | None:
+    """Return the exception that ends a command for which a required package is missing. None for any other problem."""
+    from antdsl.packages import INSTALL_ADVICE, find_missing_distribution
+
+    if (distribution := find_missing_distribution(problem)) is not None:
+        words = f"error: this command needs the package {distribution}, which is not installed"
+        return CommandError(ExitCode.INPUT_OUTPUT, words, INSTALL_ADVICE)
+    if isinstance(problem, ImportError) and problem.name == "open3d":  # installed, but the system lacks a library
+        return CommandError(ExitCode.INPUT_OUTPUT, f"error: {problem}", "`antdsl doctor` lists everything that is missing")
+    return None
+
+
 def limit_threads() -> None:
     """Limit threads if the address space of this process is limited. The linear algebra library of NumPy, not loaded yet,
     reserves memory for each thread, and ends the process if it gets none. Raises CommandError if the limit is too low even for

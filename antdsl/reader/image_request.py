@@ -74,6 +74,8 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], max_pixels
         )
         return _check_image_answer(answer, request_document["modes"], max_pixels)
     except ReadRefusal as error:
+        if error.code == "missing-extra":
+            raise ImageError(str(error), error.help) from None
         raise ImageError(f"cannot be read as {format} ({error})", "export the image again") from None
     except client.ReaderFailure as error:
         raise ImageError(str(error), error.help) from None

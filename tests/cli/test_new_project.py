@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
@@ -16,16 +17,19 @@ import commands
 import pytest
 import yaml
 from children import child_environment
+from packaging.requirements import Requirement
 
 from antdsl import __version__
 from antdsl.cli import COMMANDS
 from antdsl.cli.commands.new import TEMPLATE_FILES, read_template_file
+from antdsl.packages import DISTRIBUTION_BY_MODULE, LIGHT_PACKAGES
 
 ROOT = Path(__file__).resolve().parents[2]
 FILE = {name: read_template_file(name) for name in TEMPLATE_FILES}
 WORKFLOW: dict[Any, Any] = yaml.safe_load(FILE[".github/workflows/antdsl.yml"])
 HOOKS: list[dict[str, Any]] = yaml.safe_load(FILE[".pre-commit-config.yaml"])["repos"][0]["hooks"]
-STEPS: list[dict[str, Any]] = WORKFLOW["jobs"]["crowd"]["steps"]
+STEPS: list[dict[str, Any]] = [step for job in WORKFLOW["jobs"].values() for step in job["steps"]]
+DISTRIBUTIONS = {"pyyaml": "yaml"}  # modules with another name than their distribution, of the light installation
 LINES = [line for step in STEPS for line in step.get("run", "").splitlines()]
 OURS = [line for line in LINES if line.startswith("antdsl ")]
 
@@ -102,8 +106,9 @@ def test_the_workflow_fails_on_errors(project: Path, tmp_path: Path) -> None:
 
 def test_a_step_after_a_failed_one_runs_and_files_are_those_that_are_written() -> None:
     """GitHub passes over the steps after one that failed, unless they say otherwise."""
-    first = next(n for n, step in enumerate(STEPS) if step.get("run", "").startswith("antdsl"))
-    assert all(step.get("if") == "always()" for step in STEPS[first + 1 :])
+    for job in WORKFLOW["jobs"].values():
+        first = next(n for n, step in enumerate(job["steps"]) if step.get("run", "").startswith("antdsl"))
+        assert all(step.get("if") == "always()" for step in job["steps"][first + 1 :])
     written = " ".join(OURS)
     for step in STEPS:
         for key in ("sarif_file", "path"):
@@ -116,6 +121,52 @@ def test_a_step_after_a_failed_one_runs_and_files_are_those_that_are_written() -
     assert "pip wheel --no-deps --wheel-dir wheels" in FILE["README.md"] and "/wheels" not in FILE[".gitignore"]
     for line in LINES:
         assert line in OURS or re.match(r"(pip install|sudo apt-get update)", line), line
+
+
+def make_light_command(target: str) -> str:
+    """The line of the light installation, with the bounds of `pyproject.toml`."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    bounds = [*project["dependencies"], *project["optional-dependencies"]["lsp"]]
+    requirements = [f'"{text}"' for name in LIGHT_PACKAGES for text in bounds if Requirement(text).name == name]
+    assert len(requirements) == len(LIGHT_PACKAGES)
+    return f"pip install {' '.join(requirements)} && pip install --no-deps {target}"
+
+
+def test_the_light_installation_is_the_same_everywhere() -> None:
+    assert make_light_command('"$ANTDSL"') in LINES
+    assert make_light_command(f"wheels/antdsl-{__version__}-py3-none-any.whl") in (ROOT / "docs" / "install.md").read_text(
+        "utf-8"
+    )
+    action_steps = yaml.safe_load((ROOT / "action.yml").read_text("utf-8"))["runs"]["steps"]
+    action_lines = [step["run"] for step in action_steps if "run" in step]
+    assert make_light_command('"$GITHUB_ACTION_PATH"') in action_lines
+    assert [line.split()[1] for line in action_lines if line.startswith("antdsl ")] == ["fmt", "check", "test"]
+
+
+def test_the_light_installation_checks_formats_and_names_missing_packages(project: Path, tmp_path: Path) -> None:
+    """Every required package that the light installation lacks cannot be imported."""
+    absent = sorted(set(DISTRIBUTION_BY_MODULE) - {DISTRIBUTIONS.get(name, name) for name in LIGHT_PACKAGES})
+    assert {"open3d", "scipy", "PIL", "llvmlite"} <= set(absent)
+    script = f"import sys; sys.modules.update(dict.fromkeys({absent})); from antdsl.cli import main; main()"
+
+    def run_light(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-P", "-c", script, *arguments]
+        return subprocess.run(command, cwd=project, env=child_environment(), capture_output=True, text=True, timeout=100)
+
+    for words in (["check", ".", "--strict"], ["fmt", "--check", "."], ["new", str(tmp_path / "other")], ["examples"]):
+        result = run_light(*words)
+        assert result.returncode == 0, (words, result.stderr)
+    for words in (["run", "scene.yaml"], ["test", "."], ["render", "out/scene"], ["info", "out/scene"]):
+        result = run_light(*words)
+        assert result.returncode == 3, (words, result.stderr)
+        assert re.fullmatch(
+            r"error: this command needs the package \S+, which is not installed\n.*`pip install antdsl`\n", result.stderr
+        )
+
+
+def test_the_hooks_of_this_repository_are_those_of_new_projects() -> None:
+    own = yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text("utf-8"))
+    assert own == [hook | {"language": "python"} for hook in HOOKS]
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "safe_read", "source_hash", "atomic_write", "child_processes",
-    "user_folders",
+    "user_folders", "packages",
     "cpu_budget", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
@@ -30,7 +30,7 @@ ROOMS = (
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
 GROUND = frozenset(["source", "diagnostics", "limits", "resources", "safe_read", "source_hash", "atomic_write", "child_processes",
-                    "user_folders",
+                    "user_folders", "packages",
                     "cpu_budget"])  # fmt: skip
 # A list of the tree's node types, one after the other, is read as one thing.
 LONG = frozenset(["syntax/nodes.py"])

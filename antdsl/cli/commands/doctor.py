@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
+from antdsl.packages import DISTRIBUTION_BY_MODULE
 
-REQUIRED_PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "skimage", "open3d")
-_DISTRIBUTION_NAMES = {"yaml": "pyyaml", "PIL": "pillow", "skimage": "scikit-image"}
 OPTIONAL_PACKAGES = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
     "pxr": "sets and bodies in USD files: pip install 'antdsl[usd]'",
@@ -27,8 +26,9 @@ def doctor() -> None:
     problems: list[str] = []
     _check_python(problems)
     _check_system_libraries(problems)
-    for package in REQUIRED_PACKAGES:
-        _check_package(package, problems)
+    for module, distribution in DISTRIBUTION_BY_MODULE.items():
+        if module != "llvmlite":  # the check of machine code reports it
+            _check_package(module, distribution, problems)
     for package, purpose in OPTIONAL_PACKAGES.items():
         _check_optional_package(package, purpose)
     _check_machine_code(problems)
@@ -67,26 +67,25 @@ def _check_system_libraries(problems: list[str]) -> None:
         problems.append(f"as root: apt-get install -y {' '.join(missing)}")
 
 
-def _check_package(package: str, problems: list[str]) -> None:
+def _check_package(module: str, distribution: str, problems: list[str]) -> None:
     from importlib import import_module
 
     from antdsl.casting.open3d_module import load_open3d
 
-    display_name = _DISTRIBUTION_NAMES.get(package, package)
     try:
-        if package == "open3d":
+        if module == "open3d":
             load_open3d()
         else:
-            import_module(package)
+            import_module(module)
     except Exception as problem:  # a broken binary package can raise anything
-        _print_check(display_name, False, f"{type(problem).__name__}: {problem}"[:160])
+        _print_check(distribution, False, f"{type(problem).__name__}: {problem}"[:160])
         problems.append(
-            f"pip install {display_name}"
-            if package != "open3d"
+            f"pip install {distribution}"
+            if module != "open3d"
             else "pip install open3d-cpu (Linux x86-64) or open3d, after the system libraries"
         )
         return
-    _print_check(display_name, True, _find_installed_version(display_name))
+    _print_check(distribution, True, _find_installed_version(distribution))
 
 
 def _find_installed_version(name: str) -> str:

@@ -1,0 +1,28 @@
+"""The packages that antdsl requires, by the module that each provides, and the advice for one that is missing.
+
+The light installation (`docs/ci.md`) has only the packages of LIGHT_PACKAGES. It checks and formats programs, and answers
+editors; all other commands name the package that they need."""
+
+from __future__ import annotations
+
+from typing import Final
+
+DISTRIBUTION_BY_MODULE: Final = {
+    "numpy": "numpy", "scipy": "scipy", "lark": "lark", "pydantic": "pydantic", "yaml": "pyyaml", "typer": "typer",
+    "rich": "rich", "pygments": "pygments", "trimesh": "trimesh", "mapbox_earcut": "mapbox_earcut", "PIL": "pillow",
+    "skimage": "scikit-image", "open3d": "open3d", "llvmlite": "llvmlite",
+}  # fmt: skip
+LIGHT_PACKAGES: Final = ("lark", "pydantic", "pyyaml", "typer", "rich", "pygments", "numpy", "pygls")
+INSTALL_ADVICE: Final = "install antdsl with everything it needs: `pip install antdsl`"
+
+
+def find_missing_distribution(problem: BaseException) -> str | None:
+    """Return the distribution that an exception, or one of its causes, found missing. None for any other exception."""
+    while isinstance(problem, ImportError):
+        module = (problem.name or "").split(".")[0]
+        if isinstance(problem, ModuleNotFoundError) and module in DISTRIBUTION_BY_MODULE:
+            return DISTRIBUTION_BY_MODULE[module]
+        if problem.__cause__ is None:
+            return None
+        problem = problem.__cause__
+    return None
