@@ -41,6 +41,13 @@ def cache_folder() -> Path:
     return home_folder() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
 
 
+def config_folder() -> Path:
+    """Return the folder in which programs of this user read their settings. Raises OSError without a home folder."""
+    if sys.platform == "win32":
+        return _find_local_app_data()
+    return home_folder() / ("Library/Application Support" if sys.platform == "darwin" else ".config")
+
+
 def state_folder() -> Path:
     """Return the folder in which programs of this user store data that must survive a restart. Raises OSError without a home
     folder."""

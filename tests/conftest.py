@@ -48,6 +48,8 @@ for variable in ("ANTDSL_NATIVE_CACHE", "ANTDSL_TABLE_CACHE"):
         os.environ[variable] = tempfile.mkdtemp(prefix="antdsl-code-") if can_sign() else ""
         atexit.register(shutil.rmtree, os.environ[variable], ignore_errors=True)
 
+os.environ.setdefault("ANTDSL_DEFAULTS", "")  # the options of tests are those that they write
+
 # Times mean nothing here: the machine may be slow or busy.
 settings.register_profile("few", max_examples=40, deadline=None)
 settings.register_profile("many", max_examples=2000, deadline=None)

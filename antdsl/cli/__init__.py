@@ -41,6 +41,7 @@ from antdsl.cli.commands import (  # noqa: E402
     test,
 )
 from antdsl.cli.commands.manual import docs  # noqa: E402
+from antdsl.cli.defaults_file import run_with_defaults  # noqa: E402
 from antdsl.cli.exits import (  # noqa: E402
     CommandError,
     ExitCode,
@@ -224,7 +225,7 @@ def _run_command_line() -> int:
         try:
             _require_utf8_arguments(sys.argv[1:])
             _require_flag_order(sys.argv[1:])
-            app(standalone_mode=True, prog_name="antdsl")
+            run_with_defaults(app)
         except SystemExit as leave:
             return leave.code if isinstance(leave.code, int) else ExitCode.SUCCESS
         return ExitCode.SUCCESS
