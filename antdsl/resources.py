@@ -42,8 +42,10 @@ def find_library_file(name: str) -> Path | None:
 
 
 def list_example_names() -> tuple[str, ...]:
-    """Return the names of the examples, sorted. Each is a folder with scenes."""
-    return tuple(sorted({path.parent.name for path in _locate_folder("examples").glob("*/*.yaml")}))
+    """Return the names of the examples, sorted; those of the lessons are `learn/NAME`. Each is a folder with scenes."""
+    folder = _locate_folder("examples")
+    scenes = (*folder.glob("*/*.yaml"), *folder.glob("learn/*/*.yaml"))
+    return tuple(sorted({path.parent.relative_to(folder).as_posix() for path in scenes}))
 
 
 def example_file(name: str) -> Path:

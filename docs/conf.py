@@ -28,8 +28,8 @@ def add_contents(app: Sphinx, page: str, source: list[str]) -> None:
     if page.startswith("docs/codes/") and not page.endswith("README"):
         source[0] = f"---\norphan: true\n---\n{source[0]}"
     for group in source[0].split("\n## ")[1:] if page == root_doc else ():
-        links = dict.fromkeys(re.findall(r"\]\(([\w./]+)\.md\)", group))
-        entries = [f"/{posixpath.normpath(posixpath.join('docs', link))}" for link in links]
+        links = re.findall(r"\[([^\]]+)\]\(([\w./]+)\.md\)", group)
+        entries = [f"{text[0].upper()}{text[1:]} </{posixpath.normpath(posixpath.join('docs', link))}>" for text, link in links]
         source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {group.splitlines()[0]}", *entries, "```", ""])
 
 

@@ -11,14 +11,16 @@ import pytest
 from antdsl.cli.commands.new import DEFAULT_TEMPLATE, EXAMPLE_BY_TEMPLATE, TEMPLATE_FILES
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = sorted(path.name for path in (ROOT / "examples").iterdir() if path.is_dir())
+FOLDERS = sorted(path.name for path in (ROOT / "examples").iterdir() if path.is_dir())
+LESSONS = [f"learn/{path.name}" for path in sorted((ROOT / "examples" / "learn").iterdir()) if path.is_dir()]
+NAMES = sorted([name for name in FOLDERS if name != "learn"] + LESSONS)
 
 
 def test_all_examples_are_listed_with_a_description_and_shipped(tmp_path: Path) -> None:
     lines = commands.run("examples", cwd=tmp_path).stdout.splitlines()
     assert [line.split()[0] for line in lines[:-1]] == NAMES and all(len(line.split()) > 5 for line in lines[:-1])
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
-    assert {f"examples/{name}" for name in NAMES} <= wheel["force-include"].keys()
+    assert {f"examples/{name}" for name in FOLDERS} <= wheel["force-include"].keys()
 
 
 def test_an_example_is_copied_without_results_of_runs(tmp_path: Path) -> None:

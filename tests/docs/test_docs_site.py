@@ -11,12 +11,12 @@ from pathlib import Path
 
 import commands
 import pytest
-from sphinx.application import Sphinx
 
 from antdsl.cli.commands.manual import docs
 
+sphinx = pytest.importorskip("sphinx.application")
 ROOT = Path(__file__).resolve().parents[2]
-GROUPS = ["How-to", "Reference", "Explanation", "Project"]
+GROUPS = ["Learn", "How-to", "Reference", "Explanation", "Gallery", "Project"]
 BROKEN_LINK = re.compile(r'class="[^"]*(?:problematic|system-message)')
 
 
@@ -24,7 +24,7 @@ BROKEN_LINK = re.compile(r'class="[^"]*(?:problematic|system-message)')
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     warnings = StringIO()
-    Sphinx(ROOT, ROOT / "docs", folder / "site", folder / "trees", "html", status=None, warning=warnings).build()
+    sphinx.Sphinx(ROOT, ROOT / "docs", folder / "site", folder / "trees", "html", status=None, warning=warnings).build()
     assert warnings.getvalue() == ""
     return folder / "site"
 
