@@ -69,7 +69,7 @@ class Notes:
         for fact in self._picks.sample(self.facts, count):
             [answer] = explainer.explain([(fact.species, fact.agent)], fact.frame)
             assert answer is not None
-            shot = self.session.timeline.at(fact.frame - 1).shot
+            shot = self.session.timeline.find_stretch(fact.frame - 1).shot
             differ = differences(shot, fact, answer.explanation)
             if differ:
                 wrong[fact.species, fact.agent, fact.frame] = differ

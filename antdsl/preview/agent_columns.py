@@ -16,21 +16,21 @@ from antdsl.runtime.world import AXES
 Arrays = dict[str, NDArray[Any]]
 _PACKET_COLUMNS = sorted((column for column in AGENT_COLUMNS if column.packet), key=lambda column: column.name != "ids")
 POSITION_COLUMNS = [column for column in _PACKET_COLUMNS if column.name in ("ids", "position")]
-_LIGHT_FRAME_COLUMNS = [column for column in _PACKET_COLUMNS if column.in_preview]
+_REDUCED_FRAME_COLUMNS = [column for column in _PACKET_COLUMNS if column.in_preview]
 CURRENT_COLUMNS = [column for column in _PACKET_COLUMNS if not column.in_preview]
 
 
-def make_light_frame(population: Population, previous_arrays: Arrays | None = None) -> Arrays:
-    """Return the arrays that are stored for each frame, with the states of each machine.
+def make_reduced_frame(population: Population, previous_arrays: Arrays | None = None) -> Arrays:
+    """Return the arrays of a species that are stored for each frame, with the states of each machine.
 
-    `previous_arrays`: the arrays of the previous frame. An array that equals its predecessor is the same object."""
+    `previous_arrays`: the arrays of the previous frame. An array that is equal in both frames is the same object."""
     rows = population.rows_by_id()
     states = {f"state/{m.name}": population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
-    return reuse_arrays(make_packet_arrays(population, _LIGHT_FRAME_COLUMNS) | states, previous_arrays or {})
+    return reuse_arrays(make_packet_arrays(population, _REDUCED_FRAME_COLUMNS) | states, previous_arrays or {})
 
 
 def reuse_arrays(arrays: Arrays, previous_arrays: Arrays) -> Arrays:
-    """Return the arrays. An array that equals that of the previous frame is replaced by the same object."""
+    """Return `arrays`. Each array that equals that of the previous frame is replaced by the previous object."""
     return {
         name: previous_arrays[name] if name in previous_arrays and np.array_equal(previous_arrays[name], array) else array
         for name, array in arrays.items()

@@ -21,7 +21,7 @@ from antdsl.source import Source
 
 @dataclass(eq=False)
 class Compiler:
-    """Compiles the file of one scene. `replacement_texts`: texts that replace files, such as unsaved edits."""
+    """Compiles the file `scene` of one scene. `replacement_texts`: texts that replace files, such as unsaved edits."""
 
     scene: Path
     replacement_texts: dict[Path, str] = field(default_factory=dict)
@@ -40,7 +40,7 @@ class Compiler:
             self._precompiled = PrecompiledShot(shot, report, choices, dict(self.replacement_texts), dict(self._parsed_files))
 
     def open(self, choices: RunChoices | None = None) -> tuple[Shot | None, Report]:
-        """Return the shot of the current files, or None if they have errors, and the findings."""
+        """Return the shot of the current files and the findings. The shot is None if the files have errors."""
         self._drop_changed_files()
         foreseen, self._precompiled = self._precompiled, None
         if foreseen is not None and foreseen.is_current(choices or RunChoices(), self.replacement_texts, self._parsed_files):
@@ -53,7 +53,8 @@ class Compiler:
         return shot, report
 
     def migrate_world(self, world: World, shot: Shot) -> tuple[World | None, Migration, Report]:
-        """Return a world of `shot` that continues from `world`, or None with errors in the report."""
+        """Return a world of `shot` that continues from `world`, the migration, and a report. The world is None if there are
+        errors."""
         with _pause_garbage_collection():
             try:
                 new_world, migration = migrate_world(world, shot.plan, shot.setting, self.binding_cache)

@@ -28,6 +28,10 @@ FileStamp = tuple[int, int, int] | None
 
 @dataclass(slots=True)
 class _WatchedFile:
+    """The state of one file. `contents`: a hash of the last contents; None for a missing file.
+
+    `stamp`: the file's last stamp; `read_stamp`: the stamp when the contents were read. Times are in seconds of the clock."""
+
     stamp: FileStamp
     contents: bytes | None  # a hash; None for a missing file
     read_stamp: FileStamp  # stamp of the file when it was read
@@ -40,8 +44,7 @@ class FileWatch:
     """Watches files for changes.
 
     `paths` is called at each poll, because an edit may add files. `opened` returns a handle to a regular file, or raises OSError.
-    `clock` returns seconds. A path that is not a regular file counts as missing until a regular file replaces it.
-    """
+    `clock` returns seconds. A path that is not a regular file counts as missing until a regular file replaces it."""
 
     def __init__(
         self,

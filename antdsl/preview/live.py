@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from antdsl.diagnostics import Report
 from antdsl.pipeline import RunChoices
-from antdsl.preview.ahead import Ahead
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.doing import HANDLER_BY_REQUEST, SESSIONLESS_REQUESTS
 from antdsl.preview.file_watch import FileWatch
+from antdsl.preview.look_ahead import LookAhead
 from antdsl.preview.observing.observer import Observer, PauseReason
 from antdsl.preview.requests import (
     AnyRequest,
@@ -41,7 +41,7 @@ _FILE_POLL_SECONDS = 0.02  # interval between two polls of the files
 _MAX_SLEEP_SECONDS = 0.5  # maximum sleep of the thread when there is nothing to do
 _MAX_CATCH_UP_SECONDS = 0.1  # late steps are caught up within this time; further steps are dropped
 # displayed data of a page before its first request
-_EMPTY_LOOK = SetDisplay(op="look", columns=(), fields=(), flows=(), planned=None)
+_EMPTY_DISPLAY = SetDisplay(op="look", columns=(), fields=(), flows=(), planned=None)
 _PAUSE_AFTER_BUG_SECONDS = 0.25  # pause after an internal error, so that the terminal is not flooded
 _MAX_REQUEST_SECONDS = 0.05  # after this time, requests give way to the simulation
 _MAX_SEEK_SECONDS = 0.05  # after this time, a seek gives way to requests
@@ -74,9 +74,9 @@ class Live:
     def open(
         cls, scene: Path, choices: RunChoices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
     ) -> Live:
-        """Return a Live for a scene file. If the file has errors, the session opens as soon as they are fixed.
+        """Return the thread of a session for a scene file. If the file has errors, the session opens as soon as they are fixed.
 
-        `how`: as in `Session.open`."""
+        `how`: further arguments of `Session.open`."""
         live, compiler = cls.__new__(cls), Compiler(scene)
         session, report = Session.open(scene, choices, options, compiler=compiler, **how)
         live._initialise(compiler, session, report, watch)
@@ -95,7 +95,7 @@ class Live:
         self._pending_steps = 0  # requested steps, apart from play
         self.pause_reason: PauseReason | None = None  # the reason of an automatic pause
         self.clients: dict[Client, SetDisplay] = {}
-        self.screen, self.ahead = PageScreen(self), Ahead()
+        self.screen, self.look_ahead = PageScreen(self), LookAhead()
         self.explainer: Explainer | None = None
         self.observers: list[Observer] = []
         for make in OBSERVER_MAKERS:
@@ -145,7 +145,7 @@ class Live:
 
     @property
     def session(self) -> Session:
-        """Return the session. Only for handlers, which are called only if there is a session."""
+        """Return the session. Only handlers may read it, since they are called only if there is a session."""
         assert self._session is not None
         return self._session
 
@@ -178,7 +178,7 @@ class Live:
 
     def show_stored_frame(self, frame: int) -> None:
         """Display the stored agents of a frame, or of the nearest stored frame, without simulation."""
-        remembered = self.session.timeline.light_frames
+        remembered = self.session.timeline.reduced_frames
         self._target_frame = None
         nearest = min(remembered, key=lambda stored_frame: abs(stored_frame - frame), default=None)
         self.displayed_frame = nearest if frame != self.session.frame else None
@@ -303,18 +303,18 @@ class Live:
     def _look_ahead(self, session: Session) -> None:
         """Simulate future frames while a page displays them and no other request waits. During play, simulate one per played
         frame, and more until the next frame is due."""
-        version = self.ahead.version
+        version = self.look_ahead.version
         if not self.screen.needs_look_ahead(session):
-            self.ahead.clear()
+            self.look_ahead.clear()
         elif self._may_look_ahead(session):
             until = monotonic() + _MAX_LOOK_AHEAD_SECONDS
             if session.playing:
                 until = min(until, self._next_step_time)
-            while not self._queue and self.ahead.lacks(session):
-                self.ahead.go_on(session)
+            while not self._queue and self.look_ahead.needs_simulation(session):
+                self.look_ahead.simulate_next_frame(session)
                 if monotonic() >= until:
                     break
-        if self.ahead.version != version:
+        if self.look_ahead.version != version:
             self.screen.on_look_ahead()
 
     def _may_look_ahead(self, session: Session) -> bool:
@@ -326,7 +326,7 @@ class Live:
             until = min(until, self._next_poll_time)
         if self._session is not None and (self._session.playing or self.is_seeking):
             until = 0.0 if self.is_seeking else min(until, self._next_step_time)
-        if self._session is not None and self._may_look_ahead(self._session) and self.ahead.lacks(self._session):
+        if self._session is not None and self._may_look_ahead(self._session) and self.look_ahead.needs_simulation(self._session):
             until = 0.0
         until = min(until, self.screen.next_refresh_time)
         with self._wake_condition:
@@ -335,7 +335,7 @@ class Live:
 
     def _process_item(self, item: AnyRequest | str, client: Client) -> None:
         if item == "join":
-            self.clients[client] = _EMPTY_LOOK
+            self.clients[client] = _EMPTY_DISPLAY
             self.screen.send_complete_state(client)
         elif item == "leave":
             self.clients.pop(client, None)

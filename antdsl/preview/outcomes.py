@@ -19,9 +19,10 @@ _MAX_LAYER_CHARACTERS = 60  # characters of a layer in messages
 class Outcome:
     """The result of an edit.
 
-    `report`: if it has errors, nothing has changed. `line`: a summary of what persists, moves and is reset. `text`: the text to
-    write into a file for a permanent change. `description`: a description of the edit.
-    """
+    `report`: if it has errors, nothing has changed.
+    `line`: a summary of what persists, moves and is reset.
+    `text`: the text to write into a file, so that the change is permanent.
+    `description`: a description of the edit."""
 
     report: Report = field(default_factory=Report)
     line: str = ""
@@ -46,7 +47,7 @@ def make_silencing_settings(field: str) -> dict[str, str]:
 
 
 def parse_param(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Report]:
-    """Return a value for a param or a setting of a field, or None with the errors."""
+    """Return a value for a param or a setting of a field, and a report. The value is None if the report has errors."""
     report = Report()
     try:
         quantity = parse_quantity(value)

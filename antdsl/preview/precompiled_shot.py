@@ -60,7 +60,7 @@ class PrecompiledShot:
 
 
 def iterate_sources(document: DocumentNode) -> Iterator[Source]:
-    """Yield the texts of the files that contain parts of a scene, including those of scenes that it extends."""
+    """Yield the texts of all files that contain parts of a scene. Scenes that it extends are included."""
     known_sources: set[Source] = set()
     stack: list[DocumentNode] = [document]
     while stack:

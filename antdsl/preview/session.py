@@ -68,12 +68,11 @@ class Session:
         budget: int = limits.GIB // 4,
         compiler: Compiler | None = None,
     ) -> tuple[Session | None, Report]:
-        """Return a session at the scene's first simulated frame, or None, and a report.
+        """Return a session at the scene's first simulated frame, and a report. The session is None if there are errors.
 
         `checkpoint_interval`: frames between checkpoints.
         `budget`: bytes of memory for all stored data.
-        `compiler`: one that has tried this scene before.
-        """
+        `compiler`: a compiler that has opened this scene before."""
         session = cls(compiler or Compiler(scene), options or Options(), Timeline(checkpoint_interval, budget))
         report = session._start_over(choices or RunChoices(), {}).report
         return (session if report.ok else None), report
@@ -96,7 +95,7 @@ class Session:
         return self.world.frame
 
     @property
-    def first(self) -> int:
+    def first_frame(self) -> int:
         """Return the first frame that is still stored."""
         return self.timeline.stretches[0].first
 
@@ -136,27 +135,27 @@ class Session:
         """Go to a frame that was simulated. Raises ValueError for any other frame, also for one that was dropped."""
         self._check_stored(frame)
         if not self.is_ahead(frame):
-            self._restore_checkpoint(self.timeline.at(frame), self.find_checkpoint_frame(frame))
+            self._restore_checkpoint(self.timeline.find_stretch(frame), self.find_checkpoint_frame(frame))
         while self.frame < frame:
             self._simulate_step()
 
     def is_ahead(self, frame: int) -> bool:
         """Return whether simulating from the current frame reaches a frame at least as fast as from any checkpoint."""
-        stretch = self.timeline.at(frame)
+        stretch = self.timeline.find_stretch(frame)
         return stretch is self._current_stretch and find_nearest_checkpoint(stretch, frame) <= self.frame <= frame
 
     def find_checkpoint_frame(self, frame: int) -> int:
         """Return the frame of the checkpoint from which a frame is simulated. Raises ValueError as `seek` does."""
         self._check_stored(frame)
-        return find_nearest_checkpoint(self.timeline.at(frame), frame)
+        return find_nearest_checkpoint(self.timeline.find_stretch(frame), frame)
 
     def _check_stored(self, frame: int) -> None:
-        if not self.first <= frame <= self.last_frame:
-            raise ValueError(f"frame {frame} is not among those stored, {self.first} to {self.last_frame}")
+        if not self.first_frame <= frame <= self.last_frame:
+            raise ValueError(f"frame {frame} is not among those stored, {self.first_frame} to {self.last_frame}")
 
-    def read_light_frame(self, frame: int) -> Mapping[str, Arrays] | None:
-        """Return the agents at a frame by species, without simulation; None if the frame was dropped."""
-        return self.timeline.light_frames.get(frame)
+    def read_reduced_frame(self, frame: int) -> Mapping[str, Arrays] | None:
+        """Return the stored arrays of agents at a frame by species, without simulation; None if the frame was dropped."""
+        return self.timeline.reduced_frames.get(frame)
 
     def _simulate_step(self) -> None:
         self.fault_text = None
@@ -214,8 +213,7 @@ class Session:
         self.compiler.replacement_texts = instead
 
     def set(self, name: str, value: str) -> Outcome:
-        """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the line of the scene that
-        sets it."""
+        """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the scene's line for it."""
         text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
         quantity, report = parse_param(self.shot, name, value)
         if quantity is None:
@@ -247,7 +245,7 @@ class Session:
             replace(self.choices, params=params if is_on else {**params, **off}), self._current_stretch.disabled_layers, text, did
         )
 
-    def layer(self, species: str, layer: str, is_on: bool) -> Outcome:
+    def switch_layer(self, species: str, layer: str, is_on: bool) -> Outcome:
         """Switch a layer of a species off or on again. The layer is identified by its text.
 
         `text` of the result is the layer's lines, commented out."""
@@ -264,14 +262,14 @@ class Session:
         text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
         return self._recompile_files(self.choices, off, text, f"layer `{shorten_text(layer)}` is off")
 
-    def direct(self, notes: HandNotes, description: str, text: str = "") -> Outcome:
+    def replace_notes(self, notes: HandNotes, description: str, text: str = "") -> Outcome:
         """Replace the notes by hand. The session goes back to the last frame that the change does not affect, and continues from
         there with the current files and values. `description` and `text`: of the outcome."""
         frame = find_last_unaffected_frame(self.notes, notes)
         choices, layers = replace(self.choices, notes=list_active_lines(notes)), self._current_stretch.disabled_layers
         if frame == inf:
             outcome = Outcome(line="the run does not change", description=description)
-        elif frame < self.first:
+        elif frame < self.first_frame:
             outcome = replace(self._start_over(choices, layers), text=text, description=description)
         else:
             outcome = self._recompile_files(choices, layers, text, description, first=int(min(frame, self.frame)))
@@ -297,15 +295,16 @@ class Session:
         except BindError as why:
             return Outcome(why.report)
         report.extend(find_start_warnings(shot.scene, world))
-        self.timeline = self.timeline.make_restarted(_RESTARTED_TEXT)
+        self.timeline = self.timeline.make_empty_successor(_RESTARTED_TEXT)
         stretch = SimulationStretch(shot, world.frame, "from the first frame", world.origin, choices, disabled_layers)
-        self.timeline.start(stretch, world)
+        self.timeline.start_stretch(stretch, world)
         self.fault_text = None
         self._enter_world(world, stretch)
         return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", description=_RESTARTED_TEXT)
 
     def _compile(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
-        """Return the shot of the files with these choices, its report, and the layers that no longer exist."""
+        """Return the shot of the files with these choices (None after errors), its report, and the layers that no longer
+        exist."""
         previous_texts = self.compiler.replacement_texts
         self.compiler.replacement_texts, missing_layers = remove_disabled_layers(disabled_layers)
         shot, report = self.compiler.open(choices)
@@ -360,7 +359,7 @@ class Session:
         disabled_layers = {key: path for key, path in disabled_layers.items() if key not in missing_layers}
         stretch = SimulationStretch(shot, world.frame, description, world.origin, choices, disabled_layers)
         stretch.replace(self._current_stretch, self.world, world)
-        self.timeline.start(stretch, world)
+        self.timeline.start_stretch(stretch, world)
         self._enter_world(world, stretch)
         return Outcome(report, line, text, description)
 

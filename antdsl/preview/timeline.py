@@ -1,6 +1,7 @@
 """The simulated history: stretches of time, each simulated by one program.
 
-Stretches have checkpoints to restore, and light frames to display. A light frame lacks some of the arrays that pages display."""
+Stretches have checkpoints to restore, and reduced frames to display. A reduced frame has only some of the arrays that pages
+display."""
 
 from __future__ import annotations
 
@@ -14,19 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.pipeline import RunChoices, Shot
-from antdsl.preview.agent_columns import Arrays, make_light_frame
+from antdsl.preview.agent_columns import Arrays, make_reduced_frame
 from antdsl.runtime import BindingCache, Options, World, restore_checkpoint, set_param, state_hash, take_checkpoint
 from antdsl.runtime.binding.bind_world import bind_empty
 
-_LIGHT_BUDGET_SHARE = 0.25  # share of the budget for light frames
+_REDUCED_FRAMES_BUDGET_SHARE = 0.25  # share of the budget for reduced frames
 _POSES_BUDGET_SHARE = 0.125  # share of the budget for poses of bodies
 _MAX_CURVE_FRAMES = 50_000  # frames
 _MAX_BRANCHES = 8
 _MAX_STOPS = 256
 
 
-class LightFrames(dict[int, Mapping[str, Arrays]]):
-    """Light frames by frame and species. `nbytes`: bytes of all arrays; an array that several frames share counts once."""
+class ReducedFrames(dict[int, Mapping[str, Arrays]]):
+    """Reduced frames by frame and species. `nbytes`: bytes of all arrays; an array that several frames share counts once."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -52,8 +53,9 @@ class LightFrames(dict[int, Mapping[str, Arrays]]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPoses:
-    """The poses of agents of one species at a frame, as sent to pages. `arrays`: by name; valid only for the body and the clips
-    of `outfit`."""
+    """The poses of agents of one species at a frame, as sent to pages.
+
+    `arrays`: by name. They are valid only for the body and the clips of `outfit`."""
 
     outfit: object
     arrays: Arrays
@@ -93,16 +95,15 @@ class ParamChange:
 class SimulationStretch:
     """The frames from `first` on that one shot simulated.
 
-    `line`: the reason for the stretch.
-    `choices` and `disabled_layers`: the settings made by hand when it began; `disabled_layers` has layers by species and text,
-    with the file of each.
+    `reason`: the reason for the stretch.
+    `choices`, `disabled_layers`: the settings made by hand when it began. `disabled_layers` has the file of each layer by species
+    and text.
     `param_changes`: params that were set during the stretch.
-    `is_fresh`: whether everything up to its first frame is as in a run without edits.
-    """
+    `is_fresh`: whether everything up to its first frame is as in a run without edits."""
 
     shot: Shot
     first: int
-    line: str
+    reason: str
     origin: NDArray[np.float64]
     choices: RunChoices
     disabled_layers: Mapping[tuple[str, str], Path] = field(default_factory=dict)
@@ -113,8 +114,10 @@ class SimulationStretch:
     _state_before_edit: tuple[object, str] | None = None
 
     def replace(self, previous_stretch: SimulationStretch, old_world: World, world: World) -> None:
-        """Replace the stretch `previous_stretch` at the frame of the world `old_world` by this stretch. `world` was made from
-        `old_world`. This stretch still counts as a fresh run if an edit was undone at its own frame and no state was lost."""
+        """Replace the stretch `previous_stretch` at the frame of the world `old_world` by this stretch.
+
+        `world` was made from `old_world`. This stretch still counts as a fresh run if an edit was undone at its own frame and no
+        state was lost."""
         if previous_stretch.first == old_world.frame and previous_stretch._state_before_edit is not None:
             self._state_before_edit = previous_stretch._state_before_edit
         elif previous_stretch.is_fresh and not previous_stretch.param_changes:
@@ -149,24 +152,24 @@ class SimulationStretch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimelineBranch:
-    """The history that was replaced from frame `first` on. Its curves are displayed next to the new ones."""
+    """The history that was replaced from frame `first` on, and the `reason`. Its curves are displayed next to the new ones."""
 
     first: int
-    line: str
+    reason: str
     curves: dict[int, dict[str, float]]
 
 
 class Timeline:
     """Stretches in order of time, with a checkpoint every `every` frames.
 
-    If the data exceeds `max_bytes` bytes, parts are dropped in this order: poses of the oldest frames, until poses take an
-    eighth; the oldest light frames, until they take a quarter; checkpoints between others, where they are closest; complete
-    stretches, oldest first.
+    If the data exceeds `max_bytes` bytes, parts are dropped in this order:
+    - poses of the oldest frames, until poses take an eighth
+    - the oldest reduced frames, until they take a quarter
+    - checkpoints between others, where they are closest
+    - complete stretches, oldest first
 
-    `curves`: the last 50,000 frames, in order.
-    `branches`: the last 8.
-    `stop_reasons`: the last 256 frames at which play was stopped, with the reason.
-    """
+    `curves`: the last 50,000 frames, in order. `branches`: the last 8.
+    `stop_reasons`: the last 256 frames at which play was stopped, with the reason."""
 
     def __init__(self, checkpoint_interval: int, budget: int) -> None:
         self.every, self.max_bytes = checkpoint_interval, budget
@@ -175,8 +178,8 @@ class Timeline:
         self.branches: list[TimelineBranch] = []
         self.curves: dict[int, dict[str, float]] = {}
         self.stop_reasons: dict[int, str] = {}
-        self.light_frames = LightFrames()
-        self.poses = StoredPoses()  # poses of light frames that a page displayed when they were simulated
+        self.reduced_frames = ReducedFrames()
+        self.poses = StoredPoses()  # poses of reduced frames that a page displayed when they were simulated
         self._checkpoint_bytes = 0  # bytes of checkpoints
 
     @property
@@ -187,9 +190,9 @@ class Timeline:
     @property
     def nbytes(self) -> int:
         """Return the bytes of all stored data except curves."""
-        return self._checkpoint_bytes + self.light_frames.nbytes + self.poses.nbytes
+        return self._checkpoint_bytes + self.reduced_frames.nbytes + self.poses.nbytes
 
-    def at(self, frame: int) -> SimulationStretch:
+    def find_stretch(self, frame: int) -> SimulationStretch:
         """Return the stretch that a frame belongs to. A frame at which two stretches meet belongs to the later one."""
         return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
 
@@ -198,9 +201,9 @@ class Timeline:
         number = self.stretches.index(stretch) + 1
         return self.stretches[number] if number < len(self.stretches) else None
 
-    def start(self, stretch: SimulationStretch, world: World) -> None:
+    def start_stretch(self, stretch: SimulationStretch, world: World) -> None:
         """Continue with another stretch from its first frame. The old history from that frame on becomes a branch."""
-        self.drop_after(stretch.first, stretch.line)
+        self.drop_after(stretch.first, stretch.reason)
         self.curves.pop(stretch.first, None)  # to be measured again
         for each in [each for each in self.stretches if each.first == stretch.first]:
             self._drop_stretch(each)
@@ -226,7 +229,7 @@ class Timeline:
         if old:
             self.curves.setdefault(frame, {})  # the frame may be older than all existing ones
 
-    def make_restarted(self, line: str) -> Timeline:
+    def make_empty_successor(self, line: str) -> Timeline:
         """Return an empty timeline. The old history becomes its branch if it has more than one frame."""
         timeline = Timeline(self.every, self.max_bytes)
         timeline.branches = self.branches
@@ -257,16 +260,16 @@ class Timeline:
             stretch.checkpoints[frame] = take_checkpoint(world)
             self._checkpoint_bytes += _count_bytes(stretch.checkpoints[frame])
         if fresh:
-            previous = self.light_frames.get(frame - 1, {})
+            previous = self.reduced_frames.get(frame - 1, {})
             self.poses.drop_frame(frame)
-            self.light_frames.put_frame(
-                frame, {name: make_light_frame(p, previous.get(name)) for name, p in world.populations.items()}
+            self.reduced_frames.put_frame(
+                frame, {name: make_reduced_frame(p, previous.get(name)) for name, p in world.populations.items()}
             )
         self._enforce_budget(stretch)
 
     def _drop_frame(self, frame: int) -> None:
-        """Drop the light frame and the poses of a frame."""
-        self.light_frames.drop_frame(frame)
+        """Drop the reduced frame and the poses of a frame."""
+        self.reduced_frames.drop_frame(frame)
         self.poses.drop_frame(frame)
 
     def _drop_stretch(self, stretch: SimulationStretch) -> None:
@@ -278,12 +281,11 @@ class Timeline:
             pass
 
     def _drop_least_useful(self, current: SimulationStretch) -> bool:
-        """Drop the data that is least useful. Return False if only one light frame and the first checkpoints of stretches are
-        left."""
+        """Drop the least useful data. Return False if only one reduced frame and the first checkpoints of stretches are left."""
         if self.poses.nbytes > _POSES_BUDGET_SHARE * self.max_bytes:
             self.poses.drop_frame(next(iter(self.poses)))
             return True
-        if self.light_frames.nbytes <= _LIGHT_BUDGET_SHARE * self.max_bytes:
+        if self.reduced_frames.nbytes <= _REDUCED_FRAMES_BUDGET_SHARE * self.max_bytes:
             between = [entry for each in self.stretches for entry in _list_droppable_checkpoints(each)]
             if between:
                 _, _, frame, stretch = min(between, key=lambda entry: entry[:3])
@@ -291,17 +293,18 @@ class Timeline:
                 return True
             if self.stretches[0] is not current:
                 self._drop_stretch(self.stretches[0])
-                for frame in [each for each in self.light_frames if each < self.stretches[0].first]:
+                for frame in [each for each in self.reduced_frames if each < self.stretches[0].first]:
                     self._drop_frame(frame)
                 return True
-        if len(self.light_frames) > 1:
-            self._drop_frame(next(iter(self.light_frames)))
-        return len(self.light_frames) > 1
+        if len(self.reduced_frames) > 1:
+            self._drop_frame(next(iter(self.reduced_frames)))
+        return len(self.reduced_frames) > 1
 
 
 def _list_droppable_checkpoints(stretch: SimulationStretch) -> Iterator[tuple[bool, int, int, SimulationStretch]]:
-    """Yield the checkpoints of a stretch except the first. Each has: whether it is the last one, the longest simulation without
-    it (in frames), its frame, and the stretch."""
+    """Yield the checkpoints of a stretch except the first. Each is a tuple of four values:
+
+    whether it is the last one, the longest simulation without it (in frames), its frame, and the stretch."""
     frames = sorted(stretch.checkpoints)
     for previous_frame, frame, next_frame in zip(frames, frames[1:], [*frames[2:], None], strict=False):
         yield next_frame is None, (frame if next_frame is None else next_frame) - previous_frame, frame, stretch

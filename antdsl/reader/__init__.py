@@ -1,6 +1,7 @@
 """Reads foreign formats that C and C++ libraries parse, in a separate, confined process.
 
-The process receives a request (`send_request` in `client`), and returns plain values and arrays. READERS lists all requests.
+The process receives a request (`send_request` in `client`), and returns plain values and arrays. READER_FUNCTIONS lists all
+requests.
 
 - `protocol`: the messages
 - `child`: the program of the process

@@ -44,7 +44,7 @@ class ReaderFailure(Exception):
 
 
 class _ReaderProcess:
-    """A running child process, and the layers that confine it."""
+    """A running child process, and the layers of confinement that it reported."""
 
     def __init__(self, folder: Path, modules: Sequence[str]) -> None:
         readable = [*confinement.list_readable_folders(), str(folder)]
@@ -74,7 +74,7 @@ class _ReaderProcess:
         return self.active_layers
 
     def count_new_cpu_seconds(self, reported: object = None) -> float:
-        """Return the CPU seconds used since the last call; if the system does not provide them, the `reported` seconds."""
+        """Return the CPU seconds that the child used since the last call; if the system provides none, the `reported` seconds."""
         total = self._counted_cpu_seconds
         try:
             total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of a process's clock
@@ -84,7 +84,7 @@ class _ReaderProcess:
         return self._count_cpu_seconds(total)
 
     def end(self) -> tuple[int, float]:
-        """Kill the child; return its exit status and the value of `count_new_cpu_seconds`."""
+        """Kill the child. Return its exit status, and the CPU seconds that it used since the last count."""
         self.kill()
         for pipe in (self.requests, self.answers):
             with suppress(OSError):
@@ -265,7 +265,7 @@ class FileReader:
         return self._folder
 
     def _end_process(self, *, is_counted: bool = True) -> int:
-        """End the child and count its CPU time; return its exit status."""
+        """End the child and return its exit status. With `is_counted`, count its CPU time."""
         running, self._reader_process = self._reader_process, None
         status, seconds = (0, 0.0) if running is None else running.end()
         if is_counted:
@@ -314,8 +314,9 @@ def _kill_after_deadline(
 
 
 def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailure:
-    """Return why a child ended without an answer to a request that may use `memory` bytes. Raises MemoryError if this process
-    cannot grant that much."""
+    """Return the failure for a child that ended without an answer to a request that may use `memory` bytes.
+
+    Raises MemoryError if this process cannot grant that much."""
     if is_late or status == _OVERDUE_STATUS:
         words = "cannot be read: it takes too long to be read"
         return ReaderFailure(words, _LIGHTER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
@@ -344,17 +345,16 @@ def send_request(
     kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, file_bytes: int = 0, extra_cpu_seconds: int = 0,
     request_digest: str = "", files_digest: str = "",
 ) -> ReaderMessage:  # fmt: skip
-    """Return the answer to a request of READERS.
+    """Return the answer to a request of READER_FUNCTIONS.
 
-    - `file_bytes`: the bytes of its files, for which it gets more time and memory
+    - `file_bytes`: the total size of its files; larger files get more time and memory
     - `extra_cpu_seconds`: additional CPU time
     - `request_digest`: a hash of all input of the request; a request that failed is not repeated
-    - `files_digest`: a hash of the files alone; after a request used too much time or memory, other requests about them fail
-      until the next scene
+    - `files_digest`: a hash of the files alone; if a request uses too much, others about them fail until the next scene
 
     Raises ReadRefusal if the child reports why it does not read something, and ReaderFailure if it gives no answer. Raises
-    MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is trusted.
-    """
+    MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is
+    trusted."""
     return _file_reader.send_request(
         kind, document, arrays or {}, size=file_bytes, seconds=extra_cpu_seconds, digest=request_digest, files=files_digest
     )
@@ -366,7 +366,7 @@ def begin_scene() -> None:
 
 
 def start_reader_early(format: str) -> None:
-    """Start the reader for a key of PREPARED and return at once. It loads libraries while this process continues."""
+    """Start the reader for a key of PRELOADED_MODULES and return at once. It loads libraries while this process continues."""
     _file_reader.start_early(format)
 
 
@@ -375,7 +375,7 @@ def create_reader_folder() -> Path:
     return _file_reader.folder()
 
 
-def active_layers() -> dict[str, int]:
+def find_active_layers() -> dict[str, int]:
     """Return the layers that confine the reader on this system. Raises ReaderFailure if the reader cannot be started."""
     return _file_reader.find_active_layers()
 

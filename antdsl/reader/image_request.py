@@ -52,9 +52,9 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], max_pixels
     """Return the image in a file's bytes. Raises ImageError with the reason if there is none.
 
     - `format`: Pillow's name of the file format, such as `PNG`
-    - `modes`: the accepted modes, keys of MODES
+    - `modes`: the accepted modes, keys of SAMPLE_TYPE_BY_MODE
     - `max_pixels`: the maximum number of pixels
-    - `convert`: a key of MODES to which an image of any mode is converted; it is one of `modes`"""
+    - `convert`: the mode to which an image of any mode is converted, one of `modes`; empty to keep the image's mode"""
     request_document: dict[str, Any] = {
         "format": format,
         "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE],

@@ -35,7 +35,7 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
             pages = getattr(image, "n_frames", 1)
             mode, target = image.mode, str(request_document.get("convert", ""))
             if pages == 1 and columns * rows <= int(request_document["pixels"]) and (target or mode in request_document["modes"]):
-                _require_all_parts(image)
+                _require_complete_image(image)
                 arrays["samples"] = np.asarray(image.convert(target) if target else image)
                 mode = target or mode
             document = {"mode": mode, "columns": columns, "rows": rows, "pages": pages}
@@ -46,7 +46,7 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
         raise ReadRefusal("bad-image", type(problem).__name__) from problem
 
 
-def _require_all_parts(image: Any) -> None:
+def _require_complete_image(image: Any) -> None:
     """Reject a file with strips or tiles that do not cover the image: Pillow leaves the other pixels black."""
     boxes = [part[1] for part in image.tile]
     if boxes and all(boxes):

@@ -102,7 +102,7 @@ def pack_texts(name: str, texts: tuple[str, ...] | list[str]) -> dict[str, NDArr
 
 
 def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) -> None:
-    """Write a message. Raises ValueError if the document is not JSON or too large, or an array has an unsupported type."""
+    """Write a message. Raises ValueError if the document is not JSON or is too large, or if an array has an unsupported type."""
     array_entries, parts = [], []
     for name, array in arrays.items():
         little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))

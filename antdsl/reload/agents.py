@@ -31,7 +31,10 @@ _MIGRATED_COLUMNS = [name for name, column in FIXED_COLUMN_BY_NAME.items() if co
 
 @dataclass(slots=True)
 class MigratedSpecies:
-    """The result of a migration for the agents of one species. Names in lists are attributes, or states as `machine.state`."""
+    """The result of a migration for the agents of one species. Names in lists are attributes, or states as `machine.state`.
+
+    `agents`: their number. `moved_count`: how many moved to other positions. `restart_counts`: by removed state and start state,
+    how many agents start again."""
 
     species: str
     agents: int = 0
@@ -143,13 +146,16 @@ def _find_register_meaning(register: ir.Register) -> tuple[object, ...]:
 
 
 def _is_memory_complete(memory: str, new_plan: ir.SpeciesPlan, matching_names: list[str]) -> bool:
-    """Return whether the values of a `keep` are retained together with its mark. If not, the `keep` has to start again."""
+    """Return whether the new plan still has all registers of the `keep` named `memory`: its values, and the flag that they are
+    set.
+
+    Otherwise the `keep` starts again."""
     values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in new_plan.registers]
     return all(name in matching_names for name in values)
 
 
 def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
-    """Return the attributes with a changed birth value that both plans set only at birth. Agents get the new value."""
+    """Return the attributes that both plans set only at birth, and of which the birth value changed. Agents get the new value."""
     one, other = hash_birth_values(old_plan, find_birth_params(old_world)), hash_birth_values(new_plan, find_birth_params(world))
     stored = stored_registers(old_plan) | stored_registers(new_plan) | set(MIGRATED_REGISTERS)
     attributes = {name for name, register in new_plan.registers.items() if register.role == "attribute"}
@@ -163,7 +169,7 @@ def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesP
 
 
 def _compute_place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
-    """Return a digest of the attribute's values at birth that each crowd line of the scene gives."""
+    """Return, for each crowd line of the scene, a digest of the values that it gives to the attribute at birth."""
     crowds = (crowd for crowd in setting.crowds if crowd.species == species)
     return [compute_digest((crowd.place.values.get(attribute), crowd.initial_values.get(attribute))) for crowd in crowds]
 

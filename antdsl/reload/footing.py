@@ -25,11 +25,10 @@ def is_same_solid(old_world: World, world: World, name: str) -> bool:
 def find_footings(
     old_world: World, world: World, old_population: Population
 ) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the footings in `world` of all agents of a population of `old_world`, their positions (n, 3) mm, and which agents
-    moved.
+    """Return the footings in `world` of all agents of `old_population`, their positions (n, 3) in mm, and which agents moved.
 
-    If only the vertices of a mesh moved, agents move with their face. Agents on changed faces, or on a changed solid, move to
-    the nearest position of any ground."""
+    If only the vertices of a mesh moved, agents move with their face. Agents on changed faces, or on a changed solid, move to the
+    nearest position of any ground."""
     footing = _migrate_footing(old_world, world, old_population)
     place = world.ground.position(footing)
     moved = length(place - old_population.position) > _SAME_POSITION_DISTANCE

@@ -81,7 +81,7 @@ def migrate_world(
 
 
 def _migrate_agents(old_world: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
-    """Move all agents that stay; return the crowd lines to add, each with the ids of its new agents."""
+    """Move all agents that stay. Return the crowd lines that need new agents, each with the ids of these agents."""
     values = {}
     for name in world.populations:
         if name in old_world.populations:
@@ -116,7 +116,8 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
 
 
 def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, tuple[CrowdData, LineIds] | None]]:
-    """Return the crowd lines of the new setting, each with the old line that corresponds to it and the ids of that line."""
+    """Return the crowd lines of the new setting. Each has the corresponding old line with the ids of its agents; None without
+    one."""
     matches = match_lines(list_line_names(old_world.setting), list_line_names(setting))
     old = list(zip(old_world.setting.crowds, old_world.lines, strict=True))
     return [(crowd, old[k] if k >= 0 else None) for crowd, k in zip(setting.crowds, matches, strict=True)]

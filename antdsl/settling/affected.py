@@ -1,4 +1,4 @@
-"""The agents that edits affect without selecting them: in overlaps because of edits, or left by agents that they touched."""
+"""Agents that edits affect without selecting them: they overlap others because of edits, or lost an agent that they touched."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from antdsl.outputs.edits.edited_cache import EditedCache
 from antdsl.outputs.edits.frame_rows import match_rows
 from antdsl.outputs.edits.side_effects import Trunks, find_changed, find_overlaps, iterate_capsules, make_trunks
 
-_TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies is no contact
+_MIN_TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies is no contact
 
 
 def find_affected(cache: EditedCache, *, includes_touched: bool = True) -> dict[int, int]:
     """Return the affected agents by key, each with the first frame in which it is affected.
 
-    Of two agents that overlap because of edits, it is the one that no edit changes; of two that edits changed, the one with
-    the greater id. `includes_touched`: an agent that touched another one, which edits removed or moved away, is
-    affected too."""
+    Of two agents that overlap because of edits, the agent that no edit changes is affected. If edits change both, it is the agent
+    with the greater id. With `includes_touched`, an agent is also affected if it touched another one that edits removed or moved
+    away."""
     sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
     affected: dict[int, int] = {}
     for number in cache.frames():
@@ -42,11 +42,11 @@ def _find_affected_in_frame(old: Trunks, new: Trunks, includes_touched: bool) ->
     affected = {max(pair) if pair[0] in changed and pair[1] in changed else _pick_other(pair, changed) for pair in pairs}
     if not includes_touched:
         return affected
-    touched = [pair for pair in find_overlaps(old, is_removed, _TOUCH_DEPTH) if (pair[0] in removed) != (pair[1] in removed)]
-    still = set(find_overlaps(new, is_changed, _TOUCH_DEPTH)) if touched else set()
+    touched = [pair for pair in find_overlaps(old, is_removed, _MIN_TOUCH_DEPTH) if (pair[0] in removed) != (pair[1] in removed)]
+    still = set(find_overlaps(new, is_changed, _MIN_TOUCH_DEPTH)) if touched else set()
     return affected | {_pick_other(pair, removed) for pair in touched if pair not in still}
 
 
 def _pick_other(pair: tuple[int, int], known_keys: set[int]) -> int:
-    """Return the agent of a pair that is not known."""
+    """Return the agent of a pair that is not in `known_keys`."""
     return pair[1] if pair[0] in known_keys else pair[0]

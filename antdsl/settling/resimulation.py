@@ -22,15 +22,16 @@ from antdsl.runtime.world import AXES
 from antdsl.settling.affected import find_affected
 from antdsl.settling.scripted_agents import Ids, hold_against_pushes, place_scripted_agents
 
-_MAX_ROUNDS = 3
-_LEAD_SECONDS = 0.5  # before it is affected, an agent begins to react
+_MAX_SETTLING_ROUNDS = 3
+_REACTION_LEAD_SECONDS = 0.5  # before it is affected, an agent begins to react
 _START_ROUNDS, _START_SECONDS = 8, 0.25  # of contacts that separate agents in the first frame of a cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settlement:
-    """The agents that were simulated again. `checkpoint`: the frame from which. `left_out`: the number of affected agents that
-    the shot does not have."""
+    """The agents that were simulated again. `checkpoint`: the frame of the checkpoint from which they were simulated.
+
+    `left_out`: the number of affected agents that the shot does not have."""
 
     frames: SettledFrames
     checkpoint: int
@@ -56,7 +57,7 @@ def settle_cache(
         return None
     shot = _open_shot(cache, scene, grants)
     settlement, rounds = _settle_agents(cache, shot, affected, threads), 1
-    while rounds < _MAX_ROUNDS:  # settled agents may walk into others
+    while rounds < _MAX_SETTLING_ROUNDS:  # settled agents may walk into others
         view = EditedCache(cache.folder, cache.manifest, SettledLayer.of(cache, settlement.frames), 3, cache.original)
         added = {key: first for key, first in find_affected(view, includes_touched=False).items() if key not in affected}
         if not added:
@@ -84,7 +85,7 @@ def _settle_agents(cache: EditedCache, shot: Shot, affected: dict[int, int], thr
             f"edits affect {len(affected):,} agents, but only agents that they gave another body or species",
             "settle before `replace` and `merge`: write the cache with `--to`, or change their lines",
         )
-    lead = round(_LEAD_SECONDS / shot.setting.dt)
+    lead = round(_REACTION_LEAD_SECONDS / shot.setting.dt)
     begins = {key: max(first - lead, cache.frames()[0]) for key, first in chosen.items()}
     world, point = _restore_world(cache, shot, min(begins.values()), threads)
     return Settlement(_Resimulation(cache, shot, world, begins).run(), point, len(affected) - len(chosen))
@@ -128,7 +129,9 @@ def _restore_world(cache: EditedCache, shot: Shot, frame: int, threads: int) -> 
 
 
 class _Resimulation:
-    """A run in which only some agents are free. `begins`: by agent, the last frame in which it is as edits leave it."""
+    """A run in which only some agents are free; all others follow the cache.
+
+    `begins`: by agent, the last frame in which the agent is as edits leave it. It is free afterwards."""
 
     def __init__(self, cache: EditedCache, shot: Shot, world: World, first_frames: dict[int, int]) -> None:
         self.cache, self.world, self.begins = cache, world, first_frames
@@ -150,13 +153,13 @@ class _Resimulation:
                 self.begins = {key: first - 1 if begin == first else begin for key, begin in self.begins.items()}
                 free = self._find_free(number)
                 self._separate_at_start(number, free)
-            rows = self._take_agents(free)
+            rows = self._copy_free_rows(free)
             if len(rows["id"]):
                 frames[number] = rows
         return SettledFrames.of(frames, self.begins)
 
     def _find_free(self, number: int) -> dict[str, Ids]:
-        """Return by species the agents that are free in the step to a frame."""
+        """Return the ids of the agents that are free in the step to a frame, by species."""
         free = [key for key, begin in self.begins.items() if begin < number]
         return {
             entry.name: np.array(sorted(key // SPECIES_PER_KEY for key in free if key % SPECIES_PER_KEY == k), np.int64)
@@ -182,8 +185,8 @@ class _Resimulation:
                 for registers in (population.now, population.start):
                     registers[f"position.{axis}"][:] = population.position[:, k]
 
-    def _take_agents(self, free_ids: Mapping[str, Ids]) -> Arrays:
-        """Return the rows of the free agents in the arrays of the world's frame."""
+    def _copy_free_rows(self, free_ids: Mapping[str, Ids]) -> Arrays:
+        """Return the arrays of the free agents in the world's current frame, as a cache has them."""
         names = [entry.name for entry in self.cache.manifest.species]
         keys = np.concatenate([ids * SPECIES_PER_KEY + names.index(name) for name, ids in free_ids.items()])
         arrays = self.maker.frame(self.world)

@@ -1,4 +1,4 @@
-"""Agents of a world that a cache places: in each frame they are where the cache has them, whatever their program did."""
+"""Agents of a world that a cache places: in each frame they have the positions of the cache, whatever their program did."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from antdsl.scene.thing_models import UNIT_MM
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_SAME_SIZE = 1e-5  # the greatest relative difference by rounding
-_HEAVY = np.float32(1e6)  # times their mass: contacts push the other agent
+_SIZE_ROUNDING_TOLERANCE = 1e-5  # the greatest relative difference by rounding
+_HOLDING_MASS_FACTOR = np.float32(1e6)  # times their mass: contacts push the other agent
 Ids = NDArray[np.int64]
 
 
@@ -34,10 +34,14 @@ def place_scripted_agents(
     free_ids: Mapping[str, Ids],
     next_ids: Mapping[str, int],
 ) -> None:
-    """Copy all agents of a frame into a world, except the free ones (`free_ids`, by species), which keep their state. Their
-    velocities lead to their positions in the next frame (`next_arrays`), where free agents meet them. Agents that the frame
-    lacks are removed. Agents that the world lacks are added: copies made by an edit like their original (`next_ids`: the first
-    id of a copy), others like the agent with the nearest lower id."""
+    """Copy all agents of a frame into a world, except the free ones, which keep their state.
+
+    - `next_arrays`: the next frame; velocities lead to the positions there, where free agents meet the copied agents
+    - `free_ids`: the free agents by species
+    - `next_ids`: by species, the first id of copies that edits made
+
+    Agents that the frame lacks are removed. Agents that the world lacks are added. Copies made by an edit are added like their
+    original, others like the agent with the nearest lower id."""
     numbers, ids = get_species_numbers(arrays), get_agent_ids(arrays)
     for number, entry in enumerate(manifest.species):
         population = world.populations.get(entry.name)
@@ -90,7 +94,7 @@ def _place_agents(
     _write_vector(population, "up", rows, up)
     size = np.asarray(arrays["pscale"], np.float32)[own_rows[at]] * np.float32(unit_mm)
     factor = size / np.where(population.now["size"][rows] > 0, population.now["size"][rows], np.float32(1))
-    factor = np.where(np.abs(factor - 1) < _SAME_SIZE, np.float32(1), factor)
+    factor = np.where(np.abs(factor - 1) < _SIZE_ROUNDING_TOLERANCE, np.float32(1), factor)
     for name in ("size", "radius"):
         _write_register(population, name, rows, population.now[name][rows] * factor)
     population.cells.clear()
@@ -115,21 +119,22 @@ def _write_vector(population: Population, name: str, rows: NDArray[np.intp], val
 
 
 def _write_register(population: Population, name: str, rows: NDArray[np.intp], values: NDArray[np.floating]) -> None:
-    """Write a register as it is at the start of a step and now."""
+    """Write a register: its current values, and its values at the start of the step."""
     for registers in (population.now, population.start):
         registers[name][rows] = values
 
 
 @contextmanager
 def hold_against_pushes(world: World, free_ids: Mapping[str, Ids]) -> Iterator[None]:
-    """Make all agents except the `free_ids` ones so heavy that contacts push the free ones only, and fast enough for their
-    paths."""
+    """Within the context, make all agents except `free_ids` so heavy that contacts push only the free ones.
+
+    The heavy agents are also made fast enough for their paths."""
     limits = {}
     for name, population in world.populations.items():
         own = population.ids[~np.isin(population.ids, free_ids[name])]
         rows = population.find_rows(own)
         limits[name] = own, {key: population.now[key][rows] for key in ("mass", "max_speed")}
-        _write_register(population, "mass", rows, limits[name][1]["mass"] * _HEAVY)
+        _write_register(population, "mass", rows, limits[name][1]["mass"] * _HOLDING_MASS_FACTOR)
         speed = length(population.read_vector("velocity")[rows]).astype(np.float32)
         _write_register(population, "max_speed", rows, np.maximum(limits[name][1]["max_speed"], speed * np.float32(1.01)))
     try:

@@ -31,8 +31,7 @@ def make_cache_task(
     """Return a task that writes the cache of a shot to the folder `name` of a destination. Raises StartError if the shot cannot
     start.
 
-    `options`: the fields of `Options` except threads, and `resume` and `force`.
-    """
+    `options`: the fields of `Options` except threads. It also has `resume` and `force`."""
     scene = resolve_path(scene)
     document = {
         "scene": str(scene),
@@ -49,7 +48,7 @@ def make_cache_task(
 
 
 def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Simulate a scene into a cache."""
+    """Simulate a scene into a cache, as the task of `make_cache_task`. Return the answer of the task."""
     grants = {name: worker.find_local_path(folder) for name, folder in document["grants"].items()}
     choices = RunChoices(grants, FrameRange(*document["frames"]), document["seed"], document["set"])
     shot, report = open_scene(worker.find_local_path(document["scene"]), choices)

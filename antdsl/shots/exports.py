@@ -36,7 +36,7 @@ def make_export_tasks(
 
 
 def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Write the files of some frames."""
+    """Write the files of some frames, as a task of `make_export_tasks`. Return the answer of the task."""
     to, name = Destination.from_document(document), document["name"]
     export = find_export(Path(name))
     if export is None or document["form"] not in export.per_frame_forms:

@@ -30,7 +30,9 @@ def make_still_tasks(
 
 
 def draw_stills(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Draw some frames. The drawing state is cached in the process for the next task with the same picture settings."""
+    """Draw some frames, as a task of `make_still_tasks`. Return the answer of the task.
+
+    The drawing state is cached in the process for the next task with the same picture settings."""
     to, pictures = Destination.from_document(document), document["pictures"]
     with convert_to_refusal(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
         if worker.cached_values.get("pictures") != pictures:

@@ -68,7 +68,7 @@ class Destination:
 
 @contextmanager
 def mark_folder(folder: Path) -> Iterator[Destination]:
-    """Yield a folder as a destination. The folder has a marker file while the context is open."""
+    """Yield a folder as a destination. The folder has a marker file within the context."""
     token = create_sibling_file(folder / "seen")
     try:
         yield Destination(str(folder.resolve()), token.name)

@@ -120,8 +120,8 @@ def test_packets_have_the_shown_arrays_with_the_types_of_the_table() -> None:
     arrays = agent_columns.make_packet_arrays(population, columns)
     assert {f"{name} {array.dtype.str[1:]}" for name, array in arrays.items()} == {column.packet for column in columns}
     assert all(array.shape == (20, *column.shape) for array, column in zip(arrays.values(), columns, strict=True))
-    first = agent_columns.make_light_frame(population)
-    again = agent_columns.make_light_frame(population, first)
+    first = agent_columns.make_reduced_frame(population)
+    again = agent_columns.make_reduced_frame(population, first)
     assert set(first) == {c.packet.split()[0] for c in columns if c.in_preview} | {"state/main"}
     assert all(again[name] is first[name] for name in first), "equal arrays are stored once"
 

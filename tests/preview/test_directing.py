@@ -78,7 +78,7 @@ def note(session: Session, verb: str, agents: str, values: dict[str, str], key: 
 def direct(session: Session, *notes: HandNote) -> int:
     """Apply these notes, and return to the frame. The result is the frame from which the run was simulated again."""
     frame = session.frame
-    outcome = session.direct(notes, "notes")
+    outcome = session.replace_notes(notes, "notes")
     assert outcome.ok, [d.message for d in outcome.report.errors]
     first = session.frame
     while session.frame < frame:

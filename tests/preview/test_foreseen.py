@@ -104,7 +104,7 @@ def test_a_file_that_is_half_written_is_no_reason_to_do_anything(session: Sessio
 
 def test_layers_that_are_off_stay_off(session: Session, compiled: list[int]) -> None:
     layer = session.shot.plan.species["forager"].layers[0].span.text
-    assert session.layer("forager", layer, is_on=False).ok
+    assert session.switch_layer("forager", layer, is_on=False).ok
     edit(session, "forager.ant", "30 mm/s", "36 mm/s")
     session.precompile()
     assert session.reload().ok and len(compiled) == 2

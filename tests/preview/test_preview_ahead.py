@@ -11,9 +11,9 @@ from live_client import Page, hashes
 from preview_page import few
 
 from antdsl.preview import Live, Session
-from antdsl.preview import ahead as ahead_module
-from antdsl.preview.ahead import Ahead
+from antdsl.preview import look_ahead as ahead_module
 from antdsl.preview.binary_packets import unpack_arrays
+from antdsl.preview.look_ahead import LookAhead
 from antdsl.preview.requests import MAX_PLANNED_AGENTS, SetDisplay
 from antdsl.runtime import World
 from antdsl.runtime.faults import Fault, LimitStop
@@ -39,9 +39,9 @@ def live(scene: Path) -> Iterator[Live]:
     live.stop()
 
 
-def filled(ahead: Ahead, session: Session) -> Ahead:
-    while ahead.lacks(session):
-        ahead.go_on(session)
+def filled(ahead: LookAhead, session: Session) -> LookAhead:
+    while ahead.needs_simulation(session):
+        ahead.simulate_next_frame(session)
     return ahead
 
 
@@ -54,7 +54,7 @@ def test_paths_are_where_the_agents_will_be_and_the_session_is_as_it_was(session
     for _ in range(3):
         session.step()
     initial_hash, initial_curves = session.hash, dict(session.timeline.curves)
-    ahead = filled(Ahead(), session)
+    ahead = filled(LookAhead(), session)
     assert list(ahead.frames) == list(range(4, 4 + 48 + 1)), "2 seconds at 24 frames"
     assert session.hash == initial_hash and session.timeline.curves == initial_curves and session.frame == 4
     for frame in range(4, 20):
@@ -66,7 +66,7 @@ def test_paths_are_where_the_agents_will_be_and_the_session_is_as_it_was(session
 
 
 def test_who_goes_on_simulates_only_what_is_new(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    ahead = filled(Ahead(), session)
+    ahead = filled(LookAhead(), session)
     simulated_frames = []
     monkeypatch.setattr(
         ahead_module, "step", lambda world, step=ahead_module.step: (simulated_frames.append(world.frame), step(world))
@@ -83,15 +83,15 @@ def test_who_goes_on_simulates_only_what_is_new(session: Session, monkeypatch: p
 def test_an_edit_makes_other_paths(session: Session) -> None:
     for _ in range(6):
         session.step()
-    ahead = filled(Ahead(), session)
+    ahead = filled(LookAhead(), session)
     initial_positions = ahead.frames[40]["forager"]["position"]
     assert session.set("forager.smell", "200 mm").ok
-    assert ahead.lacks(session) and not ahead.frames
+    assert ahead.needs_simulation(session) and not ahead.frames
     filled(ahead, session)
     assert not np.array_equal(ahead.frames[40]["forager"]["position"], initial_positions)
     for _ in range(3):
         session.step()
-    assert session.layer("forager", "give_way(radius: 2.2 * size)", is_on=False).ok
+    assert session.switch_layer("forager", "give_way(radius: 2.2 * size)", is_on=False).ok
     edit_frame, later = session.frame, filled(ahead, session).frames[session.frame + 12]["forager"]["position"]
     session.seek(edit_frame - 5)
     filled(ahead, session)
@@ -104,7 +104,7 @@ def test_an_edit_makes_other_paths(session: Session) -> None:
 
 def test_stored_paths_are_bounded(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ahead_module, "_MAX_POSITION_BYTES", 12 * 40 * 7)
-    assert len(filled(Ahead(), session).frames) == 7 + 1
+    assert len(filled(LookAhead(), session).frames) == 7 + 1
 
 
 def paths(page: Page) -> tuple[dict, dict]:
@@ -131,7 +131,7 @@ def test_a_page_is_shown_the_paths_it_asks_for(live: Live, scene: Path) -> None:
     page.until(lambda: len(paths(page)[1].get("forager/id", ())) == 40)
     page.ask("look", columns=(), fields=(), flows=())
     page.until(lambda: paths(page)[0]["count"] == 0)
-    assert not live.ahead.frames
+    assert not live.look_ahead.frames
 
 
 def test_who_plays_comes_upon_what_was_planned(live: Live) -> None:
@@ -158,7 +158,7 @@ def test_of_too_many_at_once_nothing_is_simulated(live: Live, monkeypatch: pytes
     page.ask("look", columns=(), fields=(), flows=(), planned=())
     page.ask("step", count=2)
     page.frame_arrays(3)
-    assert paths(page)[0]["count"] == 0 and not live.ahead.frames
+    assert paths(page)[0]["count"] == 0 and not live.look_ahead.frames
 
 
 def test_the_page_has_the_same_bounds() -> None:
@@ -192,8 +192,8 @@ def test_paths_end_where_a_step_cannot_be_made(session: Session, monkeypatch: py
         step(world)
 
     monkeypatch.setattr(ahead_module, "step", stops)
-    ahead = Ahead()
+    ahead = LookAhead()
     for _ in range(20):
-        if ahead.lacks(session):
-            ahead.go_on(session)
-    assert list(ahead.frames) == [1, 2, 3, 4, 5] and not ahead.lacks(session)
+        if ahead.needs_simulation(session):
+            ahead.simulate_next_frame(session)
+    assert list(ahead.frames) == [1, 2, 3, 4, 5] and not ahead.needs_simulation(session)

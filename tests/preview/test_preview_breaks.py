@@ -128,7 +128,7 @@ def spec(name: str) -> SpecBreak:
 def test_it_stops_where_agents_enter_a_state(scene: Path) -> None:
     driver = Driver(scene, state("rest"))
     stops = driver.play(40)
-    light = driver.session.timeline.light_frames
+    light = driver.session.timeline.reduced_frames
     for frame in range(2, 42):  # in these frames and no others, as the frames themselves have it
         previous_states, now = (light[each]["walker"]["state/main"] for each in (frame - 1, frame))
         assert (frame in stops) == bool(((now == 1) & (previous_states == 0)).any()), frame

@@ -32,7 +32,7 @@ def opened(scene: Path, **how: int) -> Session:
     return session
 
 
-def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(scene: Path) -> None:
+def test_full_memory_keeps_the_latest_reduced_frames_and_checkpoints_of_all_times(scene: Path) -> None:
     session = opened(scene, checkpoint_interval=2)
     one = session.timeline.nbytes
     session = opened(scene, checkpoint_interval=2, budget=10 * one)
@@ -42,7 +42,7 @@ def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(
         hashes[session.frame] = session.hash
     history = session.timeline
     assert history.nbytes <= history.max_bytes
-    assert list(history.light_frames)[-20:] == list(range(102, 122))
+    assert list(history.reduced_frames)[-20:] == list(range(102, 122))
     points = sorted(history.stretches[0].checkpoints)
     gaps = [b - a for a, b in pairwise(points)]
     assert points[0] == 1 and points[-1] >= 118 and len(points) > 5
@@ -64,7 +64,7 @@ def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
     assert history.poses.nbytes == sum(
         a.nbytes for each in history.poses.values() for one in each.values() for a in one.arrays.values()
     )
-    assert 5 < len(history.poses) < len(history.light_frames)
+    assert 5 < len(history.poses) < len(history.reduced_frames)
     assert list(history.poses) == list(range(122 - len(history.poses), 122))
     assert {"forager/plays/main", "forager/wears"} <= read_stored_poses(session, 121)["forager"].keys()
 
@@ -79,7 +79,7 @@ def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pyte
         assert session.set("forager.smell", f"{50 + number} mm").ok
         message = sent_curves.take_new_values(session.timeline)
         assert message is not None and message["branches"][-1]["line"] == f"set: {{forager.smell: {50 + number} mm}}"
-    assert [each.line[-7:-4] for each in session.timeline.branches] == [f" {50 + k}" for k in range(4, 12)]
+    assert [each.reason[-7:-4] for each in session.timeline.branches] == [f" {50 + k}" for k in range(4, 12)]
     assert len(session.timeline.curves) <= 30 and session.last_frame == session.frame
     session.step()
     session.seek(session.last_frame - 5)

@@ -74,7 +74,7 @@ def test_items_have_the_shape_and_colour_of_their_look_also_after_a_change(live:
         assert read_body("donut") == donut
 
 
-def test_a_light_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> None:
+def test_a_reduced_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> None:
     page = Page(live)
     page.ask("step", count=9)
     exact = page.frame_arrays(10)

@@ -31,15 +31,15 @@ def watched(name: str, frames: int, each: int, folder: Path, monkeypatch: pytest
     part = frames // 5
     notes.go(part)
     layer = first_layer(session)
-    assert session.layer(*layer, False).ok
+    assert session.switch_layer(*layer, False).ok
     notes.go(part)
     session.seek(session.frame - part // 2)
     if name in PARAM:
         assert session.set(*PARAM[name]).ok
     notes.go(2 * part)
-    session.seek(session.first + part // 2)
+    session.seek(session.first_frame + part // 2)
     session.seek(session.last_frame)
-    assert session.layer(*layer, True).ok
+    assert session.switch_layer(*layer, True).ok
     notes.go(frames - part * 7 // 2)
     return notes
 

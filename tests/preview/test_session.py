@@ -160,10 +160,10 @@ def test_an_edit_that_was_undone_leaves_a_fresh_run(shot: Path) -> None:
     session.set("forager.swing", "80 deg")
     session.set("forager.swing", "50 deg")  # as it was
     assert not session.edited
-    session.layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", is_on=False)
+    session.switch_layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", is_on=False)
     assert session.edited
     assert (
-        session.layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", is_on=True).description
+        session.switch_layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", is_on=True).description
         == "layer `separate(radius: 1.2 * size, fov: 260 deg)` is on again"
     )
     go(session, 3)
@@ -228,7 +228,7 @@ def test_a_run_that_is_simulated_again_is_stored_as_a_branch(shot: Path) -> None
     session.timeline.mark_stop(4, "somebody rests")
     session.restart()
     [branch] = session.timeline.branches
-    assert (branch.first, branch.line, branch.curves) == (1, "simulated again from the first frame", curves)
+    assert (branch.first, branch.reason, branch.curves) == (1, "simulated again from the first frame", curves)
     assert not session.timeline.stop_reasons
 
 
@@ -251,7 +251,7 @@ def test_a_clean_run_is_what_a_fresh_run_gives(shot: Path) -> None:
 def test_the_suggested_text_has_the_same_lasting_effect(shot: Path) -> None:
     session = opened(shot)
     layer = "separate(radius: 1.2 * size, fov: 260 deg)"
-    assert session.layer("forager", layer, False).text == f"# {layer}"
+    assert session.switch_layer("forager", layer, False).text == f"# {layer}"
     assert len(session.shot.plan.species["forager"].layers) == 3
     suggested_text = session.switch_field("trail", False).text
     assert suggested_text == "set: {trail.limit: 0.000001, trail.keeps: 0 %/step}"
@@ -265,7 +265,7 @@ def test_the_suggested_text_has_the_same_lasting_effect(shot: Path) -> None:
     assert written.hash == session.hash
     edit(shot, f"# {layer}", layer)
     session.switch_field("trail", True)
-    assert session.layer("forager", layer, True).ok
+    assert session.switch_layer("forager", layer, True).ok
     assert len(session.shot.plan.species["forager"].layers) == 4
 
 
@@ -287,26 +287,26 @@ def test_memory_stays_in_its_budget_and_the_oldest_goes_first(shot: Path) -> Non
     timeline = session.timeline
     array_sizes = {
         id(array): array.nbytes
-        for lights in timeline.light_frames.values()
+        for lights in timeline.reduced_frames.values()
         for light in lights.values()
         for array in light.values()
     }
-    assert timeline.light_frames.nbytes == sum(array_sizes.values())
+    assert timeline.reduced_frames.nbytes == sum(array_sizes.values())
     assert timeline.nbytes <= 150_000 + max(sum(a.nbytes for a in c.values()) for c in timeline.stretches[0].checkpoints.values())
-    assert session.read_light_frame(1) is None
+    assert session.read_reduced_frame(1) is None
     assert len(timeline.curves) == 61
     session.seek(30)
     assert session.hash == hashes[30]
 
 
-def test_light_frames_show_agents_without_simulating(shot: Path) -> None:
+def test_reduced_frames_show_agents_without_simulating(shot: Path) -> None:
     session = opened(shot)
     go(session, 5)
-    light_frame = session.read_light_frame(3)
-    assert light_frame is not None
+    reduced_frame = session.read_reduced_frame(3)
+    assert reduced_frame is not None
     session.seek(3)
-    assert (light_frame["forager"]["position"] == session.world.populations["forager"].position.astype("f4")).all()
-    assert session.read_light_frame(99) is None
+    assert (reduced_frame["forager"]["position"] == session.world.populations["forager"].position.astype("f4")).all()
+    assert session.read_reduced_frame(99) is None
 
 
 def test_files_that_a_scene_is_made_of_are_known(shot: Path) -> None:

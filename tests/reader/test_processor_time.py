@@ -228,10 +228,10 @@ def test_a_reader_that_cannot_start_for_want_of_memory(
     (tmp_path / "child.py").write_text("")
     monkeypatch.setattr(client, "_CHILD_PROGRAM", tmp_path / "child.py")
     with pytest.raises(ReaderFailure):
-        client.active_layers()
+        client.find_active_layers()
     monkeypatch.setattr(client, "get_address_space_limit", lambda: 1 << 28)
     with pytest.raises(MemoryError):
-        client.active_layers()
+        client.find_active_layers()
 
 
 def test_a_library_that_cannot_be_mapped_is_out_of_memory() -> None:

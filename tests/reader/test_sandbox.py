@@ -57,7 +57,7 @@ def test_only_the_private_folder_and_the_installation_are_readable(outcomes: dic
 
 
 def test_the_reader_itself_is_confined() -> None:
-    active = client.active_layers()
+    active = client.find_active_layers()
     running = client._file_reader._reader_process
     assert running is not None
     status = Path(f"/proc/{running.process.pid}/status").read_text()

@@ -284,7 +284,7 @@ def test_invalid_answers_are_errors(
 
 def test_usd_needs_a_grant_where_nothing_confines_the_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.usda").write_text(GOOD)
-    monkeypatch.setattr(client, "active_layers", lambda: {"rlimits": 1, "landlock": 0, "seccomp": 0})
+    monkeypatch.setattr(client, "find_active_layers", lambda: {"rlimits": 1, "landlock": 0, "seccomp": 0})
     with pytest.raises(usd.UsdError, match="no sandbox") as error:
         read(tmp_path, "a.usda")
     assert error.value.help is not None and "--trust-usd" in error.value.help

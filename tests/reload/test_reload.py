@@ -105,7 +105,7 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
     rng, counts = random.Random(seed), Counter[str]()
     project = first_project()
     session = opened(folder, project)
-    project_by_stretch = {session.timeline.at(session.frame): project}  # of each stretch of time
+    project_by_stretch = {session.timeline.find_stretch(session.frame): project}  # of each stretch of time
     for _ in range(edits):
         for _ in range(rng.randrange(1, 4)):
             session.step()
@@ -124,9 +124,9 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
             project.save(folder)
             continue
         if rng.random() < 0.2:
-            session.seek(rng.randint(session.first, session.last_frame))
+            session.seek(rng.randint(session.first_frame, session.last_frame))
             counts["branched"] += 1
-        old = project_by_stretch[session.timeline.at(session.frame)]
+        old = project_by_stretch[session.timeline.find_stretch(session.frame)]
         food = session.world.items["food"].amounts["load"]
         food -= np.minimum(food, rng.randrange(3))
         new, old_herds, scent = edited(project, rng), herds(session.world), session.world.fields["trail"].values.copy()
@@ -149,7 +149,7 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
         trail = session.world.fields["trail"].values
         assert np.array_equal(trail, scent) if same_cells else not trail.any()
         counts["taken over" if outcome.line != "nothing has changed" else "the same"] += 1
-        project_by_stretch[session.timeline.at(session.frame)] = project = new
+        project_by_stretch[session.timeline.find_stretch(session.frame)] = project = new
     return counts
 
 

@@ -146,10 +146,10 @@ def _check_tables() -> None:
 
 def _check_sandbox(problems: list[str]) -> None:
     """Print the layers of the sandbox that confines the process that reads foreign formats."""
-    from antdsl.reader.client import ReaderFailure, active_layers
+    from antdsl.reader.client import ReaderFailure, find_active_layers
 
     try:
-        active = active_layers()
+        active = find_active_layers()
     except ReaderFailure as error:
         _print_check("reader", False, str(error))
         problems.append("allow this user to start processes and to write to the folder for temporary files")

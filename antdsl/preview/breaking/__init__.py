@@ -27,10 +27,10 @@ WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], Brea
 
 @dataclass(slots=True, eq=False)
 class Breakpoint:
-    """A breakpoint of a page.
+    """A breakpoint that a page requested.
 
-    `request`: the request. `watcher`: the watcher; None while the breakpoint does not match the program. `error`: the error if it
-    does not match."""
+    `watcher`: checks each frame; None while the breakpoint does not match the program. `error`: the reason why it does not
+    match."""
 
     request: AnyBreak
     watcher: BreakpointWatcher | None = None

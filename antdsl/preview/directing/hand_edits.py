@@ -30,9 +30,10 @@ _NOT_SHOWN = ("the preview does not show offsets of joints", "copy the line: `an
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandEdit:
-    """An edit by hand.
+    """An edit that a page added.
 
-    `key`: identifies it for pages. `text`: its line. `is_on`: whether it is displayed. `problem`: why it was switched off."""
+    `key`: identifies it for pages. `text`: its line. `is_on`: whether it is displayed. `problem`: the reason why it was switched
+    off."""
 
     key: int
     text: str
@@ -44,8 +45,9 @@ HandEdits = tuple[HandEdit, ...]
 
 
 class _ViewKey(NamedTuple):
-    """What a view of the frames was made for. `history`: the timeline and its version. `next_ids`: by species, the first id that
-    no agent has."""
+    """The inputs of a view of the frames: a view is made again if one of them changes.
+
+    `history`: the timeline and its version. `next_ids`: by species, the first id that no agent has."""
 
     shot: Shot
     history: tuple[Timeline, int]
@@ -54,8 +56,9 @@ class _ViewKey(NamedTuple):
 
 
 class EditedRun:
-    """The simulated frames of a session with edits. `version` increases when what they show may have changed. `problem`: why the
-    last frame could not be shown with edits."""
+    """The simulated frames of a session with edits. `version` increases when the displayed frames may have changed.
+
+    `problem`: the reason why the last frame could not be displayed with edits."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -89,7 +92,7 @@ class EditedRun:
         return draft, draft.report.ok and not draft.missing
 
     def replace_edits(self, edits: HandEdits, frame: int) -> str:
-        """Replace the edits. Return why they cannot be applied to a frame; then nothing changes."""
+        """Replace the edits. Return the reason why they cannot be applied to a frame; then nothing changes. Empty on success."""
         if any(each.is_on for each in edits):
             try:
                 self._apply_edits(edits).frame(frame)
@@ -100,8 +103,9 @@ class EditedRun:
         return ""
 
     def read_frame(self, number: int) -> tuple[EditedCache, Arrays] | None:
-        """Return the view with the edits, and its arrays of a frame. None without edits, or if the frame cannot be shown with
-        them; then `problem` says why."""
+        """Return the view with the edits, and the arrays of one of its frames. Return None without edits.
+
+        Also return None if the frame cannot be displayed with them; then `problem` is the reason."""
         self.problem = ""
         view = self.find_view()
         try:
@@ -111,8 +115,9 @@ class EditedRun:
             return None
 
     def find_view(self) -> EditedCache | None:
-        """Return the simulated frames with the edits that are on; None without such edits. Edits that no longer fit are switched
-        off, with the reason."""
+        """Return the simulated frames with the active edits; None without active edits.
+
+        Edits that no longer fit are switched off, with the reason."""
         if not any(each.is_on for each in self.edits):
             return None
         timeline = self.session.timeline
@@ -164,7 +169,7 @@ class EditedRun:
     def _find_next_ids(self) -> dict[str, int]:
         """Return by species the first id that no simulated agent has."""
         known = self._view_key.next_ids if self._view_key is not None else {}
-        lights = self.session.timeline.light_frames.values()
+        lights = self.session.timeline.reduced_frames.values()
         counts = {}
         for name, population in self.session.world.populations.items():
             ids = (int(light[name]["id"].max()) + 1 for light in lights if name in light and len(light[name]["id"]))

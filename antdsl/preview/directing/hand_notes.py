@@ -16,7 +16,8 @@ from antdsl.scene.notes.notes_model import Note
 class HandNote:
     """A note that is not in the scene's file.
 
-    `key`: identifies it for pages. `text`: its line. `is_on`: whether the run follows it. `problem`: why it was switched off."""
+    `key`: identifies it for pages. `text`: its line. `is_on`: whether the run follows it. `problem`: the reason why it was
+    switched off."""
 
     key: int
     text: str
@@ -29,7 +30,7 @@ HandNotes = tuple[HandNote, ...]
 
 
 def list_active_lines(notes: Iterable[HandNote]) -> tuple[str, ...]:
-    """Return the lines of the notes that are on."""
+    """Return the lines of the notes that the run follows."""
     return tuple(note.text for note in notes if note.is_on)
 
 
@@ -41,13 +42,13 @@ def find_last_unaffected_frame(old: HandNotes, new: HandNotes) -> float:
 
 
 def drop_written_notes(notes: HandNotes, scene: Scene) -> HandNotes:
-    """Return the notes that the scene's file does not have by now."""
+    """Return the notes without those that the scene's file has now."""
     written = scene.model.notes[: len(scene.model.notes) - scene.added_notes]
     return tuple(each for each in notes if each.note not in written)
 
 
 def switch_off_failed_notes(notes: HandNotes, report: Report) -> HandNotes:
-    """Return the notes, with those off that have errors in a report of all active notes."""
+    """Return the notes. Notes with errors in `report`, the report of all active notes, are switched off."""
     problems = {d.span.source.path: d.message for d in reversed(report.errors) if d.span is not None}
     active = [note for note in notes if note.is_on]
     failed = {note.key: problems[path] for k, note in enumerate(active) if (path := name_note_source(k)) in problems}
@@ -55,7 +56,7 @@ def switch_off_failed_notes(notes: HandNotes, report: Report) -> HandNotes:
 
 
 def name_switched_notes(old: Sequence[HandNote], new: Sequence[HandNote]) -> list[str]:
-    """Return a text for each note that was on and is off or not there any more."""
+    """Return a text for each note that was active in `old` and is inactive or missing in `new`."""
     later = {note.key: note for note in new}
     texts = []
     for note in old:

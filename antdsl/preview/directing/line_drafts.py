@@ -19,7 +19,7 @@ EDIT_SOURCE = "<edit>"  # the name of the source of a draft of an edit
 class LineDraft:
     """A line as a page wrote it.
 
-    `text`: its text. `ends`: the start and the end of each value in it. `missing`: required keys without a value."""
+    `text`: its text. `ends`: by key, the start and the end of the value in the text. `missing`: required keys without a value."""
 
     text: str
     ends: Mapping[str, tuple[int, int]]

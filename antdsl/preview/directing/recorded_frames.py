@@ -1,4 +1,4 @@
-"""The simulated frames of a session in the form of a cache: made when they are read, from a world at the frame."""
+"""The simulated frames of a session in the form of a cache. A frame is made when it is read, from a world at this frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ _MAX_STORED_BYTES = 1 << 27
 
 @dataclass(slots=True, eq=False)
 class _Store:
-    """Frames in memory, and the world that simulates more. `history`: the timeline and its version that they belong to."""
+    """Frames in memory, and the world that simulates further frames.
+
+    `history`: the timeline and its version to which the frames belong."""
 
     frames: OrderedDict[int, Arrays] = field(default_factory=OrderedDict)
     nbytes: int = 0
@@ -55,7 +57,7 @@ class RecordedFrames(Cache):
 
     @classmethod
     def of(cls, session: Session) -> RecordedFrames:
-        """Return the frames of a session, with the names of its current programs."""
+        """Return the frames of a session, with the names of species and states of its current programs."""
         shot, world = session.shot, session.world
         bodies = StoredBodies.from_definitions(shot.bodies, collect_body_weights(shot.scene.model.crowd))
         static = {**make_static_arrays(world, shot.setting), **bodies.arrays}
@@ -63,7 +65,7 @@ class RecordedFrames(Cache):
 
     def frames(self) -> list[int]:
         """Return the numbers of the simulated frames, ascending."""
-        return list(range(self.session.first, self.session.last_frame + 1))
+        return list(range(self.session.first_frame, self.session.last_frame + 1))
 
     def read_static(self) -> Arrays:
         """Return the arrays that apply to all frames."""
@@ -73,8 +75,8 @@ class RecordedFrames(Cache):
         """Return the arrays of a frame. Raises CacheError for a frame that was not simulated, or by a program with other
         states."""
         session, store = self.session, self._store
-        if not session.first <= number <= session.last_frame:
-            raise CacheError(f"frame {number} is not among those simulated, {session.first} to {session.last_frame}")
+        if not session.first_frame <= number <= session.last_frame:
+            raise CacheError(f"frame {number} is not among those simulated, {session.first_frame} to {session.last_frame}")
         history = session.timeline, session.timeline.version
         if store.history != history:
             store.clear(history)
@@ -89,7 +91,7 @@ class RecordedFrames(Cache):
     def _simulate_to(self, number: int) -> None:
         """Simulate up to a frame in a separate world, and store the frames on the way."""
         session, store = self.session, self._store
-        stretch = session.timeline.at(number)
+        stretch = session.timeline.find_stretch(number)
         checkpoint = find_nearest_checkpoint(stretch, number)
         if store.world is None or store.stretch is not stretch or not checkpoint <= store.world.frame < number:
             store.world, store.stretch = (

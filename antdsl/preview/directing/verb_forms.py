@@ -33,8 +33,9 @@ from antdsl.scene.values import (
 
 
 class KeyKind(NamedTuple):
-    """A kind of value. `name`: as pages know it. `unit`: of numbers. `example`: a value as in a scene. `help`: of keys without a
-    help of their own."""
+    """A kind of value. `name`: the name of the kind for pages. `unit`: the unit of numbers. `example`: a value as in a scene.
+
+    `help`: the help for keys that have none."""
 
     name: str
     unit: str = ""
@@ -43,7 +44,7 @@ class KeyKind(NamedTuple):
 
 
 class VerbKey(NamedTuple):
-    """A key of a verb. `default`: as in a scene, empty for none. `is_selector`: it selects among the agents."""
+    """A key of a verb. `default`: the text as in a scene, empty for none. `is_selector`: whether it selects among the agents."""
 
     name: str
     kind: KeyKind

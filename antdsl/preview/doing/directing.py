@@ -45,7 +45,7 @@ def _draft_note(live: Live, request: requests.DraftLine, form: VerbForm) -> _Dra
     draft, note = draft_note(live.session.shot, form, request.agents, request.values)
     if not request.apply or note is None:
         return draft, note is not None, draft.report.diagnostics, False
-    _check_new(notes, draft.text, "note")
+    _check_new_line(notes, draft.text, "note")
     added = HandNote(_find_free_key(notes), draft.text, note)
     result = _change_notes(live, (*notes, added), f"note `{draft.text}`", draft.text)
     return draft, True, result.report.diagnostics, result.ok
@@ -56,15 +56,15 @@ def _draft_edit(live: Live, request: requests.DraftLine, form: VerbForm) -> _Dra
     draft, is_valid = live.screen.edited.check_line(form, request.agents, request.values)
     if not request.apply or not is_valid:
         return draft, is_valid, draft.report.diagnostics, False
-    _check_new(edits, draft.text, "edit")
+    _check_new_line(edits, draft.text, "edit")
     problem = _change_edits(live, (*edits, HandEdit(_find_free_key(edits), draft.text)), f"edit `{draft.text}`", draft.text)
     if problem:
         draft.report.error("wrong-value", problem, None)
     return draft, True, draft.report.diagnostics, not problem
 
 
-def _check_new(lines: Iterable[HandNote] | Iterable[HandEdit], text: str, what: str) -> None:
-    """Raise RequestRefused for a line that is there already, or for one too many."""
+def _check_new_line(lines: Iterable[HandNote] | Iterable[HandEdit], text: str, what: str) -> None:
+    """Raise RequestRefused for a line that exists already, or if there are too many lines. `what`: the kind of line."""
     texts = [line.text for line in lines]
     if text in texts:
         raise RequestRefused(f"the run has this {what} already", f"change a value, or switch the {what} on in the list")
@@ -90,7 +90,7 @@ def switch_line(live: Live, request: requests.SwitchLine, client: Client) -> Non
 
 
 def _switch_line(lines: tuple[Line, ...], request: requests.SwitchLine) -> tuple[tuple[Line, ...], str]:
-    """Return the lines after a request, and what it did."""
+    """Return the lines after a request, and a text that says what the request did."""
     what = _WORD_BY_LIST[request.list]
     line = next((each for each in lines if each.key == request.key), None)
     if line is None:
@@ -107,7 +107,7 @@ def _change_notes(live: Live, notes: HandNotes, description: str, text: str = ""
     """Replace the notes of the run, and bring it to the displayed frame again."""
     live.show_exact_frame()
     frame = live.session.frame
-    result = live.session.direct(notes, description, text)
+    result = live.session.replace_notes(notes, description, text)
     if result.ok:
         live.send_to_all(make_outcome_message(live, "note", result, find_scene_name(live) if text else ""))
         live.screen.on_edit(files_changed=False)
@@ -117,7 +117,7 @@ def _change_notes(live: Live, notes: HandNotes, description: str, text: str = ""
 
 
 def _change_edits(live: Live, edits: HandEdits, description: str, text: str = "") -> str:
-    """Replace the edits that are displayed. Return why they cannot be applied; empty if they are."""
+    """Replace the edits that are displayed. Return the reason why they cannot be applied; empty on success."""
     live.show_exact_frame()
     problem = live.screen.edited.replace_edits(edits, live.session.frame)
     if not problem:

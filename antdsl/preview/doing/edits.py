@@ -24,7 +24,7 @@ def switch_layer(live: Live, request: requests.SwitchLayer, client: Client) -> N
     plan = live.session.shot.plan.species.get(request.species)
     layer_plan = next((each for each in plan.layers if each.span.text == request.layer), None) if plan is not None else None
     file = live.screen.names.get_short_name(layer_plan.span.source.path) if layer_plan is not None else ""
-    _send_outcome(live, "layer", live.session.layer(request.species, request.layer, request.on), file)
+    _send_outcome(live, "layer", live.session.switch_layer(request.species, request.layer, request.on), file)
 
 
 def switch_field(live: Live, request: requests.SwitchField, client: Client) -> None:

@@ -38,7 +38,7 @@ def seek(live: Live, request: requests.Seek, client: Client) -> None:
     """Go to a frame, or display the nearest stored one."""
     live.pause()
     session = live.session
-    frame = min(max(request.frame, session.first), session.last_frame)
+    frame = min(max(request.frame, session.first_frame), session.last_frame)
     if request.exact:
         live.go_to(frame)
     else:

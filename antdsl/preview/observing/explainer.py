@@ -34,7 +34,9 @@ _CACHED_STRETCHES = 2  # stretches with cached replays: before and after an edit
 
 @dataclass(slots=True, eq=False)
 class StretchHistory:
-    """The history of one stretch of a session. `extra_checkpoints`: one extra checkpoint, at the frame of the last replay."""
+    """The history of one stretch of a session, as replays read it.
+
+    `extra_checkpoints`: one extra checkpoint, at the frame of the last replay."""
 
     session: Session
     stretch: SimulationStretch
@@ -58,7 +60,7 @@ class StretchHistory:
         """Return the hash of the session's current frame; None for other frames.
 
         Also return None if a param was set at the frame, since its new value takes effect only in the next step."""
-        is_current = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
+        is_current = self.session.timeline.find_stretch(frame) is self.stretch and self.session.frame == frame
         return self.session.hash if is_current and all(change.frame != frame for change in self.stretch.param_changes) else None
 
     def apply_interventions(self, world: World) -> None:
@@ -67,7 +69,7 @@ class StretchHistory:
 
     def make_missing_error(self, frame: int) -> ExplainError:
         """Return the error for a frame that is no longer stored."""
-        return ExplainError(f"the history of frame {frame} is no longer stored", f"stored from {self.session.first} on")
+        return ExplainError(f"the history of frame {frame} is no longer stored", f"stored from {self.session.first_frame} on")
 
     def make_difference_error(self, frame: int) -> ExplainError:
         """Return the error for a frame that is not reproduced bit by bit."""
@@ -82,9 +84,9 @@ class Explainer:
         self._cached_replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], Replay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
-        """Return explanations of the step to a frame for agents (species, id), with their states over time.
+        """Return an explanation for each agent (species, id) of its decisions in the step to a frame, with its states over time.
 
-        The result is None for an agent without decisions in the step. Raises ExplainError if no explanation is possible."""
+        It is None for an agent without decisions in the step. Raises ExplainError if no explanation is possible."""
         replay = self._find_replay(frame)
         for species, _ in agents:
             _check_species(species, replay.shot)
@@ -98,8 +100,7 @@ class Explainer:
         ]
 
     def make_message(self, species: str, agent: int, frame: int, name_file: Callable[[str], str] = str) -> dict[str, Any]:
-        """Return the message for a page that requests the explanation of one agent. `name_file`: returns the page's name of a
-        file."""
+        """Return the message with the explanation of one agent. `name_file`: returns the name of a file that pages show."""
         account, why = None, ""
         try:
             [account] = self.explain([(species, agent)], frame)
@@ -119,13 +120,13 @@ class Explainer:
 
     def _find_replay(self, frame: int) -> Replay:
         """Return the replay for the step to a frame. It belongs to the stretch in which the step began."""
-        first, head = self.session.first, self.session.last_frame
+        first, head = self.session.first_frame, self.session.last_frame
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"choose frame {frame + 1} or later")
         if not first < frame <= head:
             stored = f"frames {first + 1} to {head} can be explained" if head > first else "no step has been simulated yet"
             raise ExplainError(f"frame {frame} was not simulated, or is no longer stored", stored)
-        stretch = self.session.timeline.at(frame - 1)
+        stretch = self.session.timeline.find_stretch(frame - 1)
         key = tuple(stretch.param_changes)
         self._cached_replays = [stored for stored in self._cached_replays if stored[0] in self.session.timeline.stretches]
         for known, changes, replay in self._cached_replays:
@@ -145,11 +146,11 @@ class Explainer:
     def _collect_state_stretches(self, species: str, agent: int) -> Iterator[StateStretch]:
         """Yield the agent's states in all stored frames, one machine after the other."""
         frames_by_machine: dict[str, list[tuple[int, str]]] = {}
-        for frame, light in sorted(self.session.timeline.light_frames.items()):
+        for frame, light in sorted(self.session.timeline.reduced_frames.items()):
             if species not in light:
                 continue
             rows = np.flatnonzero(light[species]["id"] == agent)
-            plan = self.session.timeline.at(frame).shot.plan.species.get(species)
+            plan = self.session.timeline.find_stretch(frame).shot.plan.species.get(species)
             for machine in plan.machines if plan is not None and len(rows) else ():
                 state = machine.states[int(light[species][f"state/{machine.name}"][rows[0]])]
                 frames_by_machine.setdefault(machine.name, []).append((frame, state))

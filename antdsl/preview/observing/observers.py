@@ -27,8 +27,8 @@ def _make_breakpoints(live: Live) -> Observer:
     return Breakpoints(live.find_observer(SpecObserver), live.send_to_all)
 
 
-def _make_note_observer(live: Live) -> Observer:
-    return NoteObserver()
+def _make_message_observer(live: Live) -> Observer:
+    return BackendMessageObserver()
 
 
 # Observers that each Live creates, in this order. A handler gets one by `live.find_observer(Kind)`. Specs come before
@@ -36,17 +36,17 @@ def _make_note_observer(live: Live) -> Observer:
 # which check whether a spec failed.
 OBSERVER_MAKERS: tuple[Callable[[Live], Observer], ...] = (
     CostReporter,
-    _make_note_observer,
+    _make_message_observer,
     _make_spec_observer,
     _make_breakpoints,
 )
 
 
-class NoteObserver:
+class BackendMessageObserver:
     """An observer that prints the backend's messages. Used only by the live thread."""
 
     def __init__(self) -> None:
-        self._printed_notes: set[str] = set()
+        self._printed_messages: set[str] = set()
 
     def before_step(self, session: Session) -> None:
         """Do nothing: messages are printed after the step."""
@@ -54,8 +54,8 @@ class NoteObserver:
     def after_step(self, session: Session) -> PauseReason | None:
         """Print new messages of the backend. Never pause."""
         for sentence in session.world.backend.messages():
-            if sentence not in self._printed_notes:
-                self._printed_notes.add(sentence)
+            if sentence not in self._printed_messages:
+                self._printed_messages.add(sentence)
                 print(sentence, file=sys.stderr, flush=True)
         return None
 

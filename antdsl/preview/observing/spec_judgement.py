@@ -33,11 +33,9 @@ CURVE_NAME_PREFIX = "spec: "
 class SpecStatus:
     """The status of one spec.
 
-    `plan`: None if no plan can exist.
-    `reason`: the reason if there is no judge.
-    `judge`: judges the spec, or None.
-    `seconds` and `frames`: the time of judging, and the number of judged frames.
-    """
+    `plan`: how to judge the spec; None if this is impossible.
+    `judge`: judges each frame; None while the spec is not judged. `reason`: the reason for this.
+    `seconds` and `frames`: the total time of judging, and the number of judged frames."""
 
     name: str
     plan: SpecPlan | None = None
@@ -52,7 +50,7 @@ class SpecStatus:
         return self.judge.failures[0] if self.judge is not None and self.judge.failures else None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the status as the message `specs` lists it."""
+        """Return the status in the form of the message `specs`."""
         failed = self.failure
         return {
             "name": self.name,
@@ -84,7 +82,7 @@ class SpecObserver:
         return {"op": "specs", "specs": [each.as_json() for each in self.statuses]}
 
     def require_specs(self, names: Collection[str]) -> None:
-        """Judge these specs at any cost. A spec with stopped judging is judged again from the next step on."""
+        """Judge these specs at any cost. Specs that were stopped are judged again from the next step on."""
         self.wanted = frozenset(names)
 
     def plan_specs(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
@@ -118,7 +116,7 @@ class SpecObserver:
         frame, shot = session.frame, session.shot
         if frame != session.last_frame or frame < shot.frames.first:
             return
-        stretch = session.timeline.at(frame)
+        stretch = session.timeline.find_stretch(frame)
         if stretch is not self._stretch or frame not in (self._last_judged_frame, self._last_judged_frame + 1):
             self._stretch = stretch
             self.statuses = [_make_status(*each) for each in self.plan_specs(shot, session.compiler.scene)]
@@ -134,9 +132,9 @@ class SpecObserver:
                 session.timeline.curves[frame].setdefault(CURVE_NAME_PREFIX + each.name, curve)
 
     def _start_judging(self, session: Session, is_selected: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
-        """Start judging specs from this frame on, and return them.
+        """Start judging specs from this frame on, and return their statuses.
 
-        They are those that `is_selected` selects, that are not judged yet, and that can be judged."""
+        They are the specs that `is_selected` selects, that are not judged yet, and that can be judged."""
         candidates = [each for each in self.statuses if each.judge is None and each.plan is not None and is_selected(each)]
         for each in candidates:
             assert each.plan is not None

@@ -22,7 +22,7 @@ class ListenError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class ListeningSockets:
-    """Bound sockets. `host_names`: hosts with port that a request may have. `addresses`: addresses to open in a browser, the best
+    """Bound sockets. `host_names`: hosts with port that requests may name. `addresses`: addresses to open in a browser, the best
     first."""
 
     sockets: tuple[socket.socket, ...]

@@ -96,8 +96,9 @@ class GatedConnection(ServerConnection):
 
 
 class TokenBucket:
-    """A rate limiter. It holds up to `most` tokens and gains `rate` tokens per second; each event takes one. `clock` returns
-    seconds."""
+    """A rate limiter. It holds up to `most` tokens and gains `rate` tokens per second. `clock` returns seconds.
+
+    Each event takes one token."""
 
     def __init__(self, rate: float, capacity: float, clock: Callable[[], float] = monotonic) -> None:
         self._rate, self._capacity, self._clock = rate, capacity, clock

@@ -89,7 +89,7 @@ def _write_keys(path: Path, keys: Sequence[str]) -> None:
 class ConnectionVerdict(Enum):
     """The decision about a request to open a socket."""
 
-    IN = "in"
+    ADMITTED = "admitted"
     INVITED = "invited"  # by a code that is valid once; the client must receive the token
     STRANGER = "stranger"  # a wrong host name, another page, or no page and no token
     WRONG_TOKEN = "wrong token"  # this server's page from before a restart; it gets a message
@@ -120,27 +120,28 @@ class RequestGuard:
         """Return whether a request has exactly one `Host` header, and it equals one of the names."""
         return len(headers) == 1 and headers[0] in self.host_names
 
-    def origin(self, headers: Sequence[str]) -> bool | None:
-        """Return whether the origin of a request is this server's page; None if the request has no origin. `null` does not count
-        as an origin of this server: pages from files and sandboxes send it."""
+    def check_origin(self, headers: Sequence[str]) -> bool | None:
+        """Return whether the origin of a request is this server's page; None if the request has no origin.
+
+        `null` does not count as an origin of this server: pages from files and sandboxes send it."""
         if not headers:
             return None
         return len(headers) == 1 and headers[0].removeprefix("http://") in self.host_names and headers[0].startswith("http://")
 
     def may_load_page(self, hosts: Sequence[str], origins: Sequence[str]) -> bool:
         """Return whether the page may be loaded. No token is needed, because the page contains no secret."""
-        return self.is_own_host(hosts) and self.origin(origins) is not False
+        return self.is_own_host(hosts) and self.check_origin(origins) is not False
 
     def judge_socket(self, hosts: Sequence[str], origins: Sequence[str], protocols: Iterable[str]) -> ConnectionVerdict:
         """Return the verdict on a request to open a socket. `protocols`: its `Sec-WebSocket-Protocol` headers."""
-        origin = self.origin(origins)
+        origin = self.check_origin(origins)
         if not self.is_own_host(hosts) or origin is False:
             return ConnectionVerdict.STRANGER
         words = [word.strip() for line in protocols for word in line.split(",")]
         tokens = [word.removeprefix(_TOKEN_PREFIX) for word in words if word.startswith(_TOKEN_PREFIX)]
         if WEBSOCKET_PROTOCOL in words and len(tokens) == 1:
             if _is_equal(tokens[0], self.token):
-                return ConnectionVerdict.IN
+                return ConnectionVerdict.ADMITTED
             used = {code for code in self._invitation_codes if _is_equal(tokens[0], code)}
             self._invitation_codes.difference_update(used)
             if used:

@@ -104,8 +104,9 @@ _SILENT_LOGGER.propagate = False
 
 
 class SimulationHost(Protocol):
-    """The part of the simulation that the server uses. `antdsl.preview.live.Live` implements it. All methods are thread-safe and
-    never block."""
+    """The part of the simulation that the server uses. `antdsl.preview.live.Live` implements it.
+
+    All methods are thread-safe and never block."""
 
     def ask(self, request: AnyRequest, client: Client) -> None: ...
     def join(self, client: Client) -> None: ...
@@ -164,7 +165,7 @@ class PreviewServer:
             verdict = self._guard.judge_socket(hosts, origins, request.headers.get_all("Sec-WebSocket-Protocol"))
             if verdict is ConnectionVerdict.STRANGER:
                 return _make_response(HTTPStatus.FORBIDDEN)
-            if verdict in (ConnectionVerdict.IN, ConnectionVerdict.INVITED):
+            if verdict in (ConnectionVerdict.ADMITTED, ConnectionVerdict.INVITED):
                 self._gate.admit_connection(connection, is_invited=verdict is ConnectionVerdict.INVITED)
             return None
         route = self._pages.routes.get(request.path)

@@ -47,8 +47,8 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def store_poses(session: Session) -> None:
-    """Store the poses of the session's frame with its light frame, unless they are stored already."""
-    world, lights = session.world, session.read_light_frame(session.frame)
+    """Store the poses of the session's frame with its reduced frame, unless they are stored already."""
+    world, lights = session.world, session.read_reduced_frame(session.frame)
     if lights is not None and session.frame not in session.timeline.poses:
         poses = {
             name: _make_species_poses(session, each, lights[name]) for name, each in world.populations.items() if name in lights
@@ -66,20 +66,20 @@ def read_stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
     return arrays_by_species
 
 
-def _make_species_poses(session: Session, population: Population, light: Arrays) -> SpeciesPoses:
-    actions = gather_actions(session.world, session.shot, population, light)
+def _make_species_poses(session: Session, population: Population, displayed: Arrays) -> SpeciesPoses:
+    actions = gather_actions(session.world, session.shot, population, displayed)
     return SpeciesPoses(actions.outfits, make_action_arrays(actions))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesActions:
-    """What the bodies of a species do in a frame.
+    """The actions of the bodies of a species in a frame.
 
-    `machines`: those that play clips. `layers`: those that agents may wear. `channels`: those that states set.
-    `seed`: of the scene. `seconds`: the time of the frame.
+    `machines`: the machines that play clips. `layers`: the layers that agents may wear. `channels`: the channels that states set.
+    `seed`: the seed of the scene. `seconds`: the time of the frame.
     `outfits`: by body key. `numbers`: uint8[n], the index of each agent's body.
-    `stored`: arrays as in caches, with feet in mm. `light`: the displayed positions and directions. Both are by id.
-    """
+    `stored`: arrays as in caches, with feet in mm. `displayed`: positions and directions as pages display them. Both are ordered
+    by id."""
 
     species: str
     machines: tuple[str, ...]
@@ -90,18 +90,20 @@ class SpeciesActions:
     outfits: Mapping[str, BodyOutfit]
     numbers: NDArray[np.uint8]
     stored: Mapping[str, NDArray[Any]]
-    light: Arrays
+    displayed: Arrays
 
     def select(self, rows: NDArray[np.intp]) -> SpeciesActions:
         """Return the actions of the agents in `rows`. The arrays of feet are not limited to them: their rows are bodies, not
         agents."""
         stored = {name: array if name.startswith("feet.") else array[rows] for name, array in self.stored.items()}
-        light = {name: array[rows] for name, array in self.light.items()}
-        return replace(self, stored=stored, light=light, numbers=self.numbers[rows])
+        displayed = {name: array[rows] for name, array in self.displayed.items()}
+        return replace(self, stored=stored, displayed=displayed, numbers=self.numbers[rows])
 
 
-def gather_actions(world: World, shot: Shot, population: Population, light: Arrays) -> SpeciesActions:
-    """Return what the bodies of a species do in the frame of a world. `light`: the light frame of these agents, by id."""
+def gather_actions(world: World, shot: Shot, population: Population, displayed: Arrays) -> SpeciesActions:
+    """Return the actions of the bodies of a species in the world's current frame.
+
+    `displayed`: the reduced frame of the same agents, in order of id."""
     stored = make_clip_arrays(population) | make_display_arrays(population, world.setting)
     for key in world.setting.list_body_keys(population.name):
         stored |= make_feet_arrays(world, key, 1.0)
@@ -115,7 +117,7 @@ def gather_actions(world: World, shot: Shot, population: Population, light: Arra
         list_outfits(world, shot, population),
         numbers_by_row(population, world.setting)[population.rows_by_id()],
         stored,
-        light,
+        displayed,
     )
 
 
@@ -143,21 +145,21 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
 
 def _make_body_arrays(actions: SpeciesActions, key: str, worn: BodyOutfit) -> Arrays:
     """Return the actions of the agents with a body."""
-    stored, light = actions.stored, actions.light
-    count = len(light["id"])
+    stored, displayed = actions.stored, actions.displayed
+    count = len(displayed["id"])
     clips_by_machine = {each: read_machine_clips(actions.species, each, stored, count) for each in actions.machines}
     machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
     clips = [worn.definition.clips.get(clip) for clip, *_ in worn.clips]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
     arrays: Arrays = {f"plays/{each}": pack_clips(clip, loops) for each, clip in machines.items()}
     arrays |= _make_display_arrays(actions, worn)
-    played = (*build_posed_body(worn).build_idle_clips(light["id"], actions.seconds), *machines.values())
+    played = (*build_posed_body(worn).build_idle_clips(displayed["id"], actions.seconds), *machines.values())
     arrays |= _make_trait_arrays(actions, worn, played)
     solver = build_posed_body(worn).leg_solver
     feet = None if solver is None else read_feet(key, stored, count, solver.count)
     if feet is not None and solver is not None and count:
         stands = solver.compute_stance_weights((*worn.clips, PlayedClip(worn.definition.idle)), played, count)
-        arrays |= make_stance_arrays(solver, feet, light, stands)
+        arrays |= make_stance_arrays(solver, feet, displayed, stands)
     return {f"{key}/{what}": array for what, array in arrays.items()}
 
 
@@ -180,7 +182,7 @@ def _make_display_arrays(actions: SpeciesActions, body_outfit: BodyOutfit) -> Ar
 
 
 def _make_trait_arrays(actions: SpeciesActions, body_outfit: BodyOutfit, machines: tuple[MachineClips, ...]) -> Arrays:
-    stored, ids = actions.stored, actions.light["id"].astype(np.int64)
+    stored, ids = actions.stored, actions.displayed["id"].astype(np.int64)
     differ, varied, count = find_traits(body_outfit), body_outfit.definition.variation, len(ids)
     if not differ.count or not count:
         return {}
@@ -240,7 +242,9 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
     return output
 
 
-def make_stance_arrays(legs: LegSolver, feet: PlacedFeet, light: Arrays, foot_weights: Floats) -> dict[str, NDArray[np.int16]]:
+def make_stance_arrays(
+    legs: LegSolver, feet: PlacedFeet, displayed: Arrays, foot_weights: Floats
+) -> dict[str, NDArray[np.int16]]:
     """Return the stances of bodies as two integer arrays.
 
     - `feet` int16[n, L, 3]: the target of each foot joint relative to a body with an unmoved trunk, in 1/4096 of the body length,
@@ -248,12 +252,11 @@ def make_stance_arrays(legs: LegSolver, feet: PlacedFeet, light: Arrays, foot_we
     - `stance` int16[n, 6]: column 0 is the rise of the trunk in 1/4096 of the body length. Columns 1 to 3 are x, y and z of its
       rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has a bit for each foot that stands.
 
-    `feet`: in mm. `light`: the displayed positions and directions of these agents.
+    `feet`: in mm. `displayed`: the displayed positions and directions of these agents.
     `foot_weights`: [n], the weight with which clips leave feet on the ground.
 
-    Bodies are oriented by directions of three bytes, as on pages. So rounding does not shake a standing foot.
-    """
-    size = np.where(light["size"] > 0, light["size"], 1).astype(np.float32)
+    Bodies are oriented by directions of three bytes, as on pages. So rounding does not shake a standing foot."""
+    size = np.where(displayed["size"] > 0, displayed["size"], 1).astype(np.float32)
     rise = feet.rise / size * foot_weights
     tilt = feet.tilt * foot_weights[:, None]
     tilt[:, 3] += 1 - foot_weights
@@ -264,17 +267,17 @@ def make_stance_arrays(legs: LegSolver, feet: PlacedFeet, light: Arrays, foot_we
     stance[:, 4] = _quantise_values(foot_weights, _UNIT_INT16)
     is_down = feet.is_on_ground[:, :_MAX_FEET_BITS].astype(np.int64)
     stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
-    away = np.moveaxis(feet.P - light["position"][:, None], 2, 0) / size[None, :, None]
-    place = _rotate_back(_compute_body_axes(light), away)
+    away = np.moveaxis(feet.P - displayed["position"][:, None], 2, 0) / size[None, :, None]
+    place = _rotate_back(_compute_body_axes(displayed), away)
     place[1] += legs.sole_heights[None] - rise[:, None]
     goals = _rotate_back(_make_rotations(tilt), place)
     return {"feet": _quantise_values(goals.transpose(1, 2, 0), _STEPS_PER_BODY_LENGTH), "stance": stance}
 
 
-def _compute_body_axes(light: Arrays) -> Floats:
+def _compute_body_axes(displayed: Arrays) -> Floats:
     """Return the columns forward, up and sideways of agents, float32[3, 3, n], computed in the same way as by pages."""
-    up = normalise_or_fallback(light["up"].astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
-    ahead = light["heading"].astype(np.float32)
+    up = normalise_or_fallback(displayed["up"].astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
+    ahead = displayed["heading"].astype(np.float32)
     ahead -= up * (ahead * up).sum(axis=1, keepdims=True)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-20)
     return np.stack([ahead.T, up.T, np.cross(ahead, up).T], axis=1)

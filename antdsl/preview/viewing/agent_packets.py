@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.edits.edited_cache import EditedCache
 from antdsl.outputs.feelers import compute_feeler_rays, list_feelers
 from antdsl.plan.ir import Plan
-from antdsl.preview.agent_columns import CURRENT_COLUMNS, make_light_frame, make_packet_arrays
+from antdsl.preview.agent_columns import CURRENT_COLUMNS, make_packet_arrays, make_reduced_frame
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.action_arrays import gather_actions, make_action_arrays, read_stored_poses, store_poses
 from antdsl.preview.viewing.edited_packets import make_edited_arrays
@@ -46,9 +46,9 @@ class AgentPackets:
             return
         self._last_key = key
         if stored_frame is not None:  # also while the session is simulating towards that frame
-            lights = view_state.session.read_light_frame(stored_frame)
-            if lights is not None:
-                arrays = _add_edits(_make_stored_arrays(view_state, stored_frame, lights), view_state, frame)
+            reduced_frame = view_state.session.read_reduced_frame(stored_frame)
+            if reduced_frame is not None:
+                arrays = _add_edits(_make_stored_arrays(view_state, stored_frame, reduced_frame), view_state, frame)
                 yield "frame", pack_arrays("frame", arrays, frame=frame, light=True)
             return
         arrays = _add_edits(_make_world_arrays(view_state), view_state, frame) | _make_item_arrays(world, view_state.shot.program)
@@ -56,10 +56,10 @@ class AgentPackets:
         yield "frame", pack_arrays("frame", arrays | feelers, frame=frame, light=False, felt=feeler_owners)
 
 
-def _make_stored_arrays(view_state: ViewState, frame: int, lights: Mapping[str, Arrays]) -> Arrays:
-    """Return the arrays of agents of a stored frame. `lights`: its light frame."""
-    plan = view_state.session.timeline.at(frame).shot.plan
-    arrays = _renumber_states(_join_stored_arrays(lights), plan, view_state.shot.plan)
+def _make_stored_arrays(view_state: ViewState, frame: int, reduced_frame: Mapping[str, Arrays]) -> Arrays:
+    """Return the arrays of agents of a stored frame. `reduced_frame`: its stored arrays by species."""
+    plan = view_state.session.timeline.find_stretch(frame).shot.plan
+    arrays = _renumber_states(_join_stored_arrays(reduced_frame), plan, view_state.shot.plan)
     for pose_arrays in read_stored_poses(view_state.session, frame).values():
         arrays |= pose_arrays
     return arrays
@@ -70,10 +70,10 @@ def _make_world_arrays(view_state: ViewState) -> Arrays:
     world, arrays = view_state.world, Arrays()
     factors = _find_column_factors(world, view_state.shot.program, view_state.interest)
     store_poses(view_state.session)
-    lights = view_state.session.read_light_frame(world.frame) or {}  # this also stores the light frame
+    reduced_frame = view_state.session.read_reduced_frame(world.frame) or {}  # this also stores the reduced frame
     poses = read_stored_poses(view_state.session, world.frame)
     for name, population in world.populations.items():
-        then = lights[name] if name in lights else make_light_frame(population)
+        then = reduced_frame[name] if name in reduced_frame else make_reduced_frame(population)
         arrays |= _join_stored_arrays({name: then}) | _make_current_arrays(population, factors)
         if name in poses:
             arrays |= poses[name]
@@ -83,13 +83,14 @@ def _make_world_arrays(view_state: ViewState) -> Arrays:
 
 
 def _add_edits(arrays: Arrays, view_state: ViewState, frame: int) -> Arrays:
-    """Return the arrays of agents with the edits that pages added. `arrays`: those without."""
+    """Return the arrays of agents with the edits that pages added. `arrays`: the arrays without edits."""
     edited = view_state.edited.read_frame(frame)
     return arrays if edited is None else make_edited_arrays(*edited, view_state.world, view_state.shot, arrays)
 
 
 def _make_current_arrays(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
-    """Return the arrays of a frame that are not stored with light frames."""
+    """Return the arrays of a frame that reduced frames lack. `factors`: by species and column, the factor to the displayed
+    unit."""
     name, now, rows = population.name, population.now, population.rows_by_id()
     arrays: Arrays = {f"{name}/{column}": array for column, array in make_packet_arrays(population, CURRENT_COLUMNS).items()}
     for (species, column), factor in factors.items():
@@ -143,8 +144,8 @@ def _renumber_states(arrays: Arrays, stored_plan: Plan, page_plan: Plan) -> Arra
     return arrays
 
 
-def _join_stored_arrays(lights: Mapping[str, Arrays]) -> Arrays:
-    return {f"{species}/{name}": array for species, light in lights.items() for name, array in light.items()}
+def _join_stored_arrays(reduced_frame: Mapping[str, Arrays]) -> Arrays:
+    return {f"{species}/{name}": array for species, light in reduced_frame.items() for name, array in light.items()}
 
 
 def make_feeler_arrays(world: World, program: Program, species: str, agent: int) -> dict[str, NDArray[Any]]:

@@ -42,13 +42,12 @@ _NATURAL_STEPS = 255  # steps along the path of natural colours
 
 @dataclass(frozen=True, slots=True)
 class BodyOutfit:
-    """The abilities of a species' bodies.
+    """A body of a species, with the clips and layers that its agents may display.
 
     `clips`: clips of its states, with transform groups.
     `layers`: the layers that some agents wear in addition to the body's own.
     `look_groups`: the transform groups of `look`.
-    `blends_lean`: whether clips blend with turn and slope.
-    """
+    `blends_lean`: whether clips blend with turn and slope."""
 
     definition: Definition
     clips: tuple[PlayedClip, ...] = ()
@@ -60,7 +59,7 @@ class BodyOutfit:
 def list_outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
     """Return the outfits of a species, by the keys of its bodies. Layers beyond the limit of pages are dropped."""
     keys = world.setting.list_body_keys(population.name)
-    return {key: _make_outfit(world, population, body_of_key(shot, key)) for key in keys}
+    return {key: _make_outfit(world, population, find_body_of_key(shot, key)) for key in keys}
 
 
 def _make_outfit(world: World, population: Population, definition: Definition) -> BodyOutfit:
@@ -237,8 +236,9 @@ def _make_variation_arrays(definition: Definition, body_traits: BodyTraits, tabl
 
 
 def _make_natural_colours(body: PosedBody) -> NDArray[np.uint8]:
-    """Return the natural colours of agents as display bytes, uint8[c, 3]: one colour, or those in even steps along the path of
-    their variation."""
+    """Return the natural colours of agents as display bytes, uint8[c, 3].
+
+    There is one colour, or colours in even steps along the path of their variation."""
     path = body.definition.variation.materials.get(STATE_MATERIAL)
     linear = body.compute_natural_colours(NO_DRIVEN_POSE, 1)
     if path is not None:
@@ -291,8 +291,9 @@ def _make_leg_arrays(legs: LegSolver | None, table: ClipTable) -> Arrays:
 
 
 def _number_leg_parts(legs: LegSolver | None, joints: int) -> NDArray[np.int32]:
-    """Return the leg part of each joint of the rig: 0 for none, else three times the leg's number plus 1 for thigh, 2 for shank,
-    3 for foot."""
+    """Return the number of the leg part that each joint of the rig belongs to; 0 for none.
+
+    The number is three times the leg's number plus 1 for thigh, 2 for shank, 3 for foot."""
     part_numbers = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
         for piece, those in enumerate((each.thigh, each.shank, each.sole), 1):
@@ -324,8 +325,9 @@ def _make_mesh_arrays(body: PosedBody, table: ClipTable) -> Arrays:
     }
 
 
-def body_of_key(shot: Shot, key: str) -> Definition:
-    """Return a body: from its own file, else the library body that the scene requests or that matches the species' name."""
+def find_body_of_key(shot: Shot, key: str) -> Definition:
+    """Return the body with a body key: from its own file, else the library body that the scene requests or that matches the
+    species' name."""
     own, species, number = shot.bodies.get(key), find_species_of_key(key), find_number_of_key(key)
     if own is not None:
         return own

@@ -22,7 +22,7 @@ class SentCurves:
         self._sent_branches: list[TimelineBranch] = []
 
     def mark_unsent_from(self, frame: int) -> None:
-        """Note that a frame and all later frames must be sent again, because they are measured again."""
+        """Record that a frame and all later frames must be sent again, because they are measured again."""
         if self._last_sent_frame is not None and self._last_sent_frame >= frame:
             self._last_sent_frame = frame - 1
 
@@ -46,7 +46,7 @@ class SentCurves:
         self._timeline, self._sent_branches = timeline, list(timeline.branches)
         self._last_sent_frame = self._highest_sent_frame = timeline.last_frame
         branches = [
-            {"first": branch.first, "line": branch.line, **_make_curve_columns(thin_curves(branch.curves, _MAX_BRANCH_POINTS))}
+            {"first": branch.first, "line": branch.reason, **_make_curve_columns(thin_curves(branch.curves, _MAX_BRANCH_POINTS))}
             for branch in timeline.branches
         ]
         return _make_curves_message(True, thin_curves(timeline.curves, _MAX_HISTORY_POINTS), branches)

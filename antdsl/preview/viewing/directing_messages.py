@@ -9,7 +9,7 @@ from antdsl.preview.directing.hand_edits import EDITS_FILE, HandEdit
 from antdsl.preview.directing.hand_notes import HandNote
 from antdsl.preview.directing.verb_forms import FORMS_BY_LIST, VerbKey
 from antdsl.preview.session import Session
-from antdsl.preview.viewing.body_packets import body_of_key
+from antdsl.preview.viewing.body_packets import find_body_of_key
 from antdsl.program.tables.colours import COLOUR_BY_NAME
 from antdsl.scene.checks.scene_checks import list_selector_names
 from antdsl.scene.crowds.initial_values import is_settable
@@ -85,7 +85,7 @@ def _list_names(session: Session) -> Names:
     shot, world = session.shot, session.world
     setting, program = world.setting, remove_note_machines(shot.program)
     selectors = list_selector_names(shot.scene, program)
-    bodies = [body_of_key(shot, key) for name in world.populations for key in setting.list_body_keys(name)]
+    bodies = [find_body_of_key(shot, key) for name in world.populations for key in setting.list_body_keys(name)]
     agents = [*selectors.lines, *sorted(selectors.species)]
     items, meshes = sorted(selectors.items), [*sorted(setting.obstacles), *sorted(setting.surfaces)]
     attributes = {a.name: None for species in program.species.values() for a in species.attributes if is_settable(a)}

@@ -33,7 +33,7 @@ def make_edited_arrays(
 ) -> PageArrays:
     """Return the arrays of agents for a page in a frame with edits.
 
-    `unedited`: those without edits, of the same frame. Agents that edits left where they were keep their bits. An attribute of a
+    `unedited`: the arrays of the same frame without edits. Agents at unchanged positions have the same bits. An attribute of a
     copy, and of an agent that the frame without edits lacks, is 0."""
     arrays: PageArrays = {}
     worn = find_edited_outfits(view, world, shot)
@@ -42,29 +42,29 @@ def make_edited_arrays(
             name.removeprefix(f"{entry.name}/"): array for name, array in unedited.items() if name.startswith(f"{entry.name}/")
         }
         rows = find_species_rows(frame, number)
-        light = _make_light_arrays(view.manifest, entry, frame, rows, world)
-        at, is_known = match_rows(light["id"].astype(np.int64), own["id"].astype(np.int64))
-        _retain_bits(light, own, at, is_known)
-        actions = _gather_actions(view, number, frame, rows, light, worn[entry.name], world)
+        displayed = _make_displayed_arrays(view.manifest, entry, frame, rows, world)
+        at, is_known = match_rows(displayed["id"].astype(np.int64), own["id"].astype(np.int64))
+        _retain_bits(displayed, own, at, is_known)
+        actions = _gather_actions(view, number, frame, rows, displayed, worn[entry.name], world)
         for name, array in own.items():
             if name == "born" or name.startswith("column/"):
-                light[name] = np.where(is_known, array[at] if len(array) else np.zeros(len(at), array.dtype), 0).astype(
+                displayed[name] = np.where(is_known, array[at] if len(array) else np.zeros(len(at), array.dtype), 0).astype(
                     array.dtype
                 )
         tint = _make_tint(entry, frame, rows)
-        light |= {} if tint is None else {"tint": tint}
-        arrays |= {f"{entry.name}/{name}": array for name, array in light.items()} | make_action_arrays(actions)
+        displayed |= {} if tint is None else {"tint": tint}
+        arrays |= {f"{entry.name}/{name}": array for name, array in displayed.items()} | make_action_arrays(actions)
     return arrays
 
 
-def _make_light_arrays(
+def _make_displayed_arrays(
     manifest: Manifest, entry: SpeciesEntry, frame: Arrays, rows: NDArray[np.intp], world: World
 ) -> PageArrays:
     """Return the displayed values of the agents in some rows, in the units of pages."""
     unit_mm = UNIT_MM[manifest.units]
     heading, up = find_axes(np.asarray(frame["orient"], np.float64)[rows])
     velocity = np.asarray(frame["v"], np.float32)[rows] * np.float32(unit_mm)
-    light = {
+    displayed = {
         "id": get_agent_ids(frame)[rows].astype(np.int32),
         "position": frame["P"][rows] * np.float32(unit_mm),
         "heading": np.rint(heading * _DIRECTION_SCALE).astype(np.int8),
@@ -74,21 +74,23 @@ def _make_light_arrays(
     }
     for number, machine in enumerate(entry.machines):
         states = frame["state" if number == 0 else f"{machine.name}.state"][rows]
-        light[f"state/{machine.name}"] = np.nan_to_num(states).astype(np.uint8)
-    return light
+        displayed[f"state/{machine.name}"] = np.nan_to_num(states).astype(np.uint8)
+    return displayed
 
 
-def _retain_bits(light: PageArrays, own: PageArrays, at: NDArray[np.intp], is_known: NDArray[np.bool_]) -> None:
-    """Copy the directions of agents that edits did not turn. Those in frames are rotations, which round differently."""
+def _retain_bits(displayed: PageArrays, own: PageArrays, at: NDArray[np.intp], is_known: NDArray[np.bool_]) -> None:
+    """Copy directions that edits did not change from the unedited arrays `own` into `displayed`, where rounding differs.
+
+    `at`: the row in `own` of each agent. `is_known`: whether there is such a row."""
     for name in ("heading", "up"):
         if not len(own["id"]):
             continue
-        same = is_known & (np.abs(light[name].astype(np.int16) - own[name][at]) <= 1).all(axis=1)
-        light[name][same] = own[name][at[same]]
+        same = is_known & (np.abs(displayed[name].astype(np.int16) - own[name][at]) <= 1).all(axis=1)
+        displayed[name][same] = own[name][at[same]]
 
 
 def _make_tint(entry: SpeciesEntry, frame: Arrays, rows: NDArray[np.intp]) -> NDArray[np.uint8] | None:
-    """Return the colours that edits gave, uint8[n, 4]: red, green, blue, and 1 for agents that have one. None without any."""
+    """Return the colours that edits set, uint8[n, 4]: red, green, blue, and 1 for agents with such a colour. None without any."""
     stored = np.asarray(frame["Cd"], np.float32)[rows]
     palette = np.array([state.colour for state in entry.machines[0].states] if entry.machines else [(1.0, 1.0, 1.0)], np.float32)
     states = np.clip(frame["state"][rows], 0, len(palette) - 1) if entry.machines else np.zeros(len(rows), np.int64)
@@ -103,7 +105,7 @@ def _gather_actions(
     number: int,
     frame: Arrays,
     rows: NDArray[np.intp],
-    light: PageArrays,
+    displayed: PageArrays,
     worn: Mapping[str, BodyOutfit],
     world: World,
 ) -> SpeciesActions:
@@ -117,12 +119,12 @@ def _gather_actions(
     numbers = CacheBodies(manifest, {}).numbers(number, get_agent_ids(frame)[rows])
     seconds = int(frame["frame"]) * world.dt
     return SpeciesActions(
-        entry.name, entry.playing, entry.wears, entry.channels, manifest.seed, seconds, worn, numbers, stored, light
+        entry.name, entry.playing, entry.wears, entry.channels, manifest.seed, seconds, worn, numbers, stored, displayed
     )
 
 
 def _find_owner(name: str) -> str:
-    """Return the species or body that an array of a frame such as `feet.ant#0.P` is about; empty for other arrays."""
+    """Return the species or body to which an array of a frame belongs, such as `feet.ant#0.P`; empty for other arrays."""
     parts = name.split(".")
     return parts[1] if len(parts) > 1 and parts[0] in ("clips", "wears", "channels", "looks", "leans", "feet") else ""
 

@@ -100,8 +100,9 @@ class FieldPackets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingVertices:
-    """Vertices that lie on a moving mesh. `first`: the number of the first one. `corners` int64 (k, 3): the mesh vertices around
-    each. `weights` (k, 3): their weights."""
+    """Vertices of a field mesh on a moving mesh. `first`: the number of the first of these vertices.
+
+    `corners` int64 (k, 3): the vertices of the moving mesh around each vertex. `weights` (k, 3): their weights."""
 
     mesh: str
     first: int
@@ -225,8 +226,7 @@ def _make_moving_vertices(
 def _find_cell_weights(
     points: Floats, point_normals: Floats, positions: Floats, normals: Floats, cell: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return the nearest cells of each point that face the point's side, and the share of each cell, which falls with
-    distance."""
+    """Return the nearest cells of each point that face the point's side, and the weight of each cell. It falls with distance."""
     from scipy.spatial import cKDTree
 
     distance, near = cKDTree(positions).query(points, k=[min(k, len(positions)) for k in range(1, _CELLS_PER_VERTEX + 1)])
@@ -240,7 +240,9 @@ def _find_cell_weights(
 def _make_squares(
     positions: Floats, normals: Floats, cell: float, cell_indices: NDArray[np.int64]
 ) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return a square for each of the cells `cell_indices`, perpendicular to the cell's normal."""
+    """Return squares, perpendicular to the normals of the cells `cell_indices`.
+
+    The results are the vertices, the faces, and the cells of each vertex with their weights."""
     other = np.where(np.abs(normals[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
     right = np.cross(normals, other)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)

@@ -1,6 +1,8 @@
-"""Packets of geometry. Ground and obstacles are meshes, sent once. Moving meshes are sent in each frame, removed meshes
-without faces. Curves are sent as points, and flows as arrows on the ground. Solids are sent in pieces of a few bricks each. A
-piece is sent again after agents dig in it."""
+"""Packets of geometry.
+
+Ground and obstacles are meshes, sent once. Moving meshes are sent in each frame, removed meshes without faces. Curves are sent as
+points, and flows as arrows on the ground. Solids are sent in pieces of a few bricks each. A piece is sent again after agents dig
+in it."""
 
 from __future__ import annotations
 

@@ -19,12 +19,12 @@ JsonMessage = dict[str, Any]
 
 
 def make_hello(live: Live) -> JsonMessage:
-    """Return the `make_hello` message. `build` is empty here: the server fills it in."""
+    """Return the message `hello`. `build` is empty here: the server fills it in."""
     return {"op": "hello", "version": __version__, "build": "", "scene": find_scene_name(live)}
 
 
 def find_scene_name(live: Live) -> str:
-    """Return the page's name of the scene file."""
+    """Return the name under which pages show the scene file."""
     return live.screen.names.get_short_name(live.compiler.scene)
 
 
@@ -85,7 +85,7 @@ def make_status_message(live: Live, rate: float, hash: str | None) -> JsonMessag
         return fields
     session, why = live.session, live.pause_reason
     fields |= {
-        "frame": session.frame if live.displayed_frame is None else live.displayed_frame, "first": session.first,
+        "frame": session.frame if live.displayed_frame is None else live.displayed_frame, "first": session.first_frame,
         "head": session.last_frame,
         "playing": session.playing, "edited": session.edited, "fault": session.fault_text, "agents": len(session.world),
         "transitions": dict(session.world.transitions), "light": live.displayed_frame is not None,

@@ -83,7 +83,7 @@ class PageScreen:
     # --- what happened -----------------------------------------------------------------------------------------------
 
     def on_step(self) -> None:
-        """Note a step, and store the poses of its frame if a page is connected."""
+        """Record a step, and store the poses of its frame if a page is connected."""
         self._step_times.append(monotonic())
         self._world_changed = True
         if self.live.clients:
@@ -96,24 +96,24 @@ class PageScreen:
         )
 
     def on_look_ahead(self) -> None:
-        """Note that the set of simulated future frames changed."""
+        """Record that the set of simulated future frames changed."""
         self._world_changed = True
 
     def on_new_world(self) -> None:
-        """Note that the session has another world: it went back in time, or an edit gave it another program or other values."""
+        """Record that the session has another world: it went back in time, or an edit changed its program or values."""
         self._program_changed = self._world_changed = True
 
     def on_seek_end(self) -> None:
-        """Note that the session reached its target frame. Values set by hand may differ from those before the seek."""
+        """Record that the session reached its target frame. Values set by hand may differ from those before the seek."""
         self._program_changed = True
         self.on_action()
 
     def on_action(self) -> None:
-        """Note that an event happened that pages may have to display."""
+        """Record that an event happened that pages may have to display."""
         self._world_changed, self._last_report_time = True, -inf
 
     def on_edit(self, *, files_changed: bool) -> None:
-        """Note that the program changed, or that a change was attempted. `files_changed`: whether texts of files may have
+        """Record that the program changed, or that a change was attempted. `files_changed`: whether texts of files may have
         changed."""
         self._program_changed, self._files_changed = True, self._files_changed or files_changed
         self._hash = None  # a param may be another one at the same frame
@@ -122,7 +122,7 @@ class PageScreen:
         self.on_action()
 
     def on_display_change(self) -> None:
-        """Note that the data that pages display may have changed."""
+        """Record that the data that pages display may have changed."""
         self._interest = PageInterest.from_displays(self.live.clients.values())
         self._world_changed = True
 
@@ -195,7 +195,7 @@ class PageScreen:
         self._last_packet_time = time
         going = session.playing or self.live.is_seeking
         stored_frame, sent = self.live.displayed_frame, set()
-        view_state = ViewState(session, self.live.ahead, self._interest, stored_frame, time, going, self.edited)
+        view_state = ViewState(session, self.live.look_ahead, self._interest, stored_frame, time, going, self.edited)
         for view in self._packet_makers:
             for slot, packet in view.make_packets(view_state):
                 self._packet_by_slot[slot] = packet
@@ -207,7 +207,7 @@ class PageScreen:
         return sent
 
     def _send_scene(self, lays_out_charts: bool) -> bool:
-        """Send the scene message if it changed, and return `lays_out_charts`.
+        """Send the scene message if it changed. Return whether its charts are current, which is `lays_out_charts`.
 
         `lays_out_charts`: lay out the current charts; otherwise the message repeats the previous charts."""
         scene_message = self._make_scene_message(lays_out_charts)

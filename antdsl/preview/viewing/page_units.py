@@ -36,6 +36,6 @@ def convert_constant(value: Constant, unit_mm: float, dt: float) -> float:
 
 
 def list_colour_attributes(world: World, species: str, attributes: tuple[AttributeDecl, ...]) -> list[AttributeDecl]:
-    """Return the attributes of a species that are one number per agent."""
+    """Return the attributes by which a page can colour agents: those of a species that are one number per agent."""
     registers = world.plan.species[species].registers
     return [each for each in attributes if each.type.kind in (TypeKind.NUMBER, TypeKind.BOOL) and each.name in registers]

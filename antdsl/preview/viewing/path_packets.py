@@ -16,7 +16,8 @@ _UPDATE_INTERVAL_SECONDS = 0.1  # seconds between two of them while time goes on
 
 
 class PathPackets:
-    """The slot `path_packets`: the positions of each agent, from the header's `frame` on. NaN where the agent does not exist."""
+    """The slot `paths`: the positions of each agent, from the frame `frame` of the header on. NaN where the agent does not
+    exist."""
 
     def __init__(self) -> None:
         self._last_key: tuple[int, PageInterest] | None = None
@@ -29,7 +30,7 @@ class PathPackets:
                 self._last_key = None
                 yield "paths", pack_arrays("paths", {}, frame=0, count=0)
             return
-        now = (view_state.ahead.version, view_state.interest)
+        now = (view_state.look_ahead.version, view_state.interest)
         if now == self._last_key or (
             view_state.is_advancing
             and self._last_key is not None
@@ -37,13 +38,13 @@ class PathPackets:
         ):
             return
         self._last_key, self._last_sent_time = now, view_state.time
-        first, arrays = min(view_state.ahead.frames, default=0), _make_path_arrays(view_state)
-        yield "paths", pack_arrays("paths", arrays, frame=first, count=len(view_state.ahead.frames))
+        first, arrays = min(view_state.look_ahead.frames, default=0), _make_path_arrays(view_state)
+        yield "paths", pack_arrays("paths", arrays, frame=first, count=len(view_state.look_ahead.frames))
 
 
 def _make_path_arrays(view_state: ViewState) -> dict[str, NDArray[Any]]:
     """Return, for each species NAME, `NAME/id` int32 (n) and `NAME/path` float32 (n, frames, 3)."""
-    ahead, interest, arrays = view_state.ahead, view_state.interest, dict[str, NDArray[Any]]()
+    ahead, interest, arrays = view_state.look_ahead, view_state.interest, dict[str, NDArray[Any]]()
     if not ahead.frames:
         return arrays
     first_positions, is_for_all = (

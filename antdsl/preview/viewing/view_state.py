@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from antdsl.pipeline import Shot
-from antdsl.preview.ahead import Ahead
 from antdsl.preview.directing.hand_edits import EditedRun
+from antdsl.preview.look_ahead import LookAhead
 from antdsl.preview.requests import AgentRef, SetDisplay
 from antdsl.preview.session import Session
 from antdsl.runtime import World
@@ -49,15 +49,15 @@ class PageInterest:
 class ViewState:
     """A snapshot of the inputs of all views.
 
-    `session` and `ahead`: the session, and its simulated future frames. `edited`: its frames with the edits that pages added.
+    `session`, `look_ahead`: the session, and its simulated future frames.
+    `edited`: the frames of the session with the edits that pages added.
     `interest`: the data that pages display.
     `stored_frame`: the stored frame that is displayed instead of the session's own, or None.
     `time`: the time in seconds.
-    `is_advancing`: whether the session plays or is on its way to a frame.
-    """
+    `is_advancing`: whether the session plays or is on its way to a frame."""
 
     session: Session
-    ahead: Ahead
+    look_ahead: LookAhead
     interest: PageInterest
     stored_frame: int | None
     time: float

@@ -125,7 +125,7 @@ def _check_sandbox(text: str) -> None:
     if find_spec("pxr") is None:
         raise make_missing_extra_error()
     try:
-        is_confined = bool(client.active_layers()["seccomp"])
+        is_confined = bool(client.find_active_layers()["seccomp"])
     except client.ReaderFailure as error:
         raise UsdError("bad-usd", f"`{text}` cannot be read: {error}", "run `antdsl doctor`", "usd") from None
     if not is_confined and not confinement.is_usd_trusted():

@@ -13,13 +13,12 @@ LOOK_AHEAD_SECONDS = 2.0
 _MAX_POSITION_BYTES = 1 << 26  # maximum size of the stored positions
 
 
-class Ahead:
+class LookAhead:
     """The frames of the next 2 seconds, or as many as fit in 64 MiB.
 
     `frames`: ids and positions of all species by frame; the first is the session's current frame. Without edits, the session
     later reaches these frames, so only new frames at the far end are simulated. The frames end at an edit, at the end of the
-    existing history after the session went back, or where a step fails.
-    """
+    existing history after the session went back, or where a step fails."""
 
     def __init__(self) -> None:
         self.frames: dict[int, dict[str, Arrays]] = {}
@@ -34,11 +33,11 @@ class Ahead:
             self.frames, self._run_key, self._world, self._stopped = {}, None, None, False
             self.version += 1
 
-    def lacks(self, session: Session) -> bool:
+    def needs_simulation(self, session: Session) -> bool:
         """Return whether more frames must be simulated.
 
         This also drops frames of another run than the session's, and frames before the current one."""
-        stretch = session.timeline.at(session.frame)
+        stretch = session.timeline.find_stretch(session.frame)
         of = (stretch, tuple(stretch.param_changes))
         if of != self._run_key or session.frame not in self.frames:
             self.clear()
@@ -48,9 +47,9 @@ class Ahead:
             del self.frames[frame]
         return not self._stopped and max(self.frames) < self._find_last_frame(session)
 
-    def go_on(self, session: Session) -> None:
+    def simulate_next_frame(self, session: Session) -> None:
         """Simulate one more frame if one is missing. The first call stores the session's current frame."""
-        stretch, world = session.timeline.at(session.frame), self._world
+        stretch, world = session.timeline.find_stretch(session.frame), self._world
         if world is None:
             world = self._world = stretch.restore_world(
                 take_checkpoint(session.world), session.options, session.compiler.binding_cache
@@ -76,5 +75,5 @@ class Ahead:
         count = max(
             1, min(round(LOOK_AHEAD_SECONDS / session.world.dt), _MAX_POSITION_BYTES // (12 * max(1, len(session.world))))
         )
-        next_stretch = session.timeline.find_next_stretch(session.timeline.at(session.frame))
+        next_stretch = session.timeline.find_next_stretch(session.timeline.find_stretch(session.frame))
         return session.frame + count if next_stretch is None else min(session.frame + count, next_stretch.first)
