@@ -10,7 +10,7 @@ import commands
 import pytest
 from executed import InThisProcess
 
-from antdsl.preview.observing.observers import NoteObserver
+from antdsl.preview.observing.observers import BackendMessageObserver
 from antdsl.runtime.backends.native import compile_queue
 from antdsl.runtime.backends.native import native_backend as native_backend
 
@@ -64,7 +64,7 @@ def test_the_preview_prints_notes_once_immediately(walkers: Path, capsys: pytest
 
     session, report = Session.open(walkers / "walkers" / "scene.yaml")
     assert session is not None, report
-    notes, said = NoteObserver(), []
+    notes, said = BackendMessageObserver(), []
     for _ in range(4):
         session.step()
         notes.after_step(session)

@@ -125,7 +125,7 @@ def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_aga
 def test_a_layer_of_several_lines_becomes_as_many_comments(scene: Path) -> None:
     program = scene.with_name("forager.ant")
     program.write_text(program.read_text().replace("give_way(radius: 2.2 * size)", "give_way(\n      radius: 2.2 * size)"))
-    outcome = opened(scene).layer("forager", "give_way(\n      radius: 2.2 * size)", is_on=False)
+    outcome = opened(scene).switch_layer("forager", "give_way(\n      radius: 2.2 * size)", is_on=False)
     assert outcome.ok and outcome.text == "# give_way(\n# radius: 2.2 * size)"
 
 
