@@ -75,7 +75,7 @@ def _open_new_file(path: Path, suffix: str, mode: int) -> tuple[str, int]:
     remove_stale_parts(place)
     for left in reversed(range(_MAX_NAME_ATTEMPTS)):
         new = os.path.join(
-            place, f".{name[:_MAX_NAME_CHARACTERS]}.{_find_machine_digits()}-{os.getpid():x}-{os.urandom(6).hex()}{suffix}"
+            place, f".{name[:_MAX_NAME_CHARACTERS]}.{_compute_machine_id()}-{os.getpid():x}-{os.urandom(6).hex()}{suffix}"
         )
         try:
             return new, os.open(new, _NEW_FILE_FLAGS, mode)
@@ -107,7 +107,7 @@ def remove_stale_parts(folder: str) -> None:
     with suppress(OSError), os.scandir(folder or ".") as entries:
         for entry in entries:
             match = _PART_NAME_PATTERN.fullmatch(entry.name) if entry.name.startswith(".") else None
-            if match is None or match[1] != _find_machine_digits() or _is_process_running(int(match[2], 16)):
+            if match is None or match[1] != _compute_machine_id() or _is_process_running(int(match[2], 16)):
                 continue
             with suppress(OSError):
                 if entry.is_file(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_uid == os.geteuid():
@@ -125,15 +125,16 @@ def _is_process_running(process: int) -> bool:
     return True
 
 
-def _find_machine_digits() -> str:
-    """Return eight digits that identify this machine. In a container, they identify the container, because it has its own process
-    numbers."""
-    return _cached_machine_digits(os.getpid())
+def _compute_machine_id() -> str:
+    """Return eight digits that identify this machine, for the names of temporary files.
+
+    In a container, they identify the container, because it has its own process numbers."""
+    return _cached_machine_id(os.getpid())
 
 
 @lru_cache(1)
-def _cached_machine_digits(process: int) -> str:
-    """Return the digits of `_find_machine_digits`, computed once per process."""
+def _cached_machine_id(process: int) -> str:
+    """Return the result of `_compute_machine_id`, computed once per process. `process`: the id of this process."""
     from hashlib import blake2b
 
     space = ""

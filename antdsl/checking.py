@@ -39,7 +39,7 @@ class CheckResult:
     `reports`: the report of each file, in the order of the files.
     `sources`: the texts that were read.
     `programs`: the programs, if requested.
-    """
+    `cpu_seconds`: the limit of processor time per file; 0 means no limit."""
 
     reports: dict[Path, Report] = field(default_factory=dict)
     sources: list[Source] = field(default_factory=list)
@@ -65,9 +65,9 @@ def check_files(
 ) -> CheckResult:
     """Check each file as `check_path` does, on `cores` cores.
 
+    `strict`: add the findings of `check --strict`.
     `programs`: also return the programs; this requires `cores` = 1.
-    `cpu_seconds`: limit of processor time per file; a file that exceeds it is reported. 0 means no limit.
-    """
+    `cpu_seconds`: limit of processor time per file; a file that exceeds it is reported. 0 means no limit."""
     result = CheckResult(cpu_seconds=cpu_seconds)
     groups = _group_files(files)
     parsed = SharedParsedFiles()

@@ -64,8 +64,10 @@ def _find_relative_entries(value: str) -> list[str]:
 
 @contextmanager
 def hide_main_module() -> Iterator[None]:
-    """Let children that start meanwhile not run the user's own script again. Our tasks need nothing of it, and a script without a
-    guard by its `__name__` would start its children in turn."""
+    """Within the context, start child processes that do not run the user's script again.
+
+    The tasks of antdsl need nothing of that script. A script without a guard by its `__name__` would start further children in
+    each child."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 _budget_process = 0  # the process that has a budget, 0 for none
 # The processor time of this process at which it is spent; the system's timer adds a tick each time that it is set
 _budget_end_seconds = 0.0
-_SOONEST_SIGNAL_SECONDS = 1e-6
+_MIN_TIMER_SECONDS = 1e-6
 
 
 class CpuBudgetSpent(BaseException):
@@ -48,7 +48,7 @@ def limit_cpu_seconds(seconds: float) -> Iterator[None]:
 
 
 def remaining_cpu_seconds() -> float:
-    """Return the remaining seconds of the budget; infinity without a budget."""
+    """Return the processor time, in seconds, that the current budget still has; infinity without a budget."""
     return max(_budget_end_seconds - time.process_time(), 0.0) if _budget_process == os.getpid() else math.inf
 
 
@@ -60,9 +60,9 @@ def charge_cpu_seconds(seconds: float) -> None:
     _budget_end_seconds -= seconds
     left = remaining_cpu_seconds()
     if left > 0.0:
-        signal.setitimer(signal.ITIMER_PROF, max(left, _SOONEST_SIGNAL_SECONDS))
+        signal.setitimer(signal.ITIMER_PROF, max(left, _MIN_TIMER_SECONDS))
     elif threading.current_thread() is threading.main_thread():
         signal.setitimer(signal.ITIMER_PROF, 0)
         raise CpuBudgetSpent
     else:
-        signal.setitimer(signal.ITIMER_PROF, _SOONEST_SIGNAL_SECONDS)  # the timer tells the main thread
+        signal.setitimer(signal.ITIMER_PROF, _MIN_TIMER_SECONDS)  # the timer tells the main thread

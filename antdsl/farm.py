@@ -31,13 +31,12 @@ class JobPath:
 
 @dataclass(frozen=True, slots=True)
 class JobStep:
-    """One command, or one command per chunk of frames.
+    """A step of a job: one command, or one command per chunk of frames.
 
-    `command`: the words; `_make_placeholder` stands for a path or the chunk.
+    `command`: the words; each text of `_make_placeholder` represents a path or the chunk.
     `dependencies`: the steps that must finish first.
     `chunk_ranges`: ranges of frames, one task each; empty for a step of one task.
-    `grace_seconds`: seconds from SIGTERM to SIGKILL.
-    """
+    `grace_seconds`: seconds from SIGTERM to SIGKILL."""
 
     name: str
     description: str
@@ -53,7 +52,8 @@ class JobStep:
 
 @dataclass(frozen=True, slots=True)
 class FarmJob:
-    """All steps of a shot. A step comes after all steps that it needs. `paths`: the paths that commands use."""
+    """A shot as a job for a render farm. `paths`: the paths in its commands. `steps`: its steps, each after the steps that it
+    needs."""
 
     name: str
     paths: tuple[JobPath, ...]
@@ -64,19 +64,19 @@ class FarmJob:
 class ShotRequest:
     """The requested output: frames `first` to `last` of a scene.
 
-    `every`: one frame in `every` is drawn.
-    `pictures_per_task`: pictures per task.
-    `run` and `render_arguments`: extra arguments of these two commands.
-    """
+    `frame_step`: every `frame_step`-th frame is drawn.
+    `pictures_per_task`: the number of pictures that one task draws.
+    `run_arguments`, `render_arguments`: extra arguments of `antdsl run` and `antdsl render`.
+    `granted_roots`: name and folder of each root that the scene may read."""
 
     scene: Path
     cache: Path
     pictures: Path
     first: int
     last: int
-    every: int = 1
+    frame_step: int = 1
     pictures_per_task: int = 10
-    run: tuple[str, ...] = ()
+    run_arguments: tuple[str, ...] = ()
     render_arguments: tuple[str, ...] = ()
     granted_roots: tuple[tuple[str, Path], ...] = ()
     makes_film: bool = True
@@ -94,19 +94,19 @@ def build_shot_job(shot: ShotRequest, name: str) -> FarmJob:
     granted = [word for root, _ in shot.granted_roots for word in ("--root", f"{root}={_make_placeholder(f'Root_{root}')}")]
     scene, cache_word = f"{_make_placeholder('Project')}/{shot.scene.name}", _make_placeholder("Cache")
     draw = ("antdsl", "render", cache_word, "--out", _make_placeholder("Pictures"))
-    look = (*(("--every", str(shot.every)) if shot.every > 1 else ()), *shot.render_arguments, "--resume")
+    look = (*(("--every", str(shot.frame_step)) if shot.frame_step > 1 else ()), *shot.render_arguments, "--resume")
     steps = [
         JobStep(
             "simulation",
             "Frames are simulated in order on one machine; a stopped run continues from its last checkpoint",
-            ("antdsl", "run", scene, "--frames", between, "--out", cache_word, *granted, *shot.run, "--resume"),
+            ("antdsl", "run", scene, "--frames", between, "--out", cache_word, *granted, *shot.run_arguments, "--resume"),
         ),
         JobStep(
             "frames",
             "Pictures are drawn in chunks on any machine; existing complete pictures are not drawn again",
             (*draw, "--frames", _make_placeholder(_FRAMES_PARAMETER), "--shot", between, *look),
             ("simulation",),
-            split_frames(shot.first, shot.last, shot.every, shot.pictures_per_task),
+            split_frames(shot.first, shot.last, shot.frame_step, shot.pictures_per_task),
             30,
         ),
     ]
@@ -116,15 +116,17 @@ def build_shot_job(shot: ShotRequest, name: str) -> FarmJob:
     return FarmJob(name, (project, *roots, cache, pictures), tuple(steps))
 
 
-def split_frames(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
-    """Return ranges of frames with `count` pictures each; the last may have fewer. Each range begins with a frame that is
-    drawn."""
-    starts = range(first, last + 1, every * count)
-    return tuple(f"{start}..{min(start + every * count - 1, last)}" for start in starts)
+def split_frames(first: int, last: int, frame_step: int, count: int) -> tuple[str, ...]:
+    """Return ranges of frames as texts `A..B`, with `count` pictures each; the last may have fewer. Each range begins with a
+    frame that is drawn.
+
+    `frame_step`: the number of frames from one picture to the next."""
+    starts = range(first, last + 1, frame_step * count)
+    return tuple(f"{start}..{min(start + frame_step * count - 1, last)}" for start in starts)
 
 
 def _make_placeholder(name: str) -> str:
-    """Return the text that stands for a path or the chunk in the words of a command."""
+    """Return the text that represents a path or the chunk in the words of a command."""
     return f"\0{name}\0"
 
 

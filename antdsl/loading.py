@@ -129,8 +129,11 @@ class LoadedSources:
         *,
         is_library: bool = False,
     ) -> nodes.File | None:
-        """Return a parsed file, or None with the reason in the report. `origin`: the roots that may contain the file, and its
-        path there. It is None for a file of the library, and for one that the user named."""
+        """Return a parsed file, or None with the reason in the report.
+
+        `name`: the display name of a library file. `span`: the location of findings about the file itself.
+        `origin`: the roots that may contain the file, and its path there. It is None for a file of the library, and for one that
+        the user named."""
         place = os.path.realpath(path)
         if place in self.parse_cache:
             file, report = self.parse_cache[place]

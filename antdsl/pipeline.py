@@ -31,12 +31,15 @@ if TYPE_CHECKING:
     from antdsl.scene.setting import WorldSetting
     from antdsl.scene.values import FrameRange
 
-SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dist", "_data"])
-
 
 @dataclass(frozen=True, slots=True)
 class RunChoices:
-    """Choices of the user in addition to the scene: granted roots, values that override the scene's own, and further notes."""
+    """Choices of the user in addition to the scene.
+
+    `grants`: the folder of each granted root, by name.
+    `frames`, `seed`, `params`: values that override those of the scene.
+    `changes`: what a spec also sets: params and settings of fields.
+    `notes`: further notes, each a line such as `{hold: guards, frames: 10..20}`."""
 
     grants: Mapping[str, Path] = field(default_factory=dict)
     frames: FrameRange | None = None
@@ -52,9 +55,8 @@ class Shot:
 
     `inputs`: a hash, by name, of everything that the result depends on.
     `loaded`: the texts of the program.
-    `bodies`: by species, the bodies that come from files.
-    `proportions`: of species that set their height.
-    """
+    `bodies`: the definition of each species with a body from a file, by species.
+    `proportions`: the proportions of each species that sets its height, by species."""
 
     scene: Scene
     program: Program
@@ -187,7 +189,10 @@ def _read_scene(
     data: bytes | None = None,
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, LoadedSources, Report]:
-    """Return the scene, its programs checked together, their sources, and a report of how scene and programs match."""
+    """Return a scene, the program of all its files, their sources, and a report. The report also says how scene and program
+    match.
+
+    `data`: the text of the scene in an editor; None to read the file. `texts`: texts that override files on disk."""
     from antdsl.scene.checks.scene_checks import match_scene
     from antdsl.scene.load import load_scene, load_text
     from antdsl.scene.overrides import read_overrides
@@ -327,12 +332,10 @@ def read_mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, Mes
 def _find_stale_attribute_warnings(
     report: Report, scene: Scene, program: Program, setting: WorldSetting | None
 ) -> list[Diagnostic]:
-    """Return the warnings about attributes that do not hold in a scene.
+    """Return the warnings about attributes that are wrong for a scene.
 
-    One kind of warning says that an attribute is constant; it does not hold if the scene sets the attribute for some agents at
-    the start. The other kind says that an attribute is never read; it does not hold if the scene writes the attribute to the
-    cache.
-    """
+    A warning that an attribute is constant is wrong if the scene sets the attribute for some agents at the start. A warning that
+    an attribute is never read is wrong if the scene writes the attribute to the cache."""
     initial_attributes = setting.initial_attributes if setting is not None else {}
     initial_spans = [a.span for name, of in initial_attributes.items() for a in program.species[name].attributes if a.name in of]
     output = scene.model.output.attributes

@@ -18,7 +18,7 @@ PathName = str | os.PathLike[str]
 
 
 class NotRegularFile(OSError):
-    """Error for a folder, a pipe, a socket or a device. The message is the kind, worded to follow the file's name and `is`."""
+    """Error for a folder, a pipe, a socket or a device. The message is the kind of file, so that it can follow `FILE is`."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(errno.EINVAL, f"it is {kind}")
@@ -29,7 +29,7 @@ class NotRegularFile(OSError):
 
 
 class FileTooLarge(OSError):
-    """Error for a file of `size` bytes, if the limit of the read is `cap` bytes."""
+    """Error for a file of `size` bytes, if a read may have at most `cap` bytes."""
 
     def __init__(self, size: int, cap: int) -> None:
         super().__init__(errno.EFBIG, f"it has {size:,} bytes, and more than {cap:,} are not read")
@@ -42,14 +42,13 @@ def resolve_path(path: PathName) -> Path:
 
 
 def open_regular_file(path: PathName, *, follows_links: bool = True, folder: int | None = None) -> int:
-    """Return a handle on a regular file, to be closed by the caller. Raises NotRegular or another OSError.
+    """Return a handle on a regular file, to be closed by the caller. Raises NotRegularFile or another OSError.
 
     `follows_links`: follow a link at the end of the path.
     `folder`: the handle of an open folder that the path is relative to.
 
     A file that is not regular is not even opened, because opening alone can wake the writer of a pipe or start a device. If
-    another file replaces it in between, O_NONBLOCK prevents waiting, and the type of the handle is checked again.
-    """
+    another file replaces it in between, O_NONBLOCK prevents waiting, and the type of the handle is checked again."""
     below = {"dir_fd": folder} if folder is not None and _SUPPORTS_FOLDER_HANDLE else {}
     try:
         _require_regular_file(os.stat(path, follow_symlinks=follows_links, **below))
@@ -72,7 +71,7 @@ def _require_regular_file(status: os.stat_result) -> None:
 
 
 def read_checked_size(file_handle: int, cap: int) -> int:
-    """Return the size of an open file in bytes. Raises TooLarge above `cap`."""
+    """Return the size of an open file in bytes. Raises FileTooLarge above `cap` bytes."""
     size = os.fstat(file_handle).st_size
     if size > cap:
         raise FileTooLarge(size, cap)
@@ -80,8 +79,9 @@ def read_checked_size(file_handle: int, cap: int) -> int:
 
 
 def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
-    """Yield the contents of an open file in blocks. The handle stays open. Raises TooLarge for a file of more than `cap` bytes:
-    before any read, or as soon as a growing file exceeds the limit."""
+    """Yield the contents of an open file in blocks. The handle stays open.
+
+    Raises FileTooLarge for a file of more than `cap` bytes: before any read, or as soon as a growing file exceeds the limit."""
     read_checked_size(handle, cap)
     left = cap + 1
     while part := os.read(handle, min(left, _READ_BLOCK_BYTES)):
@@ -92,7 +92,7 @@ def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
 
 
 def read_handle(handle: int, cap: int) -> bytes:
-    """Read an open file to its end, close it, and return its bytes. Raises TooLarge above `cap` bytes."""
+    """Read an open file to its end, close it, and return its bytes. Raises FileTooLarge above `cap` bytes."""
     try:
         return b"".join(read_blocks(handle, cap))
     finally:
@@ -100,8 +100,9 @@ def read_handle(handle: int, cap: int) -> bytes:
 
 
 def read_size_limited(path: PathName, cap: int, *, follows_links: bool = True) -> bytes:
-    """Return all bytes of a regular file. Raises NotRegular, TooLarge or another OSError. `follows_links`: as in
-    `open_regular_file`."""
+    """Return all bytes of a regular file. Raises NotRegularFile, FileTooLarge above `cap` bytes, or another OSError.
+
+    `follows_links`: as in `open_regular_file`."""
     return read_handle(open_regular_file(path, follows_links=follows_links), cap)
 
 
@@ -115,7 +116,8 @@ def read_first_bytes(path: PathName, count: int) -> bytes:
 
 
 def open_size_limited(path: PathName, cap: int, *, follows_links: bool = True) -> IO[bytes]:
-    """Open a regular file of at most `cap` bytes for random access. Raises NotRegular, TooLarge or another OSError.
+    """Open a regular file of at most `cap` bytes for random access. Raises NotRegularFile, FileTooLarge or another OSError.
+
     `follows_links`: as in `open_regular_file`."""
     handle = open_regular_file(path, follows_links=follows_links)
     try:

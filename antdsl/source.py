@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """The text of one file, with its display name. `part_number`: the number of a part of a file, 0 for a complete file. Each
-    part is a separate source, so that it can move within the file without a change."""
+    """The text of one file, with its display name.
+
+    `part_number`: the number of a part of a file, 0 for a complete file. Each part is a separate source, so that it can move
+    within the file without a change."""
 
     path: str
     text: str
@@ -53,7 +55,7 @@ class Span:
         return self.source.text[self.start : self.end]
 
     def to(self, other: Span) -> Span:
-        """Return the smallest span that contains both."""
+        """Return the smallest span that contains this one and `other`."""
         return Span(self.source, min(self.start, other.start), max(self.end, other.end))
 
     def __str__(self) -> str:

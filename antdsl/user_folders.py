@@ -55,8 +55,9 @@ def state_folder() -> Path:
 
 
 def make_private_folder(path: Path) -> None:
-    """Create a folder and its parents unless they exist. Raises OSError if that fails. Raises NotPrivate if the folder is a link,
-    belongs to another user, or is writable by others."""
+    """Create a folder and its parents unless they exist. Raises OSError if that fails.
+
+    Raises NotPrivateError if the folder is a link, belongs to another user, or is writable by others."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.mkdir(mode=0o700, exist_ok=True)
     _require_private(os.lstat(path), stat.S_IWGRP | stat.S_IWOTH)
@@ -65,9 +66,8 @@ def make_private_folder(path: Path) -> None:
 def read_private(path: Path, cap: int) -> bytes:
     """Return the content of a file of at most `cap` bytes that only this user may read.
 
-    Raises OSError if there is no such file, or if it is a link or not a regular file. Raises NotPrivate if the file has two
-    names, belongs to another user, or is readable or writable by others.
-    """
+    Raises OSError if there is no such file, or if it is a link or not a regular file. Raises NotPrivateError if the file has two
+    names, belongs to another user, or is readable or writable by others."""
     _require_private(os.lstat(path.parent), stat.S_IWGRP | stat.S_IWOTH)
     handle = open_regular_file(path, follows_links=False)
     try:
@@ -79,8 +79,9 @@ def read_private(path: Path, cap: int) -> bytes:
 
 
 def _require_private(status: os.stat_result, forbidden_mode_bits: int) -> None:
-    """Raise NotPrivate for a file that others may access. `forbidden_mode_bits`: mode bits that no private file has. On Windows,
-    access lists control this; the lists of a user's own folders exclude others."""
+    """Raise NotPrivateError for a file that others may access. `forbidden_mode_bits`: mode bits that no private file has.
+
+    On Windows, access lists control this; the lists of a user's own folders exclude others."""
     if stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", False):
         raise NotPrivateError(0, "it is a link")
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:

@@ -143,7 +143,7 @@ def said(example: Example, folder: Path) -> str:
 
 def _checked(words: tuple[str, ...]) -> str:
     from antdsl.diagnostics import Report
-    from antdsl.diagnostics.ignore_comments import apply_ignores
+    from antdsl.diagnostics.ignore_comments import apply_ignore_comments
     from antdsl.diagnostics.render import render
     from antdsl.files import load_sources
     from antdsl.loading import ParsedFileCache
@@ -154,7 +154,7 @@ def _checked(words: tuple[str, ...]) -> str:
     choices = RunChoices({name: Path(folder) for name, folder in grants.items()})
     parsed: ParsedFileCache = {}
     report = check_path(Path(words[-1]), choices, strict=strict, parsed=parsed)[1]
-    findings = apply_ignores(report, load_sources([Path(words[-1])], parsed), strict=strict).sort_by_place()
+    findings = apply_ignore_comments(report, load_sources([Path(words[-1])], parsed), strict=strict).sort_by_place()
     report = Report([replace(one, severity="error") for one in findings] if strict else findings)
     return render(report, "full") if findings else ""
 

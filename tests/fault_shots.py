@@ -101,7 +101,7 @@ class Inline(ProcessEngine):
     def submit(self, task: Task) -> Future[str]:
         return self.pool.submit(run_task, task.function, json.dumps(task.document), WorkerContext(1))
 
-    def frame(self, future: Future[str]) -> int | None:
+    def find_frame(self, future: Future[str]) -> int | None:
         return None
 
     def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""What a simulation gives to read and to set: the agents of a species, items and fields, as arrays."""
+"""The agents of a species, items and fields of a simulation, as arrays that a caller can read and set."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from antdsl.api.simulation import Simulation
     from antdsl.runtime.world import Items, Population, World
 
-_MOTION = ("position", "velocity", "heading", "up")  # vectors that all agents have; only steps change them
+_MOTION_ARRAY_NAMES = ("position", "velocity", "heading", "up")  # vectors that all agents have; only steps change them
 _MAX_HTML_ROWS = 5
 
 
 def make_unknown_name_error(kind: str, name: object, known: Iterator[str] | tuple[str, ...]) -> AntdslError:
-    """Return the error for a name that does not exist. `kind`: such as `species`."""
+    """Return the error for a name that is none of `known`. `kind`: the kind of name, such as `species`."""
     names = sorted(known)
     near = find_nearest_name(str(name), names)
     return AntdslError(
@@ -32,7 +32,7 @@ def make_unknown_name_error(kind: str, name: object, known: Iterator[str] | tupl
 
 
 def make_read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array that refuses assignments, so that a change of a copy is not mistaken for a change of the world."""
+    """Return an array that rejects assignments, so that a change of this copy is not mistaken for a change of the world."""
     array.setflags(write=False)
     return array
 
@@ -103,7 +103,7 @@ class Crowd:
     @property
     def names(self) -> tuple[str, ...]:
         """The names of all arrays."""
-        return (*_MOTION, *self._machine_columns(), "age", *self.attributes)
+        return (*_MOTION_ARRAY_NAMES, *self._machine_columns(), "age", *self.attributes)
 
     @property
     def attributes(self) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ class Crowd:
         registers = self._population.plan.registers
         names = (name.rpartition(".")[0] if name.endswith((".x", ".y", ".z")) else name for name, r in registers.items() if
                  r.role == "attribute")  # fmt: skip
-        return tuple(name for name in dict.fromkeys(names) if name not in _MOTION and not name.startswith("~"))
+        return tuple(name for name in dict.fromkeys(names) if name not in _MOTION_ARRAY_NAMES and not name.startswith("~"))
 
     @property
     def settable(self) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ class Crowd:
         return tuple(name for name, kind in kinds.items() if kind in (ValueKind.F32, ValueKind.BOOL))
 
     def _machine_columns(self) -> dict[str, tuple[str, str]]:
-        """Return the register's machine and part of each column about states."""
+        """Return, by the name of each array about states, a machine and a part of its register: `state` or `time_in_state`."""
         machines = self._population.plan.machines
         columns = dict[str, tuple[str, str]]()
         for machine in machines:
@@ -134,7 +134,7 @@ class Crowd:
         population, rows = self._population, self._population.rows_by_id()
         if name == "position":
             return make_read_only(population.read_vector(name)[rows] + self._world.origin)
-        if name in _MOTION:
+        if name in _MOTION_ARRAY_NAMES:
             return make_read_only(population.read_vector(name)[rows])
         if name == "age":
             return make_read_only(np.maximum(self._world.frame - population.born[rows], 0) * self._world.dt)

@@ -7,7 +7,7 @@ from antdsl.diagnostics.render import render
 
 
 class AntdslError(Exception):
-    """Everything that can go wrong with a scene, a program, a name or a value.
+    """The error for a mistake in a scene, a program, a name or a value.
 
     `report`: the findings, each with its location; empty if the error has none. `help`: what to write instead, or None."""
 

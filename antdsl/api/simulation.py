@@ -1,4 +1,4 @@
-"""A scene that Python steps: what it holds at the current frame, its params, and functions that observe each step."""
+"""A scene that Python steps: its agents at the current frame, its params, and functions that observe each step."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ class Simulation:
         set_param(self.world, name, number if isinstance(value, str) else float(value))
 
     def _to_shown_unit(self, name: str, value: float) -> float:
-        """Return a number in base units as a number of the unit in which the program declares the param."""
+        """Return a param's value, given in base units, in the unit in which the program declares the param."""
         from antdsl.scene.quantities import parse_quantity
 
         unit = self._shot.program.params[name].unit
@@ -215,12 +215,13 @@ class Simulation:
         return self
 
     def observe(self, observer: Observer) -> Observer:
-        """Call a function with the simulation after each step, and return it. Use it as a decorator."""
+        """Register a function that is called with the simulation after each step. Return the function, so that `observe` can be a
+        decorator."""
         self._observers.append(observer)
         return observer
 
     def stop_observing(self, observer: Callable[[Simulation], object]) -> None:
-        """Do not call an observer any more. Raises AntdslError if it is none."""
+        """Do not call an observer any more. Raises AntdslError if the function is not an observer."""
         if observer not in self._observers:
             raise AntdslError("this function observes nothing here")
         self._observers.remove(observer)

@@ -32,13 +32,12 @@ class CaseError(Exception):
 class Case:
     """A case to measure.
 
-    `make_shot`: returns the shot with a given number of agents; None means its own number.
+    `make_shot`: returns the shot with a given number of agents; None means the number in its scene.
     `agents`: the numbers of agents for the case's table; empty if the case has one size.
     `quick_agent_counts`: the numbers of agents for a quick selection.
-    `make_bare_shot`: removes the parts of the shot that bare steps leave out.
-    `sight_radius_mm`: the radius in mm within which neighbours are counted.
-    `published_figures`: results that others have reported.
-    """
+    `make_bare_shot`: removes from a shot what the measurement of bare steps leaves out.
+    `sight_radius_mm`: the radius in mm within which neighbours are counted; 0 counts none.
+    `published_figures`: results that others have reported."""
 
     name: str
     description: str
@@ -51,8 +50,10 @@ class Case:
 
 
 def open_shot(path: Path, agents: int | None, *, frames: int = MAX_MEASURED_FRAMES) -> Shot:
-    """Return the shot of a scene. `agents`: scale the world to this number of agents; None leaves it unchanged. Raises
-    CaseError."""
+    """Return the shot of a scene. Raises CaseError.
+
+    `agents`: the world is scaled to this number of agents; None leaves it unchanged. `frames`: the number of frames that the shot
+    may have."""
     from antdsl.bench.scaling import scale_setting
     from antdsl.pipeline import RunChoices, open_scene
     from antdsl.scene.values import parse_frames

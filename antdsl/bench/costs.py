@@ -1,5 +1,7 @@
 """Requests to measuring processes and their results, as plain values that are sent as JSON. Also runs a job in a separate
-process, so that no other job affects its memory and start-up."""
+process, so that no other job affects its memory and start-up.
+
+A turn is one measurement of one backend. The backends of a process alternate, so that all have the same machine load."""
 
 from __future__ import annotations
 
@@ -15,14 +17,13 @@ from antdsl.child_processes import build_module_command, build_module_environmen
 
 @dataclass(frozen=True, slots=True)
 class BenchJob:
-    """A case to measure on some backends.
+    """A request to measure a case on some backends.
 
     `case`: its name, or the path of a scene.
     `agents`: the number of agents; None for the case's own number.
-    `turns`: the number of turns of each backend; backends alternate.
+    `turns`: the number of measurements of each backend; backends alternate.
     `steps`: steps per turn; 0 means as many as take about 20 ms.
-    `full_run`: also measure frames of a run, as `antdsl run` makes them.
-    """
+    `full_run`: also measure frames of a run, as `antdsl run` makes them."""
 
     case: str
     agents: int | None
@@ -35,8 +36,10 @@ class BenchJob:
 
 @dataclass(frozen=True, slots=True)
 class StepCost:
-    """Seconds of a step. `cpu` and `wall`: CPU and wall time, one number per turn. `phases_cpu` and `phases_wall`: by phase, the
-    mean of all turns."""
+    """The cost of a step in seconds.
+
+    `cpu`, `wall`: CPU time and wall-clock time, one number per turn. `phases_cpu`, `phases_wall`: both times of each phase, by
+    its name, as the mean of all turns."""
 
     cpu: list[float]
     wall: list[float]
@@ -56,7 +59,7 @@ class StepCost:
 
 @dataclass(frozen=True, slots=True)
 class SetUpCost:
-    """CPU seconds of a set-up.
+    """The cost of a set-up, in CPU seconds.
 
     Until the first frame:
     - `start`: import of Python and packages.
@@ -64,11 +67,10 @@ class SetUpCost:
     - `bind`: from these to a world.
     - `first`: the first step.
 
-    After the first frame; None for a backend without machine code:
-    - `code`: build machine code that no run has cached.
-    - Next field: load cached machine code; also None if no folder can store it.
-    - `second`: the second step, which is the first one in machine code.
-    """
+    After the first frame, in the order of the fields; all are None for a backend without machine code:
+    - Build machine code that no run has cached (`code`).
+    - Load cached machine code; also None if no folder can store it.
+    - Simulate the second step, which is the first one in machine code (`second`)."""
 
     start: float
     compile: float
@@ -86,12 +88,12 @@ class SetUpCost:
 
 @dataclass(frozen=True, slots=True)
 class FullRunCost:
-    """Seconds per frame of a run with cache, feet and contacts as in the scene.
+    """The cost of a frame of a run with cache, feet and contacts as in the scene, in seconds.
 
-    `cpu` and `wall`: of all threads, including the writer.
+    `frames`: the number of measured frames.
+    `cpu` and `wall`: time of all threads, including the writer.
     `step`: CPU seconds of the same steps without writing.
-    `feet`: the part of `step` that moves feet.
-    """
+    `feet`: the part of `step` that moves feet."""
 
     frames: int
     cpu: float
@@ -102,16 +104,15 @@ class FullRunCost:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Results of a measuring process. `set_up`, `memory` and `full_run` are those of the first backend.
+    """The result of a measuring process. `set_up`, `memory` and `full_run` are those of the first backend.
 
-    `costs`: by name of backends, and of other frames that took turns.
+    `costs`: the cost of a step, by the name of the backend or other program.
     `memory`: the largest growth of the process in bytes, from before the binding.
-    `state`: bytes of all stored values of agents.
-    `nodes`: number of nodes of the plan.
-    `neighbours`: mean number of other agents within the case's sight after the last step.
+    `state`: the bytes of all stored values of agents.
+    `nodes`: the number of nodes of the plan.
+    `neighbours`: the mean number of other agents within the case's sight after the last step.
     `told`: messages about deviations from the request, for example that NumPy ran instead of machine code. Each begins with the
-        name of its backend.
-    """
+    name of its backend."""
 
     job: BenchJob
     agents: int
@@ -126,7 +127,7 @@ class Measurement:
     told: tuple[str, ...] = ()
 
     def compute_ratios(self, name: str, other: str) -> list[float]:
-        """Return the CPU time of a step of `name` divided by that of `other` (two entries of `costs`), turn by turn."""
+        """Return, for each turn, the CPU time of a step of `name` divided by that of `other`. Both are keys of `costs`."""
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
 
 

@@ -36,21 +36,25 @@ _MIN_RUN_FRAMES = 8  # of a run
 StepFunction = Callable[[], None]
 
 
-def measure_job(job: BenchJob, make_others: Callable[[int], Mapping[str, StepFunction]] = lambda agents: {}) -> Measurement:
-    """Return the measurement of a job. `make_others(agents)` returns other frames by name, which take turns with the backends.
-    Raises CaseError for a scene that cannot be opened or scaled."""
+def measure_job(
+    job: BenchJob, make_comparison_frames: Callable[[int], Mapping[str, StepFunction]] = lambda agents: {}
+) -> Measurement:
+    """Return the measurement of a job. Raises CaseError for a scene that cannot be opened or scaled.
+
+    `make_comparison_frames`: returns further functions to measure by name, for a number of agents. Each simulates one frame in
+    another program."""
     with _use_empty_code_folder():
-        return _measure_job(job, make_others)
+        return _measure_job(job, make_comparison_frames)
 
 
-def _measure_job(job: BenchJob, make_others: Callable[[int], Mapping[str, StepFunction]]) -> Measurement:
-    """Measure a job as `measure_job` does, with the current folder for machine code."""
+def _measure_job(job: BenchJob, make_comparison_frames: Callable[[int], Mapping[str, StepFunction]]) -> Measurement:
+    """Return the measurement of a job as `measure_job` does, with the current folder for machine code."""
     start = _import_packages("native" in job.backends)
     case = find_case(job.case)
     shot, compile_ = _time_call(lambda: case.make_shot(job.agents))
     bare = case.make_bare_shot(shot)
     initial_memory, _ = measure_memory()
-    options = [Options(backend=_untyped_name(name), threads=job.threads) for name in job.backends]
+    options = [Options(backend=_cast_backend_name(name), threads=job.threads) for name in job.backends]
     world, bound_s = _time_call(lambda: bind(bare.plan, bare.setting, options[0]))
     _, first = _time_call(lambda: step(world))
     has_code, code = _time_call(lambda: wait_for_code(world))
@@ -67,7 +71,7 @@ def _measure_job(job: BenchJob, make_others: Callable[[int], Mapping[str, StepFu
     _, step_seconds = _time_call(runners[job.backends[0]])
     steps = job.steps or max(1, min(_MAX_STEPS_PER_TURN, ceil(_MIN_TURN_SECONDS / max(step_seconds, 1e-6))))
     most = measure_memory()[1]  # before other frames are made
-    runners |= make_others(agents)
+    runners |= make_comparison_frames(agents)
     costs = _measure_turns(runners, worlds, steps, job.turns)
     messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.messages()]
     load_seconds, load_messages = _time_code_load(world)
@@ -86,7 +90,7 @@ def _measure_job(job: BenchJob, make_others: Callable[[int], Mapping[str, StepFu
     )
 
 
-def _untyped_name(name: str) -> Any:
+def _cast_backend_name(name: str) -> Any:
     """Return the name of a backend, typed as Any. The caller has already looked it up in `BACKENDS`."""
     return name
 
@@ -99,7 +103,7 @@ def _use_empty_code_folder() -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(previous_values, folder)
         compile_queue.release_code()
-        stored_tables.forget_store()
+        stored_tables.reset_store()
         try:
             yield
         finally:
@@ -108,7 +112,7 @@ def _use_empty_code_folder() -> Iterator[None]:
                 if value is not None:
                     os.environ[name] = value
             compile_queue.release_code()
-            stored_tables.forget_store()
+            stored_tables.reset_store()
 
 
 def _import_packages(include_llvm: bool) -> float:
@@ -144,8 +148,9 @@ def wait_for_code(world: World) -> bool:
 
 
 def _time_code_load(world: World) -> tuple[float | None, list[str]]:
-    """Return the CPU seconds in which a world loads machine code from the cache, and messages. The seconds are None without
-    machine code, or if it cannot be stored; the messages then say why."""
+    """Return the CPU seconds in which a world loads machine code from the cache, and messages.
+
+    The seconds are None for a backend without machine code, and for code that cannot be stored; the messages then say why."""
     if not wait_for_code(world):
         return None, []
     compile_queue.release_code()
@@ -156,7 +161,10 @@ def _time_code_load(world: World) -> tuple[float | None, list[str]]:
 
 
 def _measure_turns(runners: dict[str, StepFunction], worlds: dict[str, World], steps: int, turns: int) -> dict[str, StepCost]:
-    """Return the cost of each runner over `turns` turns of `steps` steps each. Each runner first makes WARM uncounted steps."""
+    """Return the cost of a step of each runner, by name. The runners alternate, and each has `turns` turns of `steps` steps.
+
+    `runners`: the functions that step, by name. `worlds`: the worlds of those that are backends. Each runner first makes
+    WARM_UP_STEPS uncounted steps."""
     for run in runners.values():
         for _ in range(WARM_UP_STEPS):
             run()
@@ -165,14 +173,14 @@ def _measure_turns(runners: dict[str, StepFunction], worlds: dict[str, World], s
         world.cpu_seconds.clear()
     names = list(runners)
 
-    def measure_turn(number: int) -> tuple[float, float]:
+    def measure_step_seconds(number: int) -> tuple[float, float]:
         run = runners[names[number]]
         worked, passed = process_time(), perf_counter()
         for _ in range(steps):
             run()
         return (process_time() - worked) / steps, (perf_counter() - passed) / steps
 
-    turn_costs = measure_in_turn(measure_turn, len(names), turns, warm_up_runs=0)
+    turn_costs = measure_in_turn(measure_step_seconds, len(names), turns, warm_up_runs=0)
     count = turns * steps
     costs = {}
     for number, name in enumerate(names):
@@ -213,13 +221,14 @@ def count_mean_neighbours(world: World, sight_radius_mm: float) -> float:
 
 
 def choose_run_frames(step: float) -> int:
-    """Return how many frames of a run to measure: about two seconds' worth, within limits. `step`: seconds of a bare step."""
+    """Return the number of frames of a run to measure: those of about two seconds, within limits. `step`: seconds of a bare
+    step."""
     return min(max(int(2.0 / max(8.0 * step, 1e-6)), _MIN_RUN_FRAMES), _MAX_STEPS_PER_TURN)
 
 
 def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRunCost:
-    """Return the cost of `frames` frames of a run after WARM uncounted frames. Then measure the same number of steps of the same
-    world without writing."""
+    """Return the cost of `frames` frames of a run after WARM_UP_STEPS uncounted frames, and of the same number of steps of the
+    same world without writing."""
     from antdsl.outputs.recording import begin_recording, record_frames
     from antdsl.scene.values import parse_frames
 

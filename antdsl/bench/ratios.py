@@ -1,7 +1,6 @@
-"""Ratios of costs that were measured in turn, with their 95 % intervals.
+"""Ratios of costs that were measured alternately, with their 95 % intervals.
 
-Two runs in turn have the same machine load. So their ratio is meaningful, unlike a single time.
-"""
+Two runs that alternate have the same machine load. So their ratio is meaningful, unlike a single time."""
 
 from __future__ import annotations
 
@@ -34,7 +33,9 @@ class Ratio:
 
 def compute_bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
     """Return the mean of ratios, with the 2.5th and 97.5th percentile of bootstrap means (B. Efron, Annals of Statistics 7,
-    1979). Equal ratios give equal intervals. Raises ValueError for an empty sequence."""
+    1979).
+
+    The same ratios and seed always give the same interval. Raises ValueError for an empty sequence."""
     if not ratios:
         raise ValueError("no ratios were measured")
     draw = random.Random(seed)
@@ -43,7 +44,9 @@ def compute_bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
 
 
 def measure_in_turn(measure: Callable[[int], T], runners: int, count: int, warm_up_runs: int = 1) -> list[tuple[T, ...]]:
-    """Return the costs of runners 0, 1, … measured in turn, `count` times. The runner that begins changes from turn to turn.
+    """Return the costs of `runners` runners, measured alternately: one tuple per round, with the cost of each runner in order.
+
+    `measure`: returns the cost of a runner by its number. `count`: the number of rounds; the first runner of a round changes.
     `warm_up_runs`: uncounted runs of each runner at the start, which fill caches."""
     for _ in range(warm_up_runs):
         for runner in range(runners):

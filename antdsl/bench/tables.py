@@ -24,8 +24,8 @@ REPORTED_PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 class CaseResult:
     """The measurements of a case with one number of agents.
 
-    `alone`: one measurement per backend, each from a separate process.
-    `together`: the measurement of one process in which several backends took turns."""
+    `alone`: one measurement per backend, each in a separate process.
+    `together`: the measurement of one process in which several backends alternated; None for a single backend."""
 
     alone: tuple[Measurement, ...]
     together: Measurement | None = None
@@ -37,7 +37,7 @@ def format_ratios(ratios: Sequence[float]) -> str:
 
 
 def find_measured_backend(measured: Measurement) -> str:
-    """Return the name of the backend of a process that measured only one."""
+    """Return the name of the first backend of a measurement."""
     return measured.job.backends[0]
 
 
@@ -50,15 +50,17 @@ STEP_COLUMNS = (
 
 
 def format_set_up(measurement: Measurement) -> list[str]:
-    """Return the values of a set-up as text, in the order of SET_UP. Missing values are empty."""
+    """Return the values of a set-up as text, in the order of SET_UP_COLUMNS. Missing values are empty."""
     one = measurement.set_up
     seconds = (one.start, one.compile, one.bind, one.first, one.code, one.kept, one.second)
     return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
 def format_full_run(measurement: Measurement) -> list[str]:
-    """Return texts: CPU milliseconds, wall milliseconds and frames per second of a run, then CPU milliseconds of its step and of
-    its feet. All are empty if no run was measured."""
+    """Return five texts: of a run, CPU milliseconds, wall-clock milliseconds and frames per second; then CPU milliseconds of its
+    step and of its feet.
+
+    All are empty if no run was measured."""
     run = measurement.full_run
     if run is None:
         return [""] * 5
@@ -67,8 +69,8 @@ def format_full_run(measurement: Measurement) -> list[str]:
 
 
 def build_step_rows(result: CaseResult) -> list[list[str]]:
-    """Return one row of `STEP_COLUMNS` per backend. Bytes are those of the stored values of agents; `grew by` refers to the
-    complete process."""
+    """Return the rows of the table of steps, one per backend, with the columns STEP_COLUMNS. Bytes are those of all stored values
+    of agents; `grew by` is the growth of the process."""
     rows = []
     for measurement in result.alone:
         name = find_measured_backend(measurement)
@@ -90,7 +92,8 @@ def build_step_rows(result: CaseResult) -> list[list[str]]:
 
 
 def build_phase_table(result: CaseResult) -> tuple[list[str], list[list[str]]]:
-    """Return column names and rows of CPU and wall milliseconds by phase, sorted by the cost on the first backend."""
+    """Return the column names and the rows of the table of phases: CPU and wall-clock milliseconds. The most expensive phase of
+    the first backend comes first."""
     columns = ["phase"]
     for measurement in result.alone:
         columns += [f"{find_measured_backend(measurement)}: CPU ms", "wall ms"]
@@ -106,7 +109,8 @@ def build_phase_table(result: CaseResult) -> tuple[list[str], list[list[str]]]:
 
 
 def compare_backends(result: CaseResult) -> list[str]:
-    """Return a line for each backend after the first: its ratio to the first, from turns in one process."""
+    """Return a line for each backend after the first, with its ratio to the first. Both were measured alternately in one
+    process."""
     if result.together is None:
         return []
     first, *others = result.together.job.backends

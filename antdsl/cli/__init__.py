@@ -74,7 +74,7 @@ def _first_sentence(command: Any) -> str:
 
 
 class CommandEntry(NamedTuple):
-    """A command: its name, its function, the heading above it in the help, and an example of its use."""
+    """A command: its name, the function that runs it, its heading in the help, and an example of its use."""
 
     name: str
     function: Callable[..., None]
@@ -134,6 +134,7 @@ def _print_version(value: bool) -> None:
 
 
 def _trust_usd(value: bool) -> None:
+    """Allow USD files to be read without a sandbox if the flag is set."""
     if value:
         from antdsl.reader import confinement
 
@@ -176,8 +177,8 @@ def _restart_with_safe_path() -> None:
 
 
 def _flush_output(code: int) -> int:
-    """Flush buffered output and return the exit code. If a part of the result could not be written, the exit code reports the
-    loss."""
+    """Flush buffered output, and return the exit code. `code`: the exit code if all output can be written; otherwise the result
+    is the code for a loss."""
     try:
         loss = close_streams()
     except KeyboardInterrupt:  # the work is complete, and no reader needs the rest

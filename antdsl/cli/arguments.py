@@ -1,4 +1,4 @@
-"""Parses words of the command line: `NAME=VALUE`, ranges of frames, granted roots."""
+"""Parses words of the command line: `NAME=VALUE`, ranges of frames, folders granted to a scene."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ def parse_grants(words: Iterable[str]) -> dict[str, Path]:
 
 
 def require_scene(path: Path, hint: str = "SCENE") -> None:
-    """Raise BadParameter if the path is a program or a folder and not a scene. The message names a scene of the folder."""
+    """Raise BadParameter if the path is a program or a folder instead of a scene. The message names a scene of the folder.
+    `hint`: the name of the argument."""
     if path.suffix == ".ant":
         raise typer.BadParameter(f"`{path}` is a program; name a scene that uses it, such as scene.yaml", param_hint=hint)
     if path.is_dir():
@@ -93,8 +94,9 @@ def parse_number_set(text: str | None, flag: str) -> frozenset[int] | None:
 
 
 def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
-    """Return the opening and closing time of a shutter from `A..B`, in frames relative to the current frame. Both lie from -1 to
-    1 and are at most one frame apart. Return None for None."""
+    """Return the opening and the closing time of a shutter from `A..B`, in frames from the current frame; None for None.
+
+    Raises BadParameter unless both are from -1 to 1 and at most one frame apart."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError, parse_number_range
@@ -110,7 +112,7 @@ def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, flo
 
 
 def parse_tolerance(text: str | None, flag: str = "--tolerance") -> float | None:
-    """Return a share from 0 to 0.1 written as a percentage, `0.5%`. Return None for None."""
+    """Return a percentage such as `0.5%` as a number from 0 to 0.1; None for None."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError, parse_number, split_quantity

@@ -38,7 +38,7 @@ def is_standard_output(path: Path | None) -> bool:
 
 @contextmanager
 def redirect_messages(*paths: Path | None) -> Iterator[TextIO]:
-    """Redirect prints to standard error if one of these results goes to standard output. Yield the standard output, for
+    """Redirect prints to standard error if one of these output paths is standard output. Yield the standard output, for
     `write_result`."""
     output = sys.stdout
     with redirect_stdout(sys.stderr) if any(map(is_standard_output, paths)) else nullcontext():
@@ -58,8 +58,9 @@ def write_result(path: Path | None, data: bytes, output: TextIO) -> None:
 
 
 def choose_default_path(base: Path, *names: str, flag: str = "--out") -> Path:
-    """Return the default output path below `base`, for use if the user gives no `flag`. Exit if one of `names` is a link: a link
-    could lead anywhere, and only the user may choose such a path."""
+    """Return the default output path, `base` with `names` below it, for a command without the flag `flag`.
+
+    Exit if one of `names` is a link: a link could lead anywhere, and only the user may choose such a path."""
     from antdsl.atomic_write import find_first_link
 
     link = find_first_link(base, *names)

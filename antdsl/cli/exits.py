@@ -1,5 +1,5 @@
-"""Exit codes, the one exception that ends a command with a message instead of a traceback, and failures of the disk and of
-memory. A message about a failure names the operation, the file, and how to continue."""
+"""Exit codes, and the errors that end a command with a message instead of a traceback. Failures of the disk and of memory are
+among them. Their message names the operation, the file, and how to continue."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ class ExitCode(IntEnum):
 
 
 class CommandError(Exception):
-    """Ends the command. `message` goes to standard error, then `hint` if there is one."""
+    """The error that ends a command with the exit code `code`. `message` is printed to standard error, then `hint` if there is
+    one."""
 
     def __init__(self, code: ExitCode, message: str = "", hint: str = "") -> None:
         super().__init__(message)
@@ -95,8 +96,9 @@ def is_out_of_process_memory(problem: OSError) -> bool:
 
 @contextmanager
 def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterator[None]:
-    """End the command with exit code 3 if the disk or memory fails. `operation`: the operation that failed. `retry_advice`: how
-    to continue."""
+    """Within the context, end the command with exit code 3 if the disk or memory fails.
+
+    `operation`: the operation that failed, for the message. `retry_advice`: how to continue."""
     try:
         yield
     except (BrokenPipeError, CommandError):  # the reader of standard output has closed it; this is not a disk error
@@ -110,8 +112,10 @@ def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterato
 
 @contextmanager
 def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to recompute damaged frames") -> Iterator[None]:
-    """End the command with advice if a cache cannot be read or written. `retry_purpose`: the introduction to the command that
-    computes damaged frames of `cache` again."""
+    """Within the context, end the command with advice if a cache cannot be read or written.
+
+    `cache`: the cache; None if damaged frames cannot be computed again. `retry_purpose`: the words before the command that
+    computes them again."""
     try:
         yield
     except Exception as error:
@@ -126,8 +130,9 @@ def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to rec
 
 
 def _find_cache_advice(error: Exception) -> tuple[ExitCode, str]:
-    """Return the exit code for an error of a cache, and advice; the code is BUG for any other error. Damaged frames have no
-    advice here: the caller adds the command that computed them."""
+    """Return the exit code for an error of a cache, and advice; the code is BUG for any other error.
+
+    Damaged frames have no advice here: the caller adds the command that computes them again."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
     from antdsl.outputs.cache.lock import FolderLocked
@@ -186,9 +191,11 @@ def make_missing_package_error(problem: Exception) -> CommandError | None:
 
 
 def limit_threads() -> None:
-    """Limit threads if the address space of this process is limited. The linear algebra library of NumPy, not loaded yet,
-    reserves memory for each thread, and ends the process if it gets none. Raises CommandError if the limit is too low even for
-    one thread."""
+    """Limit the threads of NumPy's linear algebra if the address space of this process is limited. Call this before NumPy is
+    loaded.
+
+    That library reserves memory for each thread, and ends the process if it gets none. Raises CommandError if the limit is too
+    low even for one thread."""
     from antdsl.numerics.processor.host import get_address_space_limit
 
     memory_limit = get_address_space_limit()

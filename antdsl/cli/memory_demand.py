@@ -37,8 +37,11 @@ def estimate_work(shot: Shot) -> list[WorkEstimate]:
 
 
 def require_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot: int = 1) -> None:
-    """End the command if the `parallel_runs` largest runs need more than 80 % of the available memory. Each shot is run
-    `runs_per_shot` times. The message names the largest allocations; its location is where the scene causes the largest one."""
+    """End the command if runs need more than 80 % of the available memory. The message names the largest allocations, and where
+    the scene causes the largest one.
+
+    `parallel_runs`: the number of runs at the same time; the largest are counted. `runs_per_shot`: the number of runs of each
+    shot."""
     from antdsl.numerics.processor.host import measure_available_memory
 
     available = measure_available_memory()

@@ -1,4 +1,5 @@
-"""Options of `antdsl render` that describe pictures: texts to values, and options that do not fit together."""
+"""Options of `antdsl render` that describe pictures: conversion of texts to values, and errors for options that are in
+conflict."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ def parse_point(text: str | None, option: str) -> tuple[float, float, float] | N
 
 
 def check_camera(gallery: Gallery, settings: DrawRequest) -> None:
-    """End the command if the options of the camera do not fit together, or if the scene has no such camera."""
+    """End the command if options of the camera are in conflict, or if the scene has no such camera."""
     from antdsl.diagnostics.suggestion import find_nearest_name
     from antdsl.scene.camera_models import CAMERA_VIEWS
 

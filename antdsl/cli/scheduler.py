@@ -61,9 +61,10 @@ def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> No
 def open_engine(
     scheduler: SchedulerAddress, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Engine]:
-    """Yield the engine that runs the tasks of a command: `workers` processes with `threads` threads each, or the cluster at an
-    address. Cluster workers have received the files, or see `visible_file` at its path. Problems end the command. Raises
-    WorkersLost if no scheduler answers."""
+    """Yield the engine that runs the tasks of a command. Problems end the command. Raises WorkersLost if no scheduler answers.
+
+    Without an address in `scheduler`, the engine has `workers` processes with `threads` threads each. Otherwise it is the cluster
+    at that address. Its workers receive `files`, or see `visible_file` at its path."""
     address, tls, no_tls = scheduler
     if not address:
         from antdsl.executors import ProcessEngine
@@ -126,8 +127,8 @@ def _find_certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Pa
 
 
 def _require_certificates(folder: Path) -> None:
-    """Raise BadParameter unless the files of a folder are certificates, with the key of the second. Without this check, Dask
-    would only report that no scheduler answers."""
+    """Raise BadParameter unless the files of a folder are certificates, and `key.pem` is the key of `cert.pem`. Without this
+    check, Dask would only report that no scheduler answers."""
     import ssl
 
     from antdsl.executors.tasks import TLS_FILE_NAMES
@@ -156,7 +157,7 @@ def _is_loopback_address(host: str) -> bool:
 
 
 class TerminationSignal(KeyboardInterrupt):
-    """SIGTERM was received. Handled like Ctrl-C, but with a separate exit code."""
+    """The exception that SIGTERM raises. It is handled like Ctrl-C, but has a separate exit code."""
 
 
 def choose_stop_exit_code(exception: BaseException) -> ExitCode:
@@ -166,7 +167,7 @@ def choose_stop_exit_code(exception: BaseException) -> ExitCode:
 
 @contextmanager
 def raise_on_sigterm() -> Iterator[None]:
-    """Raise TerminationSignal on SIGTERM while the context is open, as Ctrl-C raises KeyboardInterrupt."""
+    """Within the context, raise TerminationSignal on SIGTERM, as Ctrl-C raises KeyboardInterrupt."""
 
     def raise_signal(number: int, frame: object) -> None:
         raise TerminationSignal if number == signal.SIGTERM else KeyboardInterrupt

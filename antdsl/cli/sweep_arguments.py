@@ -1,5 +1,5 @@
-"""Converts the arguments of `antdsl sweep` to runs. The request comes from the command line, or from an earlier sweep of the same
-folder. It is checked before any run."""
+"""Converts the arguments of `antdsl sweep` to runs. They come from the command line, or from an earlier sweep of the same folder.
+They are checked before any run."""
 
 from __future__ import annotations
 
@@ -40,8 +40,9 @@ _STUDY_OPTIONS = {
 
 
 def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
-    """Return the request of the earlier sweep in a folder. Raises BadParameter if other options that define the runs are given,
-    CommandError if the folder has no sweep."""
+    """Return the request of the earlier sweep in a folder.
+
+    Raises BadParameter if further options that define the runs are given, CommandError if the folder has no sweep."""
     from antdsl.sweeps.study import NoStoredSweep, read_request
 
     for name, words in _STUDY_OPTIONS.items():
@@ -57,7 +58,7 @@ def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
 
 
 def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
-    """Return the points of the design, all their runs, and a report. Wrong arguments end the command with a usage error."""
+    """Return the study of a request, all its runs, and a report. Wrong arguments end the command with a usage error."""
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs
     from antdsl.sweeps import build_jobs, make_variations
     from antdsl.sweeps.designs import choose_design
@@ -91,8 +92,8 @@ def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
 
 
 def open_scene_shots(study: Study, request: SweepRequest) -> list[Shot]:
-    """Return the shot of each scene of a sweep, opened with the scene's own values. The runs of a scene differ only in values,
-    not in things."""
+    """Return the shot of each scene of a sweep, opened with the scene's own values. All runs of a scene have the same things,
+    with other values."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.pipeline import RunChoices, open_scene
 

@@ -34,7 +34,10 @@ def _format_diagnostic(diagnostic: Diagnostic) -> str:
 
 
 def _format_snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[str]:
-    """Return the line in which a span starts, with the span marked up to that line's end."""
+    """Return the lines that show the location of a span: file and position, then its first line with the span underlined.
+
+    `margin`: the width of line numbers. `arrow`: the characters before the file name. `mark`: the character that underlines.
+    `text`: the text after the underline."""
     place = find_line_range(span)
     bar = f"{' ' * margin} |"
     head = f"{' ' * margin}{arrow} {escape_text(place.path)}:{place.line}:{place.column}"

@@ -1,5 +1,5 @@
-"""Comments that ignore a warning and say why: `# antdsl: ignore[flicker] it is meant to be nervous`. They stand at the end of the
-line with the warning, or on a separate line above it."""
+"""Comments that ignore a warning and say why: `# antdsl: ignore[flicker] it is meant to be nervous`. Such a comment is at the end
+of the line with the warning, or on a separate line above it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ _IGNORE_COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\
 
 @dataclass(frozen=True, slots=True)
 class IgnoreComment:
-    """One comment: its place, the line it refers to (counted from 1), its codes with their places, and the reason."""
+    """A comment that ignores warnings.
+
+    `span`: its location. `line`: the line with the ignored warnings, counted from 1. `codes`: each ignored code, with the code's
+    location. `reason`: the text after the bracket."""
 
     span: Span
     line: int
@@ -42,7 +45,7 @@ def find_ignore_comments(source: Source) -> Iterator[IgnoreComment]:
 
 
 def _find_next_code_line(source: Source, number: int) -> int:
-    """Return the next line that contains more than a comment."""
+    """Return the number of the next line after line `number` that has more than a comment."""
     last = source.find_line_column(len(source.text))[0]
     while number < last:
         number += 1
@@ -74,7 +77,7 @@ def _is_ignored(diagnostic: Diagnostic, ignored_places: set[tuple[str, int, str]
     ) in ignored_places
 
 
-def apply_ignores(
+def apply_ignore_comments(
     report: Report,
     sources: Iterable[Source],
     *,
@@ -82,9 +85,12 @@ def apply_ignores(
     has_no_errors: bool | None = None,
     meshes_checked: bool = True,
 ) -> Report:
-    """Return `remove_ignored`, with warnings about comments that give no reason or ignore nothing. `sources` are all checked
-    texts; `strict` and `meshes_checked` say whether STRICT_CODES and MESH_CODES were checked. RUN_CODES never are. Errors
-    suppress most warnings too: `has_no_errors` says that there are no errors; the default is taken from the report."""
+    """Return the report without ignored warnings, and with new warnings about comments that have no reason or ignore nothing.
+
+    `sources`: all checked texts.
+    `strict`, `meshes_checked`: whether the checks of STRICT_CODES and MESH_CODES have run. A code that was not checked is not
+    reported as unused, nor are RUN_CODES.
+    `has_no_errors`: whether all stages were free of errors, since errors suppress most warnings; None: whether this report is."""
     has_no_errors = report.ok if has_no_errors is None else has_no_errors
     unknown = RUN_CODES | (frozenset() if strict else STRICT_CODES) | (frozenset() if meshes_checked else MESH_CODES)
     all_diagnostics = [*report.diagnostics, *report.dropped_warnings]

@@ -31,7 +31,7 @@ def shorten_values(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A second place of a finding, with text that says why it matters."""
+    """A further location of a finding, with a text that says why it matters."""
 
     span: Span
     text: str
@@ -39,7 +39,7 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """Text to put in place of a span; an editor can apply it."""
+    """A correction that an editor can apply: the text that replaces a span."""
 
     span: Span
     text: str
@@ -47,7 +47,10 @@ class Fix:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """One finding: a stable code, a self-contained lower-case line, a place, and a correction."""
+    """A finding.
+
+    `code`: its stable code. `message`: one line in lower case that can be understood alone. `span`: its location. `help`: what to
+    write instead. `labels`: further locations. `fix`: a correction that an editor can apply."""
 
     code: str
     message: str
@@ -90,8 +93,9 @@ def find_fix(message: str, span: Span | None, help: str | None) -> Fix | None:
 
 @dataclass(slots=True)
 class Report:
-    """Findings of one or more stages. The same code at the same place is stored once. `dropped_warnings`: warnings about a
-    program that a scene refutes; they are reported nowhere."""
+    """Findings of one or more stages. An equal code at an equal location is stored once.
+
+    `dropped_warnings`: warnings about a program that do not hold for the scene. No output shows them."""
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
     dropped_warnings: list[Diagnostic] = field(default_factory=list)
@@ -108,7 +112,7 @@ class Report:
             self.diagnostics.append(diagnostic)
 
     def drop_warnings(self, diagnostics: Iterable[Diagnostic]) -> None:
-        """Drop warnings from the report, also if they are added later."""
+        """Remove warnings from the report, and ignore them if they are added later."""
         warnings = list(diagnostics)
         keys = {_make_diagnostic_key(d) for d in warnings}
         self.dropped_warnings += warnings

@@ -39,16 +39,15 @@ FORMATTERS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {
 
 
 def render(report: Report, format: str = "full") -> str:
-    """Return the report in one of `FORMATS`, by place: at most 50 findings and the number of the rest. Raises KeyError for
-    another format.
+    """Return the report as text in one of `FORMATS`, by location. Raises KeyError for another format.
 
-    Errors take precedence over warnings where not all can be shown."""
+    The text has at most 50 findings, errors before warnings, and the number of findings that are left out."""
     diagnostics = choose_visible_diagnostics(report)
     return FORMATTERS[format](diagnostics, len(report.diagnostics) - len(diagnostics))
 
 
 def choose_visible_diagnostics(report: Report) -> list[Diagnostic]:
-    """Return the findings that people see, by place: at most 50, where errors take precedence over warnings."""
+    """Return the findings that people see, by location: at most 50, where errors take precedence over warnings."""
     ordered = report.sort_by_place()
     if len(ordered) <= limits.MAX_SHOWN_DIAGNOSTICS:
         return ordered

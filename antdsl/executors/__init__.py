@@ -1,5 +1,5 @@
-"""Runs tasks in other processes. The input is an iterable of tasks. A task is a function of antdsl and its JSON argument, under a
-key made of everything that the answer depends on. The output is the answers as they arrive, in any order.
+"""Runs tasks in other processes. The input is an iterable of tasks. A task has a function of antdsl, its JSON argument, and a key
+made of everything that the answer depends on. The output is the answers as they arrive, in any order.
 
 An `Engine` runs tasks. There are two engines: `processes.py` starts processes of this machine (the standard library's pool).
 `cluster.py` uses Dask, and `cluster_worker.py` runs on its workers. Neither of these is imported before a cluster is requested.
@@ -7,8 +7,7 @@ An `Engine` runs tasks. There are two engines: `processes.py` starts processes o
 
 `run_tasks` submits a few tasks at a time and reads the iterable only as far as needed. So the code that creates tasks can read
 answers before it creates more. `run_tasks` fetches the files that tasks write on other machines, and runs lost tasks again. The
-caller stores the answers. If a process is lost, its task may run twice, but is answered once.
-"""
+caller stores the answers. If a process is lost, its task may run twice, but is answered once."""
 
 from antdsl.executors.processes import ProcessEngine
 from antdsl.executors.tasks import (
@@ -18,8 +17,8 @@ from antdsl.executors.tasks import (
     TaskRejected,
     WorkerContext,
     WorkersLost,
-    convert_to_refusal,
     hash_document,
+    raise_as_task_rejected,
     run_tasks,
 )
 
@@ -31,7 +30,7 @@ __all__ = [
     "TaskRejected",
     "WorkerContext",
     "WorkersLost",
-    "convert_to_refusal",
     "hash_document",
+    "raise_as_task_rejected",
     "run_tasks",
 ]

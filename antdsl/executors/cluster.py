@@ -80,9 +80,11 @@ def start_local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Secur
 def connect_cluster(
     address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Cluster]:
-    """Yield a connection to a cluster. Its workers have received the files, or they all see `visible_file` and are assumed to see
-    the other files. Raises WorkersLost if no scheduler answers. Raises TaskRejected if no worker is suitable or the files are too
-    large."""
+    """Yield a connection to a cluster. Raises WorkersLost if no scheduler answers, TaskRejected if no worker is suitable or the
+    files are too large.
+
+    `files`: the files that workers receive. With `visible_file`, no file is sent: each worker must see this file at its path, and
+    is assumed to see the others."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # antdsl reports errors itself
     with ExitStack() as stack:
@@ -165,9 +167,9 @@ class Cluster(Engine):
     def _require_scheduler(self) -> None:
         """Raise WorkersLost if the connection to the scheduler is lost."""
         if self._client.status != "running":
-            raise WorkersLost(self.describe_break())
+            raise WorkersLost(self.explain_process_end())
 
-    def frame(self, future: Future[str]) -> int | None:
+    def find_frame(self, future: Future[str]) -> int | None:
         return self._frame_by_key.get(self._key_by_future.get(future, ""))
 
     def collect_notes(self) -> Iterable[str]:
@@ -179,7 +181,7 @@ class Cluster(Engine):
         return messages
 
     def _read_events(self) -> None:
-        """Read the messages of workers: frames of tasks, and whether a worker can run tasks."""
+        """Read the messages of workers: the current frames of tasks, and reports of whether a worker can run tasks."""
         with suppress(Empty):
             while True:
                 event = self._event_queue.get_nowait()
@@ -215,7 +217,7 @@ class Cluster(Engine):
                 future.cancel()
         self._present_workers = present_workers
 
-    def describe_break(self) -> str:
+    def explain_process_end(self) -> str:
         return "the connection to the scheduler was lost"
 
     def describe_failure(self, exception: BaseException) -> str:

@@ -94,7 +94,8 @@ def can_see_file(visible_file: VisibleFile) -> bool:
 
 
 def explain_mismatch(address: str, worker_versions: Mapping[str, str], expected_sources: str) -> str:
-    """Return the message that a worker with other sources gets no tasks."""
+    """Return the message about a worker that gets no tasks, because its sources of antdsl differ. `worker_versions`: as from
+    `describe_worker`."""
     return (
         f"worker {address} on {worker_versions['host']} has antdsl {worker_versions['antdsl']} with other sources "
         f"({worker_versions['sources'][:8]}, "
@@ -103,9 +104,10 @@ def explain_mismatch(address: str, worker_versions: Mapping[str, str], expected_
 
 
 def run_task_on_worker(work: TaskFunction, document_text: str, project_name: str, key: str, attempt: int) -> str:
-    """Run a task on this worker, and return its answer as JSON. `document_text`: its argument as JSON. `project_name`: the
-    project's name.
-    `attempt`: the number of earlier attempts."""
+    """Run a task on this worker, and return its answer as JSON.
+
+    `work`: the task's function. `document_text`: its argument as JSON. `project_name`: the project with the files of the task.
+    `key`: the task's key. `attempt`: the number of earlier attempts."""
     dask_worker = get_worker()
     project = dask_worker.plugins.get(project_name)
     if project is None or project.worker is None:
@@ -132,7 +134,7 @@ def read_file_part(project_name: str, file: str, start: int) -> bytes:
 
 
 def remove_task_files(name: str, folder: str) -> None:
-    """Remove the files of a task after they were fetched."""
+    """Remove the files that a task wrote on this worker. `name`: the project's name. `folder`: the folder of the task."""
     scratch_folder = Path(get_worker().local_directory) / name / "made"
     path = (scratch_folder / folder).resolve()
     if path.is_relative_to(scratch_folder.resolve()) and path != scratch_folder.resolve():

@@ -15,8 +15,10 @@ from antdsl.safe_read import read_size_limited
 
 @dataclass(frozen=True, slots=True)
 class FileBundle:
-    """Files to transport. `files`: the contents by path, relative to the folder into which they are unpacked. `digest`: their
-    hash."""
+    """Files to send to other machines.
+
+    `files`: their contents by path, relative to the folder into which they are unpacked. `digest`: the hash of paths and
+    contents."""
 
     files: Mapping[str, bytes]
     digest: str
@@ -37,7 +39,8 @@ class FileBundle:
 
 @dataclass(frozen=True, slots=True)
 class VisibleFile:
-    """A file that identifies machines with the same folders. `digest`: a hash of its content."""
+    """A file by which a machine shows that it has the same folders as the requester. `path`: its path. `digest`: a hash of its
+    content."""
 
     path: str
     digest: str

@@ -40,7 +40,7 @@ class ProcessEngine(Engine):
         # the task that reports in each slot of the frames
         self._future_by_slot: list[Future[str] | None] = [None] * self.task_capacity
         self._other_children, self._own_processes = frozenset(multiprocessing.active_children()), set()
-        self._pool = ProcessPoolExecutor(self.task_capacity, context, _start_process, (self._threads, self._frame_by_slot))
+        self._pool = ProcessPoolExecutor(self.task_capacity, context, _initialise_process, (self._threads, self._frame_by_slot))
 
     def submit(self, task: Task) -> Future[str]:
         assert self._pool is not None
@@ -52,11 +52,11 @@ class ProcessEngine(Engine):
         self._own_processes.update(set(multiprocessing.active_children()) - self._other_children)
         return future
 
-    def frame(self, future: Future[str]) -> int | None:
+    def find_frame(self, future: Future[str]) -> int | None:
         frame = self._frame_by_slot[self._future_by_slot.index(future)]
         return None if frame == _NO_FRAME else frame
 
-    def describe_break(self) -> str:
+    def explain_process_end(self) -> str:
         for process in self._own_processes:
             process.join(_EXIT_WAIT_SECONDS)
         codes = [process.exitcode for process in self._own_processes]
@@ -79,7 +79,7 @@ class ProcessEngine(Engine):
 
 
 def _describe_exit(code: int | None) -> str:
-    """Return why a process ended, in words. `code`: its exit code; negative codes are signals."""
+    """Return a clause that says why a process ended. `code`: its exit code; a negative code is a signal."""
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else str(-code)
         reason = ", most likely because memory ran out" if name == "SIGKILL" else ""
@@ -91,7 +91,7 @@ _worker = WorkerContext(1)
 _frame_by_slot: MutableSequence[int] = []
 
 
-def _start_process(threads: int, frame_by_slot: MutableSequence[int]) -> None:
+def _initialise_process(threads: int, frame_by_slot: MutableSequence[int]) -> None:
     """Initialise a process of the pool: its environment, signals, and the thread that ends it with its parent."""
     global _worker, _frame_by_slot
     _worker, _frame_by_slot = WorkerContext(threads), frame_by_slot
@@ -112,7 +112,10 @@ def _end_with_parent() -> None:
 
 
 def _run_task_in_process(work: TaskFunction, document_text: str, slot: int) -> str:
-    """Run a task in a process of the pool. `slot`: the index at which its current frame is reported."""
+    """Run a task in a process of the pool, and return its answer as JSON.
+
+    `work`: the task's function. `document_text`: its argument as JSON. `slot`: the index at which its current frame is
+    reported."""
 
     def say_frame(frame: int) -> None:
         _frame_by_slot[slot] = frame

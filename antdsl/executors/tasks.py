@@ -43,8 +43,7 @@ class WorkerContext:
     `notes`: messages about deviations from the request, sent with the answer.
     `find_local_path`: maps a path of the requester to this machine.
     `scratch_folder`: a folder for files that the requester fetches; None if all machines see the same folders.
-    `name`: of the process; empty on the requester's machine.
-    """
+    `name`: the name of the process; empty on the requester's machine."""
 
     threads: int
     report_frame: Callable[[int], None] = lambda frame: None
@@ -60,14 +59,14 @@ TaskFunction = Callable[[dict[str, Any], WorkerContext], TaskAnswer]
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A task.
+    """A function to run in another process.
 
-    `key`: its unique name.
+    `key`: the task's unique name.
     `function`: a function at module level of antdsl.
     `document`: the argument of `function`, as JSON values.
 
-    If an answer has `files` (path, size, digest), `worker` and `made`, these files must be fetched.
-    """
+    An answer may have `files`: path, size and digest of each file to fetch. Then `worker` is the address of the worker, and
+    `made` the task's folder there."""
 
     key: str
     function: TaskFunction
@@ -85,8 +84,10 @@ class TaskOutcome:
 
 
 class Engine(ABC):
-    """Runs tasks. The future of a lost task is cancelled, and the task is submitted again. A future with BrokenExecutor has lost
-    its process, possibly through its own task."""
+    """A means to run tasks in other processes.
+
+    If a task is lost, its future is cancelled, and the task must be submitted again. If its process ended, possibly because of
+    the task, the future raises BrokenExecutor."""
 
     @property
     @abstractmethod
@@ -105,16 +106,16 @@ class Engine(ABC):
     def stop(self) -> None:
         """End all running tasks at once."""
 
-    def frame(self, future: Future[str]) -> int | None:
-        """Return the current frame of a running task, if known."""
+    def find_frame(self, future: Future[str]) -> int | None:
+        """Return the current frame of a running task; None if it is unknown. `future`: as returned by `submit`."""
         return None
 
     def collect_notes(self) -> Iterable[str]:
         """Return the messages about workers since the last call."""
         return ()
 
-    def describe_break(self) -> str:
-        """Return the reason why the processes ended. Call this only after they have broken."""
+    def explain_process_end(self) -> str:
+        """Return the reason why the processes ended. Call this only after a future has raised BrokenExecutor."""
         raise NotImplementedError  # only engines with processes on this machine can break
 
     def describe_failure(self, exception: BaseException) -> str:
@@ -170,7 +171,7 @@ def run_tasks(
             for sentence in engine.collect_notes():
                 report_note(sentence)
             for future, task in running.items():
-                frame = engine.frame(future) if future not in finished_futures else None
+                frame = engine.find_frame(future) if future not in finished_futures else None
                 if frame is not None:
                     report_frame(task, frame)
             is_broken = any(map(_is_broken, finished_futures))
@@ -191,7 +192,7 @@ def run_tasks(
                 else:
                     yield outcome
             if is_broken:
-                reason = engine.describe_break()
+                reason = engine.explain_process_end()
                 engine.stop()
                 engine.start()
                 if runs_alone:
@@ -203,7 +204,8 @@ def run_tasks(
 
 
 def _find_finished(running_tasks: Mapping[Future[str], Task]) -> list[Future[str]]:
-    """Return the futures that have ended. `wait` never returns one that was cancelled in the moment in which its task ended."""
+    """Return the futures of tasks that have ended. The result of `wait` is not used, since it lacks a future that is cancelled
+    while its task ends."""
     return [future for future in running_tasks if future.done()]
 
 
@@ -216,7 +218,9 @@ def _fetch_outcome(
     task: Task, future: Future[str], engine: Engine, choose_folder: Callable[[Task], Path], attempts: dict[str, int]
 ) -> TaskOutcome | None:
     """Return the outcome of a task that has ended, after its files were fetched. Return None if the files are lost and the task
-    is tried again. `attempts`: the numbers of failed fetches, by the keys of tasks."""
+    must run again.
+
+    `attempts`: the number of failed fetches by the key of each task; it is updated."""
     exception = future.exception()
     if exception is not None:
         return TaskOutcome(task, None, engine.describe_failure(exception))
@@ -254,8 +258,10 @@ def _fetch_files(answer: TaskAnswer, engine: Engine, folder: Path) -> None:
 def run_task(
     work: TaskFunction, document_text: str, worker: WorkerContext, send_frame: Callable[[int], None] = lambda frame: None
 ) -> str:
-    """Run a task in the current process. `document_text`: its argument as JSON. Returns its answer as JSON. `send_frame`: is
-    called from time to time with the current frame."""
+    """Run a task in the current process, and return its answer as JSON.
+
+    `work`: the task's function. `document_text`: its argument as JSON. `send_frame`: is called from time to time with the current
+    frame."""
     last_report = time.monotonic()
 
     def report_frame(frame: int) -> None:
@@ -274,7 +280,7 @@ def run_task(
 
 
 @contextmanager
-def convert_to_refusal(*kinds: type[Exception]) -> Iterator[None]:
+def raise_as_task_rejected(*kinds: type[Exception]) -> Iterator[None]:
     """Raise TaskRejected in place of exceptions of these kinds, with the same message."""
     try:
         yield

@@ -1,6 +1,7 @@
-"""Program → charts: one for each machine, as an author would draw it on paper.
+"""Makes charts from a program: one for each machine, as an author would draw it on paper.
 
-A change `from any` is one arrow from one box, not one from every state; `previous` is a box beside the state that uses it."""
+A transition `from any` is one arrow from one box, not one from every state. `previous` is a box next to the state that uses
+it."""
 
 from __future__ import annotations
 
@@ -32,10 +33,10 @@ def _build_chart(title: str, machine: Machine) -> Chart:
     for state in machine.states:
         own_changes = [change for change in state.transitions if not _is_from_any(change)]
         for number, change in enumerate(own_changes, 1):
-            sketch.add_change(f"s{state.index}", change, state.name, f"{number}: " if len(own_changes) > 1 else "")
-    everywhere = _find_changes_from_any(machine)
+            sketch.add_transition(f"s{state.index}", change, state.name, f"{number}: " if len(own_changes) > 1 else "")
+    everywhere = _find_transitions_from_any(machine)
     for number, (change, left_out) in enumerate(everywhere, 1):
-        sketch.add_change(sketch.add_any_box(left_out), change, "any", f"{number}: " if len(everywhere) > 1 else "")
+        sketch.add_transition(sketch.add_any_box(left_out), change, "any", f"{number}: " if len(everywhere) > 1 else "")
     return Chart(title, tuple(sketch.boxes.values()), sketch.build_arrows())
 
 
@@ -43,8 +44,8 @@ def _is_from_any(change: Transition) -> bool:
     return f".{FROM_ANY_KEY}->" in change.key
 
 
-def _find_changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
-    """Return each transition `from any` once, with the names of the states that its author excepted."""
+def _find_transitions_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
+    """Return each transition `from any` once, with the names of the states that its `except` lists."""
     changes: dict[str, Transition] = {}
     where: dict[str, set[int]] = {}
     for state in machine.states:
@@ -59,7 +60,7 @@ def _find_changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str
 
 
 class _ChartBuilder:
-    """Collects the boxes and arrows of a chart."""
+    """A builder of a chart, which collects its boxes and arrows."""
 
     def __init__(self, machine: Machine) -> None:
         self.boxes: dict[str, Box] = {}
@@ -71,18 +72,20 @@ class _ChartBuilder:
         self._add_arrow("start", f"s{machine.start}", False, "", "")
 
     def add_any_box(self, excepted_states: tuple[str, ...]) -> str:
-        """Add the box of transitions from any state. Return its key. `excepted_states`: the excepted states."""
+        """Add the box that is the source of transitions `from any`, and return its key. `excepted_states`: the states that do not
+        have these transitions."""
         name = "any state" if not excepted_states else "any but " + ", ".join(excepted_states)
         return self._add_extra_box("any", name, name)
 
-    def _add_extra_box(self, kind: str, mark: str, name: str, details: str = "") -> str:
-        """Add a box that is no state, unless it exists. Return its key."""
-        key = f"{kind} {mark}"
+    def _add_extra_box(self, kind: str, unique_text: str, name: str, details: str = "") -> str:
+        """Add a box that is not a state, unless it exists, and return its key. `unique_text`: distinguishes boxes of one kind."""
+        key = f"{kind} {unique_text}"
         self.boxes.setdefault(key, Box(key, kind, name, "", _GREY, details))  # type: ignore[arg-type]
         return key
 
-    def add_change(self, source: str, change: Transition, name: str, number: str) -> None:
-        """Add a transition from a box. `number`: its position in the order of evaluation, if the box has several."""
+    def add_transition(self, source: str, change: Transition, name: str, number: str) -> None:
+        """Add a transition from the box `source`. `name`: the name of its state. `number`: its position in the order of
+        evaluation as text, or empty."""
         words, details = number + _format_condition(change), _make_tooltip(change.span)
         if change.choices:
             target = self._add_extra_box("choice", change.key, "", details)
@@ -95,7 +98,8 @@ class _ChartBuilder:
             self._add_arrow(target, f"s{state}", False, _source_text(weight.span), details)
 
     def _add_arrow(self, source: str, target: str, interrupt: bool, words: str, details: str) -> None:
-        """Add a transition. Transitions between the same boxes share an arrow, except that interrupts have their own."""
+        """Add an arrow. Transitions between the same boxes share an arrow, except that interrupts have another one than the
+        rest."""
         self._changes.setdefault((source, target, interrupt), []).append((words, details))
 
     def build_arrows(self) -> tuple[Arrow, ...]:

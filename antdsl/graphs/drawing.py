@@ -52,7 +52,8 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class TextLine:
-    """One line of words with its middle at `centre`; always `width` px wide."""
+    """One line of text. `centre`: its middle, px. `size`: its font size, px. `width`: the width into which the text is fitted,
+    px."""
 
     text: str
     centre: Point
@@ -66,7 +67,7 @@ Shape = Rectangle | Line | TextLine
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """All shapes, on a white ground of `width` × `height` px."""
+    """Shapes in the order in which they are painted, on a white background of `width` × `height` px."""
 
     width: float
     height: float
@@ -84,7 +85,7 @@ def draw_charts(charts: Sequence[PlacedChart]) -> Drawing:
         left, top = CHART_GAP + right, CHART_GAP + down
         shapes.append(Rectangle(left, top, wide, chart.height + TITLE_HEIGHT, 10, WHITE, FRAME_COLOUR))
         shapes.append(_make_centred_line(chart.chart.title, (left + wide / 2, top + 18), TITLE_SIZE, TEXT_COLOUR))
-        shapes += _draw_chart(chart.shifted_by(left + (wide - chart.width) / 2, top + TITLE_HEIGHT))
+        shapes += _draw_chart(chart.shift(left + (wide - chart.width) / 2, top + TITLE_HEIGHT))
         right, high = right + wide + CHART_GAP, max(high, chart.height + TITLE_HEIGHT)
         broadest = max(broadest, right)
     return Drawing(broadest + CHART_GAP, down + high + 2 * CHART_GAP, tuple(shapes))
@@ -148,6 +149,7 @@ def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
 
 
 def _move_towards(corner: Point, other: Point) -> Point:
+    """Return the point at which the rounding of a corner begins, on the line to the point `other`."""
     far = hypot(other[0] - corner[0], other[1] - corner[1])
     share = min(CORNER_RADIUS, far / 2) / far if far else 0.0
     return corner[0] + (other[0] - corner[0]) * share, corner[1] + (other[1] - corner[1]) * share
@@ -174,6 +176,7 @@ def _draw_box(box: Box, place: PlacedBox) -> Iterator[Shape]:
 
 
 def _draw_words(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
+    """Yield the shapes of an arrow's words: a white background, then one text per line."""
     if arrow.words is None:
         return
     x, y = arrow.words.centre

@@ -61,7 +61,7 @@ _FIRST_WIDE_SPACING = 4  # wider spacings are tried only if words would overlap 
 
 
 def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
-    """Return the placed charts, each laid out separately, and a report. The report has an error if the library is not
+    """Return the charts with positions, each laid out separately, and a report. The report has an error if the library is not
     installed."""
     report = Report()
     try:
@@ -96,7 +96,7 @@ def _place_chart(chart: Chart) -> PlacedChart:
 
 
 def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, WordPlacement]:
-    """Return the layout with a spacing, and the positions of its words."""
+    """Return the layout of a chart with a spacing, and the positions of its words. `spacing`: an entry of `_SPACINGS`."""
     import graphlay
 
     graph = graphlay.Graph()
@@ -152,12 +152,13 @@ def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: lis
     xs = [x for a in arrows for x, _ in a.points] + [p.left for p in all_boxes] + [p.left + p.width for p in all_boxes]
     ys = [y for a in arrows for _, y in a.points] + [p.top for p in all_boxes] + [p.top + p.height for p in all_boxes]
     wide, high = max(xs) - min(xs) + 2 * BOX_PADDING, max(ys) - min(ys) + 2 * BOX_PADDING
-    return PlacedChart(chart, wide, high, tuple(boxes), tuple(arrows)).shifted_by(BOX_PADDING - min(xs), BOX_PADDING - min(ys))
+    return PlacedChart(chart, wide, high, tuple(boxes), tuple(arrows)).shift(BOX_PADDING - min(xs), BOX_PADDING - min(ys))
 
 
 @dataclass(frozen=True, slots=True)
 class WordPlacement:
-    """A position for each arrow's words; None for an arrow without words.
+    """The positions of the words of all arrows.
+    - `word_boxes`: by arrow, the box of its words; None for an arrow without words.
     - `touching_count`: the number of words that touch boxes or other words.
     - `hidden_line_count`: the number of lines and arrow heads that words hide."""
 
@@ -185,8 +186,10 @@ class _LabelPositions:
 
 
 def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequence[Size | None]) -> WordPlacement:
-    """Return positions for the words on arrows. `routes`: the arrows' paths, mostly vertical and horizontal. `sizes`: the sizes
-    of the words, px."""
+    """Return positions for the words on arrows.
+
+    `boxes`: the boxes of the chart. `routes`: by arrow, the corners of its path, mostly vertical and horizontal. `sizes`: by
+    arrow, width and height of its words, px; None without words."""
     spots = {number: _find_label_positions(number, boxes, routes, size) for number, size in enumerate(sizes) if size}
     order = sorted(spots, key=lambda n: (int((spots[n].costs < _CROSSING_COST).sum()), n))
     chosen: dict[int, int] = {}
@@ -208,7 +211,7 @@ def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequ
 
 
 def _find_label_positions(number: int, boxes: Sequence[PlacedBox], routes: Sequence[Route], size: Size) -> _LabelPositions:
-    """Return candidate positions along an arrow's path, on the line and beside it."""
+    """Return candidate positions for the words of arrow `number`: on the line of its path and next to it."""
     route = routes[number]
     centres, costs = _list_route_positions(route, size)
     others = [part for n, other in enumerate(routes) if n != number for part in pairwise(other)]
@@ -247,7 +250,7 @@ def _list_route_positions(route: Route, size: Size) -> tuple[Array, Array]:
 
 
 def _count_overlaps(centres: Array, size: Size, others: Sequence[PlacedBox]) -> Array:
-    """Return how many of the boxes `others` the words touch at each position, int [n]."""
+    """Return, for each candidate centre [n, 2], how many of the boxes `others` the words there would touch, int [n]."""
     if not others:
         return np.zeros(len(centres), int)
     middles = np.array([other.centre for other in others])
@@ -256,7 +259,7 @@ def _count_overlaps(centres: Array, size: Size, others: Sequence[PlacedBox]) -> 
 
 
 def _count_crossings(centres: Array, size: Size, line_segments: Sequence[tuple[Point, Point]]) -> Array:
-    """Return how many of the straight parts of other lines cross the words at each position, int [n]."""
+    """Return, for each candidate centre [n, 2], how many segments of other lines cross the words there, int [n]."""
     if not line_segments:
         return np.zeros(len(centres), int)
     ends, half = np.array(line_segments), np.array(size) / 2 + 1

@@ -62,7 +62,7 @@ def _format_style(box: Box) -> str:
 
 
 def _format_link_styles(chart: Chart, first_link_number: int) -> Iterator[str]:
-    """Yield the style line of each arrow. `first_link_number`: the number of the chart's first arrow in the text."""
+    """Yield one line per arrow with its style. `first_link_number`: the number of the chart's first arrow in the text."""
     for k, (arrow, colour) in enumerate(zip(chart.arrows, choose_line_colours(chart), strict=True), first_link_number):
         thick = f",stroke-width:{INTERRUPT_LINE_WIDTH}px" if arrow.interrupt else ""
         yield f"  linkStyle {k} stroke:{format_hex_colour(colour)}{thick}"

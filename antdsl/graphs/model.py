@@ -1,7 +1,7 @@
-"""Values of a picture of a state machine: boxes and arrows in a chart, and their positions in a layout.
+"""The classes of a picture of a state machine: boxes and arrows in a chart, and their positions in a layout.
 
 Charts do not depend on a picture format, and layouts not on a library. Code that draws, as a picture or live, reads only these
-values."""
+classes."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Arrow:
-    """The transitions from one box to another, either all interrupts or none. `lines`: one condition each, in order of
-    evaluation."""
+    """The transitions from one box to another: either all of them are interrupts (`interrupt`) or none.
+
+    `source`, `target`: the keys of the boxes. `lines`: one condition each, in order of evaluation. `details`: the tooltip."""
 
     source: str
     target: str
@@ -73,7 +74,9 @@ class PlacedBox:
 
 @dataclass(frozen=True, slots=True)
 class PlacedArrow:
-    """An arrow's path, straight from point to point. The last point is the tip. `lines`: its words, wrapped."""
+    """An arrow with its path, which is straight from point to point and ends at the tip.
+
+    `words`: the position of its words; None without words. `lines`: its words, wrapped."""
 
     arrow: Arrow
     points: tuple[Point, ...]
@@ -91,8 +94,8 @@ class PlacedChart:
     boxes: tuple[tuple[Box, PlacedBox], ...]
     arrows: tuple[PlacedArrow, ...]
 
-    def shifted_by(self, horizontal_shift: float, vertical_shift: float) -> PlacedChart:
-        """Return the chart, moved by `horizontal_shift` and `vertical_shift` px."""
+    def shift(self, horizontal_shift: float, vertical_shift: float) -> PlacedChart:
+        """Return the chart, moved by `horizontal_shift` to the right and `vertical_shift` down, px."""
 
         def shift_box(place: PlacedBox) -> PlacedBox:
             return replace(place, centre=(place.centre[0] + horizontal_shift, place.centre[1] + vertical_shift))

@@ -17,19 +17,19 @@ def measure_text_width(text: str, size: int) -> float:
     """Return the width of a line of text, px. `size`: the font size, px.
 
     Characters of Pillow's font have measured widths. The width of any other character is estimated from its kind."""
-    built_in_text = "".join(sign for sign in text if _has_built_in_glyph(sign))
-    wide = sum(1.0 if east_asian_width(sign) in "WF" else 0.65 for sign in text if not _has_built_in_glyph(sign))
+    built_in_text = "".join(character for character in text if _is_built_in_glyph(character))
+    wide = sum(1.0 if east_asian_width(character) in "WF" else 0.65 for character in text if not _is_built_in_glyph(character))
     return round(load_built_in_font(size).getlength(built_in_text) + wide * size, 2)
 
 
 def has_built_in_glyphs(text: str) -> bool:
     """Return whether Pillow's built-in font has every character of a text."""
-    return all(_has_built_in_glyph(sign) for sign in text)
+    return all(_is_built_in_glyph(character) for character in text)
 
 
-def _has_built_in_glyph(sign: str) -> bool:
+def _is_built_in_glyph(character: str) -> bool:
     """Return whether Pillow's built-in font has a character."""
-    return " " <= sign <= "~" or sign in _NON_ASCII_GLYPHS
+    return " " <= character <= "~" or character in _NON_ASCII_GLYPHS
 
 
 @lru_cache(maxsize=32)

@@ -121,5 +121,5 @@ def walk_all_straight(
         step, look = (displacements[i, 0], displacements[i, 1], displacements[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
         pose, far = walk_straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
         for k in range(3):
-            end_positions[i, k], heading[i, k], direction[i, k] = pose.place[k], pose.heading[k], pose.direction[k]
+            end_positions[i, k], heading[i, k], direction[i, k] = pose.position[k], pose.heading[k], pose.direction[k]
         travelled[i] = far

@@ -31,7 +31,8 @@ from antdsl.syntax.words import (
 
 @dataclass(frozen=True, slots=True)
 class TokenPattern:
-    """A regular expression, and the class of each of its groups. Without groups, the class applies to the complete match."""
+    """A regular expression for one kind of token. `group_classes`: the class of each of its groups; without groups, one class for
+    the complete match."""
 
     regex: str
     group_classes: tuple[str, ...]

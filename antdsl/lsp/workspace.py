@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from antdsl import limits, syntax
 from antdsl.diagnostics import Diagnostic, Report
-from antdsl.diagnostics.ignore_comments import apply_ignores
+from antdsl.diagnostics.ignore_comments import apply_ignore_comments
 from antdsl.files import find_files
 from antdsl.loading import ParsedFileCache
 from antdsl.lsp.names import NameOccurrence, ProgramNames, collect_names, find_occurrences
@@ -309,7 +309,7 @@ class Workspace:
         ]
         if document is None:
             return diagnostics
-        return apply_ignores(
+        return apply_ignore_comments(
             Report(diagnostics), [Source(own_path, document.text.text)], has_no_errors=result.report.ok, meshes_checked=False
         ).sort_by_place()
 

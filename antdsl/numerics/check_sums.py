@@ -51,9 +51,10 @@ def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
 
 @cache
 def _build_crc_function() -> Callable[[NDArray[np.uint8], int], int] | None:
-    """Return a function that continues a CRC-32 over an array [n] of at least one stride.
+    """Return a function of an array [n] and a previous CRC-32 that returns the CRC-32 of both together. The array has at least
+    one stride.
 
-    None if the processor has no carry-less products, or if nothing can be compiled."""
+    Return None if the processor has no carry-less products, or if nothing can be compiled."""
     if not llvm_compiler.is_available():
         return None
     target = llvm_compiler.host_target()
@@ -83,8 +84,8 @@ def count_blocks_per_register(target: llvm_compiler.Target) -> int:
 
 
 def _compute_power_remainder(bits: int) -> int:
-    """Return the remainder of x**bits by the polynomial, in the form for multiplication: bits in the order of the bytes, shifted
-    by one."""
+    """Return the remainder of x**bits divided by the polynomial. Its bits are in the order of the bytes and shifted by one, as
+    the multiplication needs them."""
     remainder = 1
     for _ in range(bits):
         remainder <<= 1
@@ -104,10 +105,11 @@ def _build_table_text() -> str:
 
 @library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
-    """Return the text to compile, in LLVM's language: a function of a table with an address, a number of bytes and a CRC-32.
+    """Return the text to compile, in LLVM's language: a function of a table, which continues a CRC-32. It is empty if the
+    processor has no carry-less products.
 
-    The number of bytes is at least one stride. The CRC-32 is that of the preceding bytes. The function stores the combined CRC-32
-    in the first word of the table. The text is empty if the processor has no carry-less products."""
+    The table has three words: an address, a number of bytes (at least one stride) and the CRC-32 of the preceding bytes. The
+    function stores the combined CRC-32 in the first word."""
     if not has_carryless_products(target):
         return ""
     module, block_count = LlvmModule(target), count_blocks_per_register(target)

@@ -45,7 +45,7 @@ def _evaluate_series(x: FloatValue, coefficients: tuple[float, ...]) -> FloatVal
 
 
 def _split_quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
-    """Split an angle (rad) into a remainder within an eighth of a turn, and the number of quarter turns, 0 .. 3."""
+    """Split an angle (rad) into a remainder between -pi/4 and pi/4, and the number of quarter turns, 0 .. 3."""
     wide_x = _to_float64(x)
     usual = np.abs(wide_x) < LARGE_ANGLE
     wide: FloatValue = wide_x if np.all(usual) else np.where(usual, wide_x, np.fmod(wide_x, 2.0 * PI))
@@ -55,7 +55,7 @@ def _split_quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
 
 
 def _compute_sine_and_cosine(x: FloatValue) -> tuple[FloatValue, FloatValue, FloatValue]:
-    """Return the sine and cosine of the reduced angle, and its number of quarter turns."""
+    """Return the sine and the cosine of an angle without its quarter turns, and the number of quarter turns, 0 .. 3."""
     rest, quarter = _split_quarter_turns(x)
     square = rest * rest
     return rest * _evaluate_series(square, SIN_COEFFICIENTS), _evaluate_series(square, COS_COEFFICIENTS), quarter
@@ -176,8 +176,8 @@ def _get_cached_value(function: Callable[[FloatValue], FloatValue], number: byte
 
 
 def _run_kernel(kernel_name: str, *values: FloatValue) -> FloatValue | None:
-    """Return the result of the function for arrays, computed by a kernel. None if no kernel accepts these values, or if a value
-    is special."""
+    """Return the result of a kernel of `elementary_loops`, by its name, for arrays. None if no kernel accepts these values, or if
+    a value is special."""
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None

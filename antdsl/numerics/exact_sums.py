@@ -16,7 +16,7 @@ LOW_WORD_BITS = 22  # bits of the lower of two words, for larger sums; both word
 
 
 def quantise_terms(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
-    """Return terms as float64 multiples of 2**quantum, limited to +-2**(quantum + 44); NaN stays NaN."""
+    """Return terms as float64 multiples of 2**quantum, limited to ±2**(quantum + 44); NaN stays NaN."""
     bound = np.ldexp(1.0, quantum + MAX_TERM_EXPONENT)
     magic = np.ldexp(1.5, quantum + 52)
     wide = np.clip(np.asarray(terms, np.float64), -bound, bound)
@@ -26,7 +26,8 @@ def quantise_terms(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float
 
 
 def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
-    """Return the sum of the terms of each index 0 .. length-1. Each sum is exact, then rounded to float64 and float32."""
+    """Return the sum of the terms of each index 0 .. length-1, float32 [length]. Terms are rounded to multiples of 2**quantum;
+    their sum is exact, then rounded to float64 and float32."""
     if index.size == 0:
         return np.zeros(length, np.float32)
     wide = quantise_terms(terms, quantum)

@@ -16,9 +16,9 @@ AnyVec3 = tuple[Any, Any, Any]  # of either float type
 
 
 class AgentPose(NamedTuple):
-    """The position and orientation of an agent: unit vectors up, ahead, and along its path."""
+    """The position (mm) of an agent, and three unit vectors: its up, its heading, and the direction of its path."""
 
-    place: Vec3
+    position: Vec3
     up: Vec3
     heading: Vec3
     direction: Vec3
@@ -115,7 +115,8 @@ def fmin(a: F64, b: F64) -> F64:
 
 @inlined
 def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
-    """Return the weights of the nearest point in the triangle. This corrects rounding errors."""
+    """Return barycentric weights `b1` and `b2` limited to the triangle, to correct rounding errors: both at least 0, their sum at
+    most 1."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
     if total > 1.0:
@@ -138,7 +139,10 @@ def rotate_between_normals(v: Vec3, source: Vec3, target: Vec3, direction: Vec3)
 
 @inlined
 def normalise_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
-    """Return a direction in a face as a unit vector; the first axis if its length is zero."""
+    """Return a direction in the plane of a face as a unit vector: cosine and sine of its angle from the face's first axis. A zero
+    vector gives the first axis.
+
+    `c`, `s`: the components of the direction along the first and second axis of the face, of any length."""
     size = np.sqrt(c * c + s * s)
     if size > 1e-9:
         return c / size, s / size
@@ -147,8 +151,11 @@ def normalise_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
 
 @inlined
 def find_nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
-    """Return the weights of the triangle's point nearest to `v`, and its distance. `v` is relative to the first corner. The point
-    is the projection onto the plane if that is inside the triangle, else a point of an edge."""
+    """Return the weights of the second and third corner for the point of a triangle that is nearest to `v`, and the distance to
+    it.
+
+    `edge1`, `edge2`: the edges from the first corner. `v`: a position relative to the first corner. The nearest point is the
+    projection of `v` onto the plane if that is inside the triangle, else a point of an edge."""
     edge3 = minus(edge2, edge1)
     d11, d12, d22, d33 = dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2), dot(edge3, edge3)
     w1, w2 = dot(v, edge1), dot(v, edge2)
@@ -168,7 +175,7 @@ def find_nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F
 
 @inlined
 def divide_vector(a: Vec3, s: F64) -> Vec3:
-    """Return a vector divided by a number."""
+    """Return the vector `a` divided by the number `s`."""
     return a[0] / s, a[1] / s, a[2] / s
 
 
@@ -192,5 +199,5 @@ def get_column64(vectors: Strided2[F64], i: I64) -> Vec3:
 
 @inlined
 def rotate_about_axis(v: Vec3, axis: Vec3, c: F64, s: F64) -> Vec3:
-    """Return a vector rotated about a unit axis, by the cosine and sine of the angle (O. Rodrigues, 1840)."""
+    """Return a vector rotated about a unit axis. `c`, `s`: the cosine and sine of the angle (O. Rodrigues, 1840)."""
     return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))

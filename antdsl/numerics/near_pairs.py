@@ -16,18 +16,21 @@ _FORWARD_OFFSETS = _NEIGHBOUR_OFFSETS[len(_NEIGHBOUR_OFFSETS) // 2 :]  # each pa
 
 
 def find_pairs_within(points: Floats, reach: float) -> tuple[Index, Index]:
-    """Return the pairs of points [n,3] at most `reach` apart: their indices, the lower one first."""
+    """Return the pairs of points [n,3] that are at most `reach` apart, as two arrays of indices. The first array has the lower
+    index of each pair."""
     one, other = _find_pairs(points, points, reach, _FORWARD_OFFSETS)
     return np.minimum(one, other), np.maximum(one, other)
 
 
 def find_pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
-    """Return the pairs of points [n,3] and others [k,3] at most `reach` apart: the indices of both."""
+    """Return the pairs of a point [n,3] and an element of `others` [k,3] that are at most `reach` apart: indices of the points,
+    then indices of `others`."""
     return _find_pairs(points, others, reach, _NEIGHBOUR_OFFSETS)
 
 
 def _find_pairs(points: Floats, others: Floats, reach: float, cells: list[CellOffset]) -> tuple[Index, Index]:
-    """Return pairs of points and others at most `reach` apart, from the cells at the offsets `cells`."""
+    """Return the indices of points and of `others` in pairs at most `reach` apart. `cells`: the offsets of the grid cells to
+    search around each point's cell."""
     empty = np.empty(0, np.int64)
     if not (len(points) and len(others)):
         return empty, empty

@@ -49,7 +49,8 @@ def compute_fade(t: Floats) -> Floats:
 
 
 def _compute_lattice_offset(seed: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the offset (4, n) of a seed's pattern on the lattice, which has 2**32 points along each axis."""
+    """Return the offset (4, n) by which each seed moves the noise pattern on the lattice. The lattice has 2**32 points along each
+    axis."""
     zero = np.zeros(seed.shape, np.uint32)
     words = np.stack((seed.astype(np.uint32), (seed >> 32).astype(np.uint32), zero, zero))
     return hash_pcg4d(hash_pcg4d(words)).astype(np.int64)

@@ -50,8 +50,9 @@ def count_parts(count: int, threads: int, min_part_size: int = MIN_AGENTS_PER_TH
 
 
 def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return the parts of arrays [.., n] that were written, joined. `parts` has, for each part, its start and its number of
-    values."""
+    """Return, for each array [.., n], the values that parallel parts have written, joined into one array.
+
+    `parts`: for each part, the index of its first value and its number of values; further numbers are ignored."""
     if len(parts) == 1:
         begin, count, *_ = parts[0]
         return [each[..., begin : begin + count] for each in arrays]
@@ -64,7 +65,8 @@ def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[
 def run_in_threads(work: Callable[[int], object], threads: int) -> None:
     """Call `work(0)` in this thread, and `work(1)` to `work(threads - 1)` in parallel if workers are free.
 
-    Each call takes work until none is left. All calls have ended on return, even after an interruption."""
+    Because some calls may never start, each call must continue until all work is done. All calls have ended on return, even after
+    an interruption."""
     threads = min(threads, count_available_cores())
     if threads < 2:
         work(0)
@@ -75,7 +77,8 @@ def run_in_threads(work: Callable[[int], object], threads: int) -> None:
 
 
 def call_for_each_row(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
-    """Call a function of machine code in parallel with each row of `parts` [k,3]: address, begin, end."""
+    """Call a function of machine code in parallel, once for each row of `parts` [k,3]. A row has the arguments: the address of a
+    table, the first index, and the index after the last."""
     threads = min(threads, count_available_cores())
     if threads < 2 or len(parts) < 2:
         for part in parts.tolist():
@@ -88,7 +91,7 @@ def call_for_each_row(function: Callable[[int, int, int], None], parts: NDArray[
 
 @inlined
 def compute_buffer_index(begin: I64, count: I64, buffer_count: I64) -> I64:
-    """Return the number of the buffer for a part that starts at `begin` and has `count` numbers (at least 1).
+    """Return the index of the buffer that the part from `begin` on may use, if the kernel runs over `count` (at least 1) numbers.
 
-    `buffer_count` is the number of buffers, as returned by `count_parts`. No two parts share a buffer."""
+    `buffer_count`: the number of buffers, as returned by `count_parts`. No two parts get the same buffer."""
     return (begin * buffer_count + count - 1) // count

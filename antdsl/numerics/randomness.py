@@ -64,16 +64,19 @@ def draw_four_words(seed: int, frame: int, species: str, site: str, block: int, 
 
 
 def draw_words_of_ids(wide_ids: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> WordColumns:
-    """Return four random words for each id (`wide_ids`, uint64). `first`, `low` and `last` are the first, third and last counter
-    word."""
+    """Return four random words for each id.
+
+    `wide_ids`: the ids as uint64. `first`, `low`, `last`: the first, third and last counter word, without the ids. `key`: both
+    words of the key."""
     return run_philox(
         (first, wide_ids & LOW_32_BITS, (((wide_ids >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, last), key
     )
 
 
 def build_counters(seed: int, frame: int, species: str, site: str, block: int) -> CounterWords:
-    """Return the counter words that all ids share, and the key. The high half of an id is still to be combined with the third
-    word."""
+    """Return three counter words that all ids share (the first, third and last), and both words of the key.
+
+    The second counter word is the low half of the id. The high half of the id must still be combined with the third word."""
     low, high = compute_site_words(species, site)
     return (compute_frame_word(frame), low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
 
@@ -124,6 +127,7 @@ def fill_words(ids: Array1[I64], shared_counters: SharedCounters, draw_index: I6
 
 @inlined
 def _compute_word(number: I64, shared_counters: SharedCounters, draw_index: I64) -> U64:
+    """Return one of the four random words of an id, as `run_philox` computes them. `draw_index`: 0 .. 3, the word to return."""
     wide = np.uint64(number)
     c0, low, c3, first, second = shared_counters
     a, b, c, d = c0, wide & LOW_32_BITS, (((wide >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, c3

@@ -24,7 +24,8 @@ def join_rows(first: Any, second: Any) -> Any:
 
 
 def _map_arrays(function: Callable[..., NDArray[Any]], first: Any, *others: Any) -> Any:
-    """Return a record with the results of a function. Its arguments are the arrays in the same position of several records."""
+    """Return a record like `first`, in which each array is the result of `function`. The arguments of `function` are the arrays
+    at the same position of all records."""
     if any(each is None for each in (first, *others)):
         return None
     if isinstance(first, np.ndarray):
@@ -46,7 +47,8 @@ def select_by_prefix(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[st
 
 
 def match_ids(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index of each id among `others`, which ascend, and whether the id is one of them."""
+    """Return the index of each id in the ascending array `others`, and whether the id is in it. Indices of ids that are not in it
+    have no meaning."""
     if len(ids) == len(others) and np.array_equal(ids, others):
         return np.arange(len(ids)), np.ones(len(ids), np.bool_)
     indices = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))

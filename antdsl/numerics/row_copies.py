@@ -24,7 +24,7 @@ _HEADER_WORDS, _WORDS_PER_ARRAY = 2, 3  # words in a table's header, and words p
 
 
 class RowCopier:
-    """Repeated copies between the same arrays. The addresses of the arrays are looked up once."""
+    """A copier of rows between the same arrays. It stores their addresses, so that repeated copies do not look them up."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []
@@ -54,10 +54,10 @@ def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
 
 
 def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
-    """Return the table of a copy, for machine code.
+    """Return the words of a copy's table, int64, which machine code reads.
 
-    It has the address of the row numbers (0: all rows in order) and the number of arrays. For each array follow its address, the
-    address of its target and its bytes per row."""
+    The first words are the address of the row numbers (0: all rows in order) and the number of arrays. Each array adds three
+    words: its address, the address of its target, and its bytes per row."""
     words = [0 if rows is None else array_address(rows), len(pairs)]
     for target, source in pairs:
         words += [array_address(source), array_address(target), source.strides[0]]
@@ -65,7 +65,7 @@ def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArr
 
 
 def _build_part_rows(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
-    """Return the parts of `count` rows as rows for `parallel.call_for_each_row`."""
+    """Return the parts of `count` rows, in the form that `parallel.call_for_each_row` needs: int64 [parts, 3]."""
     part_count = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
     ends = [count * k // part_count for k in range(part_count + 1)]
     return np.array([(array_address(table), *ends[k : k + 2]) for k in range(part_count)], np.int64)
@@ -84,7 +84,9 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
     last."""
     module = LlvmModule(target)
     cases = "".join(f"  i64 {size}, label %pick{size}\n" for size in _KERNEL_ROW_BYTES)
-    picking = "".join(_PICK_TEMPLATE.replace("$SIZE$", str(size)).replace("$BITS$", str(8 * size)) for size in _KERNEL_ROW_BYTES)
+    picking = "".join(
+        _GATHER_TEMPLATE.replace("$SIZE$", str(size)).replace("$BITS$", str(8 * size)) for size in _KERNEL_ROW_BYTES
+    )
     body = _BODY_TEMPLATE.replace("$CASES$", cases).replace("$PICKING$", picking)
     body = body.replace("$HEAD$", str(_HEADER_WORDS)).replace("$WORDS$", str(_WORDS_PER_ARRAY))
     return (
@@ -140,7 +142,7 @@ done:
   %next = add i64 %k, 1
   br label %array
 over:"""
-_PICK_TEMPLATE = """pick$SIZE$:
+_GATHER_TEMPLATE = """pick$SIZE$:
   %i$SIZE$ = phi i64 [ %begin, %picked ], [ %next$SIZE$, %one$SIZE$ ]
   %more$SIZE$ = icmp slt i64 %i$SIZE$, %end
   br i1 %more$SIZE$, label %one$SIZE$, label %done

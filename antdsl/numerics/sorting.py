@@ -31,7 +31,7 @@ def sort_stably(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 
 
 def invert_order(order: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Return the rank of each row, from the rows in their order."""
+    """Return the rank of each row. `order`: the rows in sorted order."""
     result = np.empty(len(order), np.int32)
     result[order] = np.arange(len(order), dtype=np.int32)
     return result

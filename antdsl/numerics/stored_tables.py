@@ -51,11 +51,13 @@ _computed_tables = 0  # number of tables computed by this process
 def get_or_compute(
     name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables], unit: str = "faces"
 ) -> Tables:
-    """Return the result of `compute` for these inputs, or the same arrays stored by an earlier run. The caller may change the
-    arrays.
+    """Return the tables that `compute` computes from these inputs, or equal tables that an earlier run stored. The caller may
+    change the arrays.
 
-    - `name`: identifies the computation
-    - `size`: the number of faces of the mesh, or of another `unit`; 0 for a result that no other run needs"""
+    - `name`: the name of the computation, a part of the key
+    - `size`: the number of faces of the mesh, or of another `unit`; small results are not stored. 0 for a result that no other
+      run needs
+    - `inputs`: all that the result depends on, the other part of the key"""
     global _computed_tables
     key = _compute_key(name, inputs) if size >= MIN_STORED_SIZE else None
     tables = None if key is None else _unpack_tables(_open_store_once().get(key))
@@ -74,8 +76,8 @@ def count_computed_tables() -> int:
     return _computed_tables
 
 
-def forget_store() -> None:
-    """Look up the folder again at the next use, as in a new process."""
+def reset_store() -> None:
+    """Forget the open store, so that the next use looks up its folder again, as a new process does."""
     _open_store_once.cache_clear()
 
 
@@ -133,7 +135,7 @@ def _pack_tables(tables: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def _unpack_tables(data: bytes | None) -> Tables | None:
-    """Return the arrays that `_pack` stored; None for None or invalid data."""
+    """Return the arrays that `_pack_tables` packed; None for None or invalid data."""
     if data is None:
         return None
     tables: Tables = {}

@@ -22,7 +22,8 @@ def take_rows(v: Floats, rows: Rows) -> Floats:
 
 
 def find_rows_in_box(place: Floats, low: Floats, high: Floats) -> Rows:
-    """Return the rows of positions that lie in a box."""
+    """Return, ascending, the rows of positions [n, 3] that are in a box or on its surface. `low`, `high`: opposite corners
+    [3]."""
     inside = np.ones(len(place), np.bool_)
     for axis in range(3):
         coordinates = place[:, axis]

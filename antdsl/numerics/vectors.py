@@ -68,7 +68,7 @@ def project_to_plane(a: VectorComponents, up: VectorComponents) -> VectorArrays:
 
 
 def normalise_or_fallback(a: VectorArrays, fallback: VectorArrays, min_length: float = 1e-12) -> VectorArrays:
-    """Return the unit vector, or `fallback` where the vector is shorter than `min_length`."""
+    """Return vectors scaled to length 1, or `fallback` for vectors shorter than `min_length`."""
     size = length(a)
     has_length = (size > min_length) & np.isfinite(size)
     return select_vectors(has_length, scale(a, 1 / np.where(has_length, size, 1)), fallback)
@@ -101,7 +101,7 @@ def split_columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> VectorArray
 
 
 def get_vector_registers(registers: Mapping[str, Array], name: str) -> VectorArrays:
-    """Return the three registers of a vector, without a copy."""
+    """Return the arrays of a vector's three components, `name.x`, `name.y` and `name.z`, without a copy."""
     return _build_register_getter(name)(registers)
 
 

@@ -38,8 +38,10 @@ _ENTRY_SIGNATURE = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 
 class WorkerPool:
-    """Threads that work in addition to the caller's thread. The attribute `current_caller` is the current caller: others do not
-    wait for it, but work alone."""
+    """Threads that work in addition to the caller's thread.
+
+    Only one caller can use a pool at a time, the key of `current_caller`. Other callers do not wait for it: each does its work
+    alone."""
 
     def __init__(self, count: int) -> None:
         code = words.load_code()
@@ -74,11 +76,11 @@ class WorkerPool:
             each.start()
 
     def _run_worker(self, loop: Callable[[int, int, int], None], number: int) -> None:
-        """Wait for work in machine code until the pool ends."""
+        """Run worker `number`: `loop`, its function of machine code, waits for work until the pool ends."""
         set_standard_floats()
         loop(self.address, number, 0)
 
-    def do(self, work: Callable[[int], object], helpers: int) -> None:
+    def run_calls(self, work: Callable[[int], object], helpers: int) -> None:
         """Call `work(0)` in this thread and `work(1)` to `work(helpers)` in workers that are free before `work(0)` ends.
 
         All calls have ended on return, even after an interruption. An exception of a call is raised again."""
@@ -100,7 +102,8 @@ class WorkerPool:
             raise exceptions[0]
 
     def run_kernel(self, work: Callable[[int, int], T], count: int, parts: int) -> list[T] | None:
-        """Return the results of a kernel for each part, if `work` is a `partial` of a kernel that can run in parts; else None."""
+        """Return the result of each part of a kernel over `count` numbers. Return None if `work` is not a `partial` of a kernel
+        that can run in parts."""
         if not isinstance(work, partial) or work.keywords:
             return None
         get_call = getattr(work.func, "get_parallel_call", None)
@@ -124,13 +127,14 @@ class WorkerPool:
             each.join()
 
     def _post_job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
-        """Store a job for the workers: a function of machine code, and a table with one row per part."""
+        """Store a job for the workers. `function`: a function of machine code. `table`: one row of arguments per part."""
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
         self._shared_words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, array_address(table), 0, parts
         self._shared_words[words.DONE_COUNT_WORD] = parts  # before a job is started, nothing is pending
 
     def _run_call(self, _: int, number: int, __: int) -> None:
-        """Call the current work with a number, and record its exception."""
+        """Call the current Python function with `number`, and record its exception. Machine code calls this method with two more
+        arguments."""
         try:
             self._work(number)
         except BaseException as problem:
@@ -138,13 +142,13 @@ class WorkerPool:
 
 
 class ExecutorPool:
-    """The interface of `WorkerPool`, with an executor instead of machine code."""
+    """A replacement for `WorkerPool` that runs work in an executor instead of machine code."""
 
     def __init__(self, count: int) -> None:
         self.current_caller: dict[None, object] = {}
         self._executor = ThreadPoolExecutor(count, "kernels", set_standard_floats)
 
-    def do(self, work: Callable[[int], object], helpers: int) -> None:
+    def run_calls(self, work: Callable[[int], object], helpers: int) -> None:
         """Call `work` in this thread and in the executor, as `WorkerPool.do`."""
         others = [self._executor.submit(work, number) for number in range(1, helpers + 1)]
         try:
@@ -171,7 +175,7 @@ def count_parts(count: int, threads: int) -> int:
 
 
 def run_in_parts(work: Callable[[int, int], T], count: int, threads: int, max_threads: int) -> list[T]:
-    """Run `parallel.run_in_parts` with at most `max_threads` threads, the number that is worthwhile."""
+    """Run `work` as `parallel.run_in_parts` does, with at most `max_threads` of `threads` threads."""
     pool = _get_pool(threads)
 
     def run_parts_in_parallel() -> list[T]:
@@ -198,8 +202,8 @@ def _run_exclusively(pool: WorkerPool | ExecutorPool, run_together: Callable[[],
 
 
 def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
-    """Return the results of parts that are Python functions. Raises the exception of the first failed part; later parts may not
-    have started."""
+    """Return the result of each part of a Python function; each thread takes the next part. Raises the exception of the first
+    failed part; later parts may not have started."""
     results: dict[int, T] = {}
     exception_by_part: dict[int, BaseException] = {}
     next_parts = iter(range(parts))
@@ -212,7 +216,7 @@ def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], 
                 exception_by_part[k] = problem
                 return
 
-    pool.do(run_parts, parts - 1)
+    pool.run_calls(run_parts, parts - 1)
     if exception_by_part:
         raise exception_by_part[min(exception_by_part)]
     return [results[k] for k in range(parts)]
@@ -221,7 +225,7 @@ def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], 
 def run_in_threads(work: Callable[[int], object], threads: int) -> None:
     """Call `work` in several threads, as `parallel.run_in_threads`."""
     pool = _get_pool(threads)
-    _run_exclusively(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
+    _run_exclusively(pool, lambda: pool.run_calls(work, threads - 1), lambda: work(0))
 
 
 def call_for_each_row(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
@@ -287,7 +291,7 @@ def _get_symbol_address(name: str) -> int:
 
 
 def _make_locked_lock() -> int:
-    """Return a lock of CPython that is already taken."""
+    """Return the address of a new lock of CPython, which is already acquired."""
     allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_get_symbol_address(_LOCK_FUNCTIONS[0]))
     acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_get_symbol_address(_LOCK_FUNCTIONS[1]))
     lock: int | None = allocate()
@@ -299,7 +303,7 @@ def _make_locked_lock() -> int:
 
 @cache
 def _measure_spin_turns() -> int:
-    """Return how many turns a thread without work spins before it sleeps."""
+    """Return the number of iterations for which a thread without work spins before it blocks."""
     wait, buffer = words.load_code().function("turns"), np.zeros(1, np.int64)
     spent = []
     for _ in range(3):

@@ -18,26 +18,28 @@ _PAIR_OPERATIONS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 
 
 def hoist_factors(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """Return the plan with the operands of products and quotients of pairs in a cheaper order. `tracked_nodes`: as in
-    `rebuild`."""
+    """Return the plan with products and quotients per pair reordered, so that factors of the agent are computed once per agent.
+
+    `tracked_nodes`: as in `rebuild`."""
     return rebuild(plan, _reorder_product, tracked_nodes)
 
 
 def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
+    """Return a cheaper node in place of an operation per pair, or None to leave it unchanged. Arguments: as in `NodeMaker`."""
     if op == "reduce.sum" and args[2].op == "neg":  # exact, because rounding to a multiple is symmetric about zero
         return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
-    if op == "div" and _is_pair_rate(args[0]) and not _is_pair_rate(args[1]):
+    if op == "div" and _is_computed_per_pair(args[0]) and not _is_computed_per_pair(args[1]):
         return _build_product(b, (args[0], b("div", b.add_number(1), args[1])))
-    if op == "mul" and (_is_pair_rate(args[0]) or _is_pair_rate(args[1])):
+    if op == "mul" and (_is_computed_per_pair(args[0]) or _is_computed_per_pair(args[1])):
         return _build_product(b, args)
     return None
 
 
 def _build_product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
-    """Return the product of the factors of all operands."""
+    """Return the product of all factors of the operands as component * (scalars of the pair * (factors of the agent))."""
     factors, negative = _collect_factors(args)
-    agent = [n for n in factors if not _is_pair_rate(n)]
-    pair = [n for n in factors if _is_pair_rate(n)]
+    agent = [n for n in factors if not _is_computed_per_pair(n)]
+    pair = [n for n in factors if _is_computed_per_pair(n)]
     first = next((n for n in pair if n.op in _PAIR_OPERATIONS), pair[0])
     pair.remove(first)
     rest = [reduce(lambda p, q: b("mul", p, q), group) for group in (pair, agent) if group]
@@ -52,15 +54,15 @@ def _collect_factors(args: tuple[PlanNode, ...]) -> tuple[list[PlanNode], bool]:
     stack = list(reversed(args))
     while stack:
         node = stack.pop()
-        if node.op == "neg" and _is_pair_rate(node):
+        if node.op == "neg" and _is_computed_per_pair(node):
             negative = not negative
             stack.append(node.args[0])
-        elif node.op == "mul" and _is_pair_rate(node):
+        elif node.op == "mul" and _is_computed_per_pair(node):
             stack += reversed(node.args)
         else:
             factors.append(node)
     return factors, negative
 
 
-def _is_pair_rate(node: PlanNode) -> bool:
+def _is_computed_per_pair(node: PlanNode) -> bool:
     return node.rate is UpdateRate.PAIR

@@ -1,4 +1,4 @@
-"""Determines the senses of which the result is stored for the rest of the step."""
+"""Finds the senses with results that are stored for the rest of the step, because several regions use them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from antdsl.plan.traverse import find_shared_senses
 
 
 def memoise_senses(plan: Plan) -> Plan:
-    """Return the plan with `lazy` of each species recomputed. Other passes change which regions use a sense."""
+    """Return the plan with `memoised_senses` of each species computed again, since other passes change which regions use a
+    sense."""
     return replace(
         plan,
         species={n: replace(s, memoised_senses=find_shared_senses(s.decide, s.act, s.blend)) for n, s in plan.species.items()},

@@ -36,9 +36,9 @@ def replace_blocks(plan: Plan, change_block: Callable[[SpeciesPlan, Block], Bloc
 
 
 def rebuild(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """Return an equivalent plan with only the needed nodes, simplified, shared and numbered without gaps.
+    """Return an equivalent plan with only the nodes that are needed: simplified, shared and numbered without gaps.
 
-    - `make_node`: may return another node for an operation. The operands are already rebuilt.
+    - `make_node`: returns another node for an operation, or None for no change. The operands are already rebuilt.
     - `tracked_nodes`: nodes of the plan, or outside it, that must not be removed. On return, each is mapped to its new node."""
     builder = PlanBuilder()
     new: dict[PlanNode, PlanNode] = {}

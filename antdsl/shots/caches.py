@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from antdsl.executors import Task, TaskRejected, WorkerContext, convert_to_refusal, hash_document
+from antdsl.executors import Task, TaskRejected, WorkerContext, hash_document, raise_as_task_rejected
 from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, PathBlocked
 from antdsl.outputs.cache.lock import FolderLocked
 from antdsl.outputs.cache.manifest import find_relative_path
@@ -58,7 +58,7 @@ def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[s
     resume, force = options.pop("resume"), options.pop("force")
     to = Destination.from_document(document)
     place = to.choose_task_folder(worker, document["key"])
-    with convert_to_refusal(*_REFUSED_ERRORS):
+    with raise_as_task_rejected(*_REFUSED_ERRORS):
         if hash_document({**shot.inputs, **hash_start_frame(shot)}) != document["inputs"]:
             raise TaskRejected("files that the scene reads have changed since the command began")
         recording = begin_recording(

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from antdsl.executors import Task, WorkerContext, convert_to_refusal
+from antdsl.executors import Task, WorkerContext, raise_as_task_rejected
 from antdsl.outputs.cache.cache_reader import CacheError
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.drawing import AgentMissing, DrawRequest, FrameDrawer, StillStore
@@ -34,7 +34,7 @@ def draw_stills(document: Mapping[str, Any], worker: WorkerContext) -> dict[str,
 
     The drawing state is cached in the process for the next task with the same picture settings."""
     to, pictures = Destination.from_document(document), document["pictures"]
-    with convert_to_refusal(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
+    with raise_as_task_rejected(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
         if worker.cached_values.get("pictures") != pictures:
             picture_request = TypeAdapter(DrawRequest).validate_python(pictures["wanted"])
             gallery = picture_request.gallery(open_edited_cache(worker.find_local_path(pictures["cache"])))

@@ -25,13 +25,15 @@ Point = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A design.
+    """A design of experiments.
 
-    `sample_shares(factors, count, seed)`: returns an array (points, factors) of numbers from 0 to 1.
+    `sample_shares(factors, count, seed)`: returns an array (points, factors) of numbers from 0 to 1; None for a grid.
     `description`: a description, for help texts.
     `count_meaning`: the meaning of `count`, for help texts; empty if the design takes no count.
-    `analysis`: computes the importance of each factor from the results; None if the design does not allow it.
-    """
+    `points_per_unit`: the design has `count` × (factors + `points_per_unit`) points; None for `count` points.
+    `needs_power_of_two`: whether the count must be a power of two.
+    `needs_ranges`: whether each factor must be a range of values.
+    `analysis`: computes the importance of each factor from the results; None if the design does not allow it."""
 
     name: str
     description: str
@@ -45,7 +47,8 @@ class Design:
 
 @dataclass(frozen=True, slots=True)
 class ChosenPoints:
-    """The points of a design in order, possibly with duplicates. `shares`: the shares from which they were computed."""
+    """The points that a design has chosen, in order, possibly with duplicates. `shares`: the shares (points, factors) from which
+    they were computed; None for a grid."""
 
     design: Design
     factors: tuple[Factor, ...]
@@ -109,7 +112,8 @@ _DESIGN_BY_NAME = {design.name: design for design in DESIGNS}
 
 
 def choose_design(name: str, factors: Sequence[Factor], point_count: int | None, seed: int) -> tuple[ChosenPoints | None, Report]:
-    """Return the points of the named design, or None. Conflicting arguments are in the report, with corrections."""
+    """Return the points of the named design, or None if the arguments are in conflict, and a report with the conflicts and
+    corrections."""
     report, design = Report(), _DESIGN_BY_NAME[name]
     _check_design_fit(design, factors, point_count, report)
     if not report.ok:
@@ -126,6 +130,7 @@ def choose_design(name: str, factors: Sequence[Factor], point_count: int | None,
 
 
 def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: int | None, report: Report) -> None:
+    """Report a number of points or factors that do not suit a design."""
     ranges = [factor for factor in factors if not factor.levels]
     flag = f"`--design {design.name}`"
     if design.sample_shares is None:

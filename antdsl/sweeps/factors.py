@@ -16,7 +16,10 @@ _SIGNIFICANT_DIGITS = 6  # digits of a value that was drawn from a range
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """A name with its values: `levels`, or if there are no levels, all values from `low` to `high`, in `unit`."""
+    """A name of a sweep that varies, with its values.
+
+    `levels`: single values; empty for a range.
+    `low`, `high`, `unit`: the ends of a range, as numbers in `unit`."""
 
     name: str
     levels: tuple[str, ...] = ()
@@ -30,8 +33,8 @@ class Factor:
         return self.name.rpartition(".")[2]
 
     def format_value_at(self, share: float) -> str:
-        """Return a value as text. `share`: the position from 0 (first value) to 1 (last value). Each level covers an equal
-        part."""
+        """Return the value at a position in the range or in the list of levels, as text. `share`: the position from 0 (first) to
+        1 (last). Each level has an equal part."""
         if self.levels:
             return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
         return self._format_value(self.low + share * (self.high - self.low))
@@ -49,7 +52,8 @@ class Factor:
 
 
 def parse_factors(text_by_name: Mapping[str, str]) -> tuple[list[Factor], Report]:
-    """Return factors from a mapping of names to `A,B,C` or `A..B`, as in the source. Unreadable ones are in the report."""
+    """Return the factors of a sweep, and a report of those that cannot be read. `text_by_name`: `A,B,C` or `A..B` for each
+    name."""
     report = Report()
     parsed_factors = [
         _parse_range(name, text, report) if ".." in text else _parse_levels(name, text, report)

@@ -25,7 +25,7 @@ from antdsl.source_hash import hash_sources
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """A scene with specific values. It is one line of the table."""
+    """A scene with specific values, which is one line of the table. `params`: the values by name. `label`: its display name."""
 
     scene: Path
     params: Mapping[str, str]
@@ -34,11 +34,14 @@ class Variation:
 
 @dataclass(frozen=True, slots=True)
 class SweepJob:
-    """One run. Its values are plain, so that it can be sent to another process as JSON.
+    """One run of a sweep, as plain values that can be sent to another process as JSON.
 
+    `scene`: the path of the scene.
+    `label`: the display name of its variation.
+    `params`, `grants`: names with the values of params, and names with the folders of granted roots.
+    `frames`: the first and the last frame.
     `until`: amounts (`food.load`, `food.apple.load`); the run ends when all of them are 0.
-    `key`: contains a hash of everything that the result depends on.
-    """
+    `key`: an identifier, which contains a hash of everything that the result depends on."""
 
     scene: str
     label: str
@@ -60,7 +63,7 @@ class SweepJob:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> SweepJob:
-        """Return the job that `document` describes; the inverse of `Job.document`."""
+        """Return the job from JSON values; the inverse of `SweepJob.document`."""
         return _JOB_ADAPTER.validate_python(document)
 
     def make_choices(self) -> RunChoices:
@@ -125,8 +128,9 @@ def build_jobs(
 
 
 def find_start_hashes(shot: Shot) -> Mapping[str, str]:
-    """Return a hash of the start state that a scene takes from another cache. Also record that the files of that cache are read
-    (`scene.paths.record_requested_paths`)."""
+    """Return, by name, hashes of the start state that a scene takes from another cache; empty without such a cache.
+
+    Also record that the files of that cache are read (`scene.paths.record_requested_paths`)."""
     folder = find_start_cache(shot)
     if folder is not None:
         record_request(folder / MANIFEST_FILE_NAME, shot.scene.roots.folder)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from antdsl import __version__
-from antdsl.executors import Engine, Task, TaskRejected, WorkerContext, convert_to_refusal, run_tasks
+from antdsl.executors import Engine, Task, TaskRejected, WorkerContext, raise_as_task_rejected, run_tasks
 from antdsl.numerics.processor.host import read_processor_name
 from antdsl.outputs.cache_start import StartError, start_from_cache
 from antdsl.outputs.recording import Recording
@@ -63,7 +63,7 @@ def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str,
     grants = tuple((name, str(worker.find_local_path(folder))) for name, folder in job.grants)
     job = replace(job, scene=str(worker.find_local_path(job.scene)), grants=grants)
     try:
-        with convert_to_refusal(BindError, StartError, FaultStop):
+        with raise_as_task_rejected(BindError, StartError, FaultStop):
             return _simulate_job(job, worker, built)
     finally:
         built.drop_unused()

@@ -22,7 +22,8 @@ INSTALL_HINT = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
 def draw_measures(results: Sequence[RunResult], measures: Sequence[str], path: Path) -> None:
-    """Write one PNG with a panel per measure. Runs in which the measured event did not happen are above the dashed line."""
+    """Write one PNG with a panel per measure. Above the dashed line of a panel are the runs in which the measured event did not
+    happen."""
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
     with open_figure(9.0, height * len(measures), path) as figure:
@@ -139,14 +140,15 @@ def _draw_bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes
         scene_effects = [effect for effect in effects if effect.scene == scene]
         positions = [factors.index(effect.factor) + (number - (len(scenes) - 1) / 2) * high for effect in scene_effects]
         widths, errors = (
-            [effect.columns[name] for effect in scene_effects] for name in (analysis.first, analysis.half_width_column)
+            [effect.columns[name] for effect in scene_effects]
+            for name in (analysis.importance_column, analysis.half_width_column)
         )
         panel.barh(
             positions, widths, height=high * 0.9, xerr=errors, color=_choose_colour(number), alpha=0.7, error_kw={"linewidth": 1}
         )
     panel.set_yticks(range(len(factors)), factors)
     panel.invert_yaxis()
-    panel.set_xlabel(analysis.first.replace("_", " "), fontsize=9)
+    panel.set_xlabel(analysis.importance_column.replace("_", " "), fontsize=9)
     panel.tick_params(labelsize=8)
     panel.spines[["top", "right"]].set_visible(False)
 

@@ -27,22 +27,22 @@ EffectColumns = Mapping[str, Numbers]
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of the importance of factors.
+    """A method to compute the importance of each factor.
 
-    `compute_columns(shares, values)`: returns columns by name, with one number per factor.
-    `first`: the column with the importance of a factor.
+    `title`: the title of its table.
+    `importance_column`: the column with the importance of a factor.
     `half_width_column`: the column with half the width of its 95 % interval.
-    """
+    `compute_columns(shares, values)`: returns columns by name, with one number per factor."""
 
     title: str
-    first: str
+    importance_column: str
     half_width_column: str
     compute_columns: Callable[[Numbers, Numbers], EffectColumns]
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """The effect of one factor on one measure of one scene."""
+    """The effect of one factor on one measure of one scene. `columns`: the numbers of the analysis, by name."""
 
     scene: str
     measure: str
@@ -122,9 +122,10 @@ def find_effects(
 ) -> tuple[list[Effect], list[str]]:
     """Return the effect of each factor on each measure, and the reasons why some measures have none.
 
-    `scenes`: by name, the labels of the design's points.
-    `medians`: by label and measure.
-    """
+    `names`: the names of the factors.
+    `shares`: the shares (points, factors) of the design.
+    `scenes`: the labels of the design's points in order, by the name of the scene.
+    `medians`: the median of a measure over seeds, by label and measure."""
     effect_list: list[Effect] = []
     notes: list[str] = []
     for scene, labels in scenes.items():
@@ -155,7 +156,8 @@ def format_effects(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
     several = len({effect.scene for effect in effect_list}) > 1
     for scene, measure in dict.fromkeys((effect.scene, effect.measure) for effect in effect_list):
         scene_effects = sorted(
-            (e for e in effect_list if (e.scene, e.measure) == (scene, measure)), key=lambda e: -e.columns[analysis.first]
+            (e for e in effect_list if (e.scene, e.measure) == (scene, measure)),
+            key=lambda e: -e.columns[analysis.importance_column],
         )
         names = list(scene_effects[0].columns)
         lines += ["", f"{measure}{f' of {scene}' if several else ''}"]

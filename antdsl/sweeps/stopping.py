@@ -20,7 +20,7 @@ from antdsl.sweeps.jobs import SweepJob
 from antdsl.sweeps.table import compute_quantile
 
 CONFIDENCE_LEVEL = Fraction(95, 100)
-_CHECK_GROWTH = Fraction(3, 2)  # growth of the number of runs from one check to the next
+_RUN_COUNT_GROWTH = Fraction(3, 2)  # growth of the number of runs from one check to the next
 
 
 def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> int:
@@ -34,8 +34,8 @@ def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDEN
 
 
 def find_interval(values: Sequence[float], error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> tuple[float, float] | None:
-    """Return the two results between which the median lies, or None for too few. An infinite result means that the event never
-    happened."""
+    """Return the lower and the upper end of the median's interval, or None for too few values. An infinite value means that the
+    event never happened."""
     place = compute_interval_rank(len(values), error_probability)
     if not place:
         return None
@@ -56,8 +56,8 @@ class CheckSchedule:
 
 
 def plan_checks(max_runs: int) -> CheckSchedule | None:
-    """Return checks at growing numbers of runs, each half as many again, up to `max_runs`. Return None if `max_runs` runs are too
-    few."""
+    """Return a schedule of checks up to `max_runs` runs, or None if `max_runs` runs are too few. From check to check, the number
+    of runs grows by half."""
     for count in range(1, max_runs + 1):
         doubt = (1 - CONFIDENCE_LEVEL) / count
         min_runs = next((n for n in range(1, max_runs + 1) if compute_interval_rank(n, doubt)), None)
@@ -65,7 +65,7 @@ def plan_checks(max_runs: int) -> CheckSchedule | None:
             return None
         run_counts = [min_runs]
         while run_counts[-1] < max_runs:
-            run_counts.append(min(math.ceil(run_counts[-1] * _CHECK_GROWTH), max_runs))
+            run_counts.append(min(math.ceil(run_counts[-1] * _RUN_COUNT_GROWTH), max_runs))
         if len(run_counts) <= count:
             return CheckSchedule(tuple(run_counts), (1 - CONFIDENCE_LEVEL) / len(run_counts))
     return None
@@ -99,8 +99,8 @@ class WidthGoal:
 
 @dataclass(frozen=True, slots=True)
 class KnownMedian:
-    """The result for one measure of one variation: after `runs` runs, its median lies between `low` and `high`. `met`: whether
-    the interval is as narrow as requested."""
+    """A median of one measure of one variation, known after `runs` runs to lie between `low` and `high`. `median`: its estimate.
+    `met`: whether the interval is as narrow as requested."""
 
     label: str
     measure: str
@@ -113,7 +113,9 @@ class KnownMedian:
 
 @dataclass(slots=True)
 class JobChooser:
-    """All jobs that may run, ordered by seed. `needed_jobs` yields those that are needed. Without `width_goals`, all are
+    """A chooser of the jobs that a sweep still needs.
+
+    `jobs`: all jobs that may run, ordered by seed. `width_goals`: the requested widths of intervals; without them, all jobs are
     needed."""
 
     jobs: Sequence[SweepJob]
@@ -172,7 +174,7 @@ class JobChooser:
         return [w.measure for w in self.width_goals if names and not any(name.startswith(w.measure) for name in names)]
 
     def list_measure_prefixes(self) -> list[str]:
-        """Return the first word of each name of a reported measure."""
+        """Return the part before the first dot of each reported measure's name, each once."""
         return list(dict.fromkeys(name.split(".")[0] for name in self._list_measure_names()))
 
     def _list_measure_names(self) -> dict[str, None]:

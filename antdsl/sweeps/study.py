@@ -25,7 +25,8 @@ REQUEST_FILE_NAME = "asked.json"
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """The points and scenes of a sweep. `variations`: every scene with every point, each once."""
+    """A sweep to run: its points, its scenes, and its variations. A variation is a scene with the values of a point, each
+    once."""
 
     chosen_points: ChosenPoints
     scenes: tuple[Path, ...]
@@ -42,8 +43,8 @@ class Study:
         return {factor.name: factor.unit for factor in self.range_factors}
 
     def find_effects(self, table: Sequence[Row], measures: Sequence[str]) -> tuple[list[Effect], list[str]]:
-        """Return the effect of each factor on these measures, and notes on measures without a known effect. Empty if the design
-        has no analysis of effects."""
+        """Return the effect of each factor on each measure, and notes on measures without a known effect. Both are empty if the
+        design has no analysis."""
         design, shares = self.chosen_points.design, self.chosen_points.shares
         if design.analysis is None or shares is None:
             return [], []
@@ -90,18 +91,22 @@ class SweepRequest(BaseModel):
     def write(self, folder: Path) -> None:
         """Write the request into a folder, with paths relative to the folder, so that everything can be moved together."""
         portable_request = self.model_copy(
-            update={"scenes": [_make_relative_path(path, folder) for path in self.scenes], "root": self._relative_roots(folder)}
+            update={
+                "scenes": [_make_relative_path(path, folder) for path in self.scenes],
+                "root": self._make_roots_relative(folder),
+            }
         )
         write_atomically(folder / REQUEST_FILE_NAME, (portable_request.model_dump_json(indent=1) + "\n").encode())
 
-    def _relative_roots(self, folder: Path) -> list[str]:
+    def _make_roots_relative(self, folder: Path) -> list[str]:
         return [
             f"{name}={_make_relative_path(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)
         ]
 
 
 def read_request(folder: Path) -> SweepRequest:
-    """Return the request stored in a folder, with paths relative to the working directory. Raises NoSweep if there is none."""
+    """Return the request stored in a folder, with paths relative to the working directory. Raises NoStoredSweep if there is
+    none."""
     try:
         request = SweepRequest.model_validate_json(read_size_limited(folder / REQUEST_FILE_NAME, limits.MIB))
     except OSError:

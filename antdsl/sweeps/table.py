@@ -23,8 +23,10 @@ MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # they depend on the machine
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measure of one variation. An event that did not happen counts as infinitely late, so quantiles may be infinite. The
-    fields are the columns of files."""
+    """The distribution of one measure over the runs of one variation. Its fields are the columns of files.
+
+    `runs`: the number of runs. `happened`: the runs in which the measured event happened; otherwise the value is infinite, so
+    quantiles may be infinite. `least`, `most`: the smallest and the largest value."""
 
     label: str
     measure: str
@@ -60,6 +62,7 @@ def build_rows(results: Iterable[RunResult]) -> list[Row]:
 
 
 def _make_row(label: str, name: str, values: list[float], runs: int) -> Row:
+    """Return the row of a measure. A run without this measure counts as 0, such as a run without a certain transition."""
     # a missing count, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
     median, lower, upper = (compute_quantile(values, share) for share in (0.5, 0.25, 0.75))
@@ -106,7 +109,7 @@ def as_csv(table: Sequence[Row]) -> str:
     """Return one CSV line per variation and measure. Values of events that never happened are empty."""
     lines: list[list[object]] = [[column.name for column in fields(Row)]]
     for row in table:
-        lines.append(["" if v is None else f"{v:.9g}" if isinstance(v, float) else v for v in _finite_entry(row).values()])
+        lines.append(["" if v is None else f"{v:.9g}" if isinstance(v, float) else v for v in _make_finite_entry(row).values()])
     return format_csv(lines)
 
 
@@ -147,18 +150,18 @@ def format_runs_csv(results: Sequence[RunResult], units: Mapping[str, str] | Non
 
 
 def _name_columns(results: Sequence[RunResult], units: Mapping[str, str]) -> dict[str, str]:
-    """Return the column name of each value, by the value's name."""
+    """Return the column name of each varied value, by the value's name. A name includes the unit if values are plain numbers."""
     params = dict.fromkeys(name for job, _ in results for name, _ in job.params)
     return {name: f"{name} ({units[name]})" if units.get(name) else name for name in params}
 
 
 def _format_params(job: SweepJob, units: Mapping[str, str]) -> dict[str, str]:
-    """Return the values of a run. Values with an entry in `units` are written without their unit."""
+    """Return the varied values of a run as texts, by name. A value with an entry in `units` is written without its unit."""
     return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
 
 
 def format_known_medians(medians: Sequence[KnownMedian]) -> str:
-    """Return one line per median: the results between which it lies, and whether they are as narrow as requested."""
+    """Return one line per median: the interval in which it lies, and whether the interval is as narrow as requested."""
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in medians), strict=True))
     for each in medians:
@@ -178,15 +181,15 @@ def as_json(
     """Return all runs, the table, and known medians and effects as one JSON document."""
     document: dict[str, Any] = {
         "runs": [describe_job(job) | {"measures": dict(measures)} for job, measures in results],
-        "table": [_finite_entry(row) for row in table],
+        "table": [_make_finite_entry(row) for row in table],
     }
     if medians:
-        document["medians"] = [_finite_entry(each) for each in medians]
+        document["medians"] = [_make_finite_entry(each) for each in medians]
     if effects:
         document["sensitivity"] = [asdict(effect) for effect in effects]
     return json.dumps(document, indent=1) + "\n"
 
 
-def _finite_entry(record: Row | KnownMedian) -> dict[str, Any]:
-    """Return the fields by name. Numbers that are infinite or unknown become None."""
+def _make_finite_entry(record: Row | KnownMedian) -> dict[str, Any]:
+    """Return the fields of a record by name, for JSON. Numbers that are infinite or unknown become None."""
     return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(record).items()}

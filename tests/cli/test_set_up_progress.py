@@ -58,7 +58,7 @@ def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_only_large_tables_that_are_computed_are_stages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(stored_tables.TABLE_STORE.variable, "")
-    stored_tables.forget_store()
+    stored_tables.reset_store()
     stage_names: list[str] = []
     with stages.report_stages_to(stage_names.append):
         for size in (20, 124_000):
@@ -67,5 +67,5 @@ def test_only_large_tables_that_are_computed_are_stages(monkeypatch: pytest.Monk
         other.start()
         other.join()
     stages.begin_stage("afterwards")
-    stored_tables.forget_store()
+    stored_tables.reset_store()
     assert stage_names == ["cuts of 124,000 faces"]

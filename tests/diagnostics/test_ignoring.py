@@ -12,7 +12,7 @@ import pytest
 from antdsl.checking import check_files
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.codes import CODE_DESCRIPTIONS, MESH_CODES, RUN_CODES, STRICT_CODES
-from antdsl.diagnostics.ignore_comments import apply_ignores, find_ignore_comments, remove_ignored
+from antdsl.diagnostics.ignore_comments import apply_ignore_comments, find_ignore_comments, remove_ignored
 from antdsl.files import find_files
 from antdsl.pipeline import RunChoices, check_path
 from antdsl.source import Source
@@ -34,7 +34,7 @@ def check_text(tmp_path: Path, above: str = "", beside: str = "", strict: bool =
     path.write_text(TEXT.replace("{above}", above).replace("{beside}", beside))
     _, report = check_path(path, strict=strict)
     source = Source(str(path), path.read_text())
-    return [(d.code, d.help or "") for d in apply_ignores(report, [source], strict=strict).diagnostics]
+    return [(d.code, d.help or "") for d in apply_ignore_comments(report, [source], strict=strict).diagnostics]
 
 
 def test_without_a_comment_the_warning_is_given(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_comments_for_strict_findings_are_not_unused_without_strict(tmp_path: Pa
     path.write_text(f"ant 1\nspecies a {{ load = 0; state s {{ load += 1 /step {comment}\n when load > 3 -> s }} }}\n")
     for strict in (False, True):
         _, report = check_path(path, strict=strict)
-        left = apply_ignores(report, [Source(str(path), path.read_text())], strict=strict)
+        left = apply_ignore_comments(report, [Source(str(path), path.read_text())], strict=strict)
         assert left.diagnostics == [] and len(report.diagnostics) == strict
 
 
@@ -119,7 +119,7 @@ def test_unused_comments_are_not_reported_in_files_with_errors(tmp_path: Path) -
     file = next(tmp_path.glob("*.ant"))
     file.write_text(file.read_text().replace("ant 1\n", "ant 1\nuse stearing\n"))
     report = check_path(file)[1]
-    said = apply_ignores(report, [Source(str(file), file.read_text())])
+    said = apply_ignore_comments(report, [Source(str(file), file.read_text())])
     assert [d.code for d in said.diagnostics] == ["unknown-library"]
 
 
@@ -127,7 +127,7 @@ def test_unchecked_codes_are_not_reported_as_unused(tmp_path: Path) -> None:
     """Only a run finds `no-room`, and an editor reads no meshes."""
     source = Source("scene.yaml", "antdsl: 1  # antdsl: ignore[no-room, far-away, flicker] all three are meant\n")
     for meshes, idle in ((True, ["far-away", "flicker"]), (False, ["flicker"])):
-        findings = apply_ignores(Report(), [source], meshes_checked=meshes).diagnostics
+        findings = apply_ignore_comments(Report(), [source], meshes_checked=meshes).diagnostics
         assert [(d.code, d.message.split("`")[1]) for d in findings] == [("ignored-nothing", code) for code in idle]
     assert CODE_DESCRIPTIONS.keys() >= STRICT_CODES | MESH_CODES | RUN_CODES
 
@@ -148,4 +148,4 @@ def test_a_scene_that_writes_an_attribute_reads_it(tmp_path: Path) -> None:
     # the comment is needed where the program is checked alone, so no message says that it ignores nothing
     assert check_text(tmp_path, beside="# antdsl: ignore[unread-attribute] the renderer reads it") == []
     report = check_path(tmp_path / "written.yaml")[1]
-    assert apply_ignores(report, [Source(str(program), program.read_text())]).diagnostics == []
+    assert apply_ignore_comments(report, [Source(str(program), program.read_text())]).diagnostics == []

@@ -58,7 +58,7 @@ class Fragile(InThisProcess):
         self.pending.append((future, task))
         return future
 
-    def frame(self, future: Future[str]) -> int | None:
+    def find_frame(self, future: Future[str]) -> int | None:
         pending, self.pending = self.pending, []
         broken = any(task.key in self.killers for _, task in pending)
         for future, task in pending:
@@ -68,7 +68,7 @@ class Fragile(InThisProcess):
                 future.set_result(super().submit(task).result())
         return None
 
-    def describe_break(self) -> str:
+    def explain_process_end(self) -> str:
         return "it was ended"
 
 

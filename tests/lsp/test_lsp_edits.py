@@ -11,7 +11,7 @@ from sampling import sampled
 
 from antdsl import syntax
 from antdsl.diagnostics import Diagnostic, Report
-from antdsl.diagnostics.ignore_comments import apply_ignores
+from antdsl.diagnostics.ignore_comments import apply_ignore_comments
 from antdsl.lsp.text import DocumentText
 from antdsl.lsp.workspace import Workspace
 from antdsl.pipeline import compile_files
@@ -67,7 +67,7 @@ def check_afresh(path: Path, text: str) -> tuple[list[tuple[object, ...]], set[t
     program, report = compile_files([path], parsed={**LIBRARY, str(path): parsed})
     own = [d for d in report.diagnostics if d.span is None or d.span.source.path == str(path)]
     assert program is not None
-    return said(apply_ignores(Report(own), [source]).diagnostics), bound(parsed[0], program.bindings)
+    return said(apply_ignore_comments(Report(own), [source]).diagnostics), bound(parsed[0], program.bindings)
 
 
 def in_parts(workspace: Workspace, path: Path) -> tuple[list[tuple[object, ...]], set[tuple[object, ...]]]:

@@ -33,9 +33,9 @@ pytestmark = pytest.mark.skipif(signing.get_signer(create=True) is None, reason=
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty store."""
     monkeypatch.setenv(TABLE_STORE.variable, str(tmp_path / "tables"))
-    stored_tables.forget_store()
+    stored_tables.reset_store()
     yield tmp_path / "tables"
-    stored_tables.forget_store()
+    stored_tables.reset_store()
 
 
 def hills(rows: int, high: float = 6.0) -> Mesh:
@@ -93,13 +93,13 @@ def test_stored_tables_have_the_bits_of_computed_ones(folder: Path, monkeypatch:
     assert len(mesh[1]) >= MIN_STORED_SIZE
     begin = stored_tables.count_computed_tables()
     monkeypatch.setenv(TABLE_STORE.variable, "")
-    stored_tables.forget_store()
+    stored_tables.reset_store()
     computed = arrays(mesh)
     assert stored_tables.count_computed_tables() == begin + 9 and not folder.exists()
     monkeypatch.setenv(TABLE_STORE.variable, str(folder))
-    stored_tables.forget_store()
+    stored_tables.reset_store()
     assert same(arrays(mesh), computed) and stored_tables.count_computed_tables() == begin + 18
-    stored_tables.forget_store()
+    stored_tables.reset_store()
     assert same(arrays(mesh), computed) and stored_tables.count_computed_tables() == begin + 18
     assert len(list(folder.iterdir())) == 9
 
@@ -140,7 +140,7 @@ def test_damaged_tables_are_computed_again(folder: Path, harm: str, tmp_path: Pa
         file.symlink_to(tmp_path / "elsewhere")
     else:
         file.write_bytes(data)
-    stored_tables.forget_store()
+    stored_tables.reset_store()
     again = topology(mesh)
     assert stored_tables.count_computed_tables() == begin + 2
     assert again.link.tobytes() == table.link.tobytes() and again.smooth.tobytes() == table.smooth.tobytes()

@@ -172,12 +172,12 @@ def test_interrupted_callers_wait_for_running_parts(is_running: bool) -> None:
 
     pool._start_function = interrupted  # type: ignore[assignment]
     with pytest.raises(KeyboardInterrupt):
-        pool.do(work, 2)
+        pool.run_calls(work, 2)
     assert (
         bool(ended) == is_running and len(at_work) == len(ended) and not pool._shared_words[workers_text.PARTS_LEFT_WORD] % 2**32
     )
     pool._start_function = start
-    pool.do(work, 2)
+    pool.run_calls(work, 2)
     assert ended.count(0) == 1
     pool.end()
 

@@ -72,8 +72,8 @@ def _choose_backends(names: list[str]) -> list[str]:
 
 
 def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
-    """Return cases with numbers of agents: the requested numbers, or else those of the case. Without cases, return a quick
-    selection."""
+    """Return the cases to measure, each with a number of agents: a requested number, or the numbers of the case. Without cases,
+    return a quick selection."""
     from antdsl.bench import CASES
 
     if not cases:
@@ -103,6 +103,7 @@ def _require_openable(name: str) -> None:
 def _measure_case(
     name: str, agents: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool
 ) -> CaseResult:
+    """Return the measurements of a case: each backend in a separate process, then all of them alternately in one process."""
     from antdsl.bench import BenchJob
     from antdsl.bench.tables import CaseResult
 

@@ -62,7 +62,7 @@ def check(
     from antdsl.checking import check_files, check_text
     from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.diagnostics import Report
-    from antdsl.diagnostics.ignore_comments import apply_ignores, remove_ignored
+    from antdsl.diagnostics.ignore_comments import apply_ignore_comments, remove_ignored
     from antdsl.files import find_files
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.pipeline import RunChoices, open_scene
@@ -78,7 +78,7 @@ def check(
         )
     for file in files:
         report.extend(result.reports[file])
-    report = apply_ignores(report, result.sources, strict=strict)
+    report = apply_ignore_comments(report, result.sources, strict=strict)
     if strict:
         report = _treat_warnings_as_errors(report)
     print_report(report, format.value)
@@ -92,13 +92,13 @@ def check(
             explain_missing_table,
             format_cost_table,
             format_params_table,
+            format_settings_table,
             format_work_table,
-            settings_table,
         )
 
         programs = [(file, result.programs[file]) for file in files if file in result.programs]
         error_free = [(file, program) for file, program in programs if result.reports[file].ok]
-        for line in (*format_params_table(programs), *settings_table(programs)) if params else ():
+        for line in (*format_params_table(programs), *format_settings_table(programs)) if params else ():
             print_result(line)
         for line in format_cost_table(error_free) if cost else ():
             print_result(line)

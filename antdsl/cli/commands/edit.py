@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
     from antdsl.outputs.edits.edited_cache import LoadedEdits
 
-_Settling = tuple[Path | None, tuple[str, ...]]  # the scene, and the roots that it may read
+_SceneAndRoots = tuple[Path | None, tuple[str, ...]]  # the scene, and the roots that it may read
 
 
 @report_failures("the edit stopped")
@@ -56,7 +56,7 @@ def edit(
         raise typer.BadParameter("`--scene` and `--root` have no effect without `--settle`", param_hint="--settle")
     if edits is None and not remove and smooth is None and to is None:
         raise typer.BadParameter("name a file of edits, or use `--remove`, `--smooth` or `--to`", param_hint="--edits")
-    settling = (scene, tuple(root)) if settle else None
+    resimulation = (scene, tuple(root)) if settle else None
     width = None if smooth is None else _parse_smoothing_width(smooth)
     if remove:
         _remove_edits(cache, quiet)
@@ -66,28 +66,32 @@ def edit(
         require_writable_folder(folder, "--to")
     with explain_cache_errors(cache):
         if folder is None:
-            count, note = _store_edits(cache, edits, settling)
+            count, note = _store_edits(cache, edits, resimulation)
         else:
-            count = _write_view(_open_view(cache, edits, width, settling), cache, folder, force)
+            count = _write_view(_open_view(cache, edits, width, resimulation), cache, folder, force)
             words, are = ("frame", "is") if count == 1 else ("frames", "are")
             note = f"{words}, {'edited' if width is None else f'orientations smoothed over {width}'}, {are} in {folder}"
     if not quiet:
         print_note(f"{count} {note}")
 
 
-def _open_view(folder: Path, edits: Path | None, width: int | None, settling: _Settling | None) -> Cache:
-    """Return the cache with the edits of a file, with smooth orientations, or with its own edits."""
+def _open_view(folder: Path, edits: Path | None, width: int | None, resimulation: _SceneAndRoots | None) -> Cache:
+    """Return a view of the cache: with the edits of a file, with smooth orientations, or with the stored edits.
+
+    `edits`: the file, or None. `width`: the number of frames over which orientations are smoothed, or None. `resimulation`:
+    simulate affected agents again with this scene and these roots, or None."""
     from antdsl.outputs.edits.edited_cache import open_edited_cache, smooth_cache
 
     if width is not None:
         return smooth_cache(open_edited_cache(folder), width)
     if edits is None:
         return open_edited_cache(folder)
-    return _load_edits(folder, edits, settling).view
+    return _load_edits(folder, edits, resimulation).view
 
 
-def _load_edits(folder: Path, edits: Path, settling: _Settling | None) -> LoadedEdits:
-    """Return the edits of a file for a cache, with settled agents. The command ends if they have errors."""
+def _load_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) -> LoadedEdits:
+    """Return the edits of a file for a cache. Affected agents are simulated again unless `resimulation` is None. The command ends
+    if the edits have errors."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.edits.edited_cache import load_edits
@@ -96,15 +100,15 @@ def _load_edits(folder: Path, edits: Path, settling: _Settling | None) -> Loaded
     loaded, report = load_edits(open_cache(folder), edits)
     exit_on_errors(report)
     assert loaded is not None, "it has no errors"
-    if settling is not None:
-        loaded = _resimulate_edits(loaded, *settling)
+    if resimulation is not None:
+        loaded = _resimulate_edits(loaded, *resimulation)
     for words in describe_side_effects(loaded.view):
         print_note(f"warning: {words}", to_stderr=True)
     return loaded
 
 
 def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str, ...]) -> LoadedEdits:
-    """Simulate the agents that edits affect again, and report how many."""
+    """Simulate the agents again that edits affect, and return the edits with the result. Print the number of these agents."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.printing.reports import exit_on_errors, print_report
     from antdsl.explain import ExplainError
@@ -130,11 +134,11 @@ def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str,
     return loaded.add_settled(settlement.frames)
 
 
-def _store_edits(folder: Path, edits: Path, settling: _Settling | None) -> tuple[int, str]:
-    """Store the edits of a file with a cache. Return their number, and a note on where they are."""
+def _store_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) -> tuple[int, str]:
+    """Store the edits of a file with a cache. Return their number, and a sentence on how they are applied and removed."""
     from antdsl.outputs.edits.stored_edits import store_edits
 
-    loaded = _load_edits(folder, edits, settling)
+    loaded = _load_edits(folder, edits, resimulation)
     store_edits(folder, loaded.entry, loaded.inputs.arrays)
     count = len(loaded.edits.edits)
     words, them = ("edit is", "it") if count == 1 else ("edits are", "them")

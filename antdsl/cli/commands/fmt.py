@@ -43,7 +43,7 @@ def fmt(
     if STDIN_PATH in paths:
         work.format_standard_input()
     else:
-        work.files(paths)
+        work.format_files(paths)
     exit_on_errors(work.report)
     if (check or diff) and work.changed_names:
         raise CommandError(ExitCode.FINDINGS)
@@ -57,7 +57,10 @@ def _empty_report() -> Report:
 
 @dataclass
 class _FormatCommand:
-    """The results so far. `report`: the errors of files that were not changed. Their warnings are left to `antdsl check`."""
+    """One run of the command, with its options and its results so far.
+
+    `changed_names`: the files that differ from the standard layout. `skipped_count`: the number of files that cannot be
+    formatted. `report`: the errors of these files; their warnings are left to `antdsl check`."""
 
     is_check_only: bool
     prints_diff: bool
@@ -66,7 +69,7 @@ class _FormatCommand:
     skipped_count: int = 0  # files with mistakes, or files that cannot be read or written
     report: Report = field(default_factory=_empty_report)
 
-    def files(self, paths: list[Path]) -> None:
+    def format_files(self, paths: list[Path]) -> None:
         """Format all programs that paths select, then print how many changed."""
         from antdsl.atomic_write import is_link
         from antdsl.files import find_files
@@ -79,7 +82,7 @@ class _FormatCommand:
         programs = [path for path in all_files if path.suffix == ".ant"]
         for path in programs:
             if path in paths or not is_link(path) or any(path.resolve().is_relative_to(each.resolve()) for each in paths):
-                self.file(path)
+                self.format_file(path)
                 continue
             self.skipped_count += 1
             words = f"`{path}` is a link to a file outside the folder", "name that file directly to format it"
@@ -90,7 +93,7 @@ class _FormatCommand:
         summary = [f"{count} file{'' if count == 1 else 's'} {label}" for count, label in counts if count]
         print_note(", ".join(summary) or "this folder has no .ant files", to_stderr=True)
 
-    def file(self, path: Path) -> None:
+    def format_file(self, path: Path) -> None:
         """Format one file, or only report the change with `--check` or `--diff`."""
         from antdsl import limits, syntax
         from antdsl.safe_read import read_size_limited
@@ -126,8 +129,10 @@ class _FormatCommand:
             self.report_change("<stdin>", data.decode("utf-8"), text)
 
     def format_source(self, source: object, report: Report) -> str | None:
-        """Return the text of a source in the standard layout, or None if it cannot be formatted. Then `report` has the
-        findings."""
+        """Return the text of a source in the standard layout; None if it cannot be formatted. Add the findings to the command's
+        report.
+
+        `source`, `report`: the results of reading the file; `source` is None if that failed."""
         from antdsl import syntax
         from antdsl.source import Source
 

@@ -103,8 +103,9 @@ def _describe_agents(cache: Cache, frames: list[int]) -> list[str]:
 
 
 def _describe_patches(mesh: MeshEntry, units: str) -> str:
-    """Return a note for a surface of height samples: the largest distance of its triangles from the bilinear surface through the
-    samples. Return "" for any other mesh."""
+    """Return a note about a surface of height samples; "" for any other mesh.
+
+    The note has the largest distance between its triangles and the bilinear surface through the samples."""
     if mesh.deviation is None:
         return ""
     return f", samples of heights: at most {mesh.deviation:.3g} {units} off the bilinear surface through them"

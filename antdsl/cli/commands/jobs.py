@@ -81,9 +81,9 @@ def jobs(
         pictures=pictures if pictures is not None else choose_default_path(cache, "pictures", flag="--pictures"),
         first=opened.frames.first,
         last=opened.frames.last,
-        every=every,
+        frame_step=every,
         pictures_per_task=chunk,
-        run=(*seeded, *(word for name, value in param_values.items() for word in ("--set", f"{name}={value}"))),
+        run_arguments=(*seeded, *(word for name, value in param_values.items() for word in ("--set", f"{name}={value}"))),
         render_arguments=look,
         granted_roots=tuple(granted.items()),
         makes_film=film,
@@ -92,7 +92,7 @@ def jobs(
     if to.suffix in LINE_SUFFIXES:
         write_result(to, format_json_lines(job).encode(), sys.stdout)
     else:
-        _require_template(job, shot.every, opened.frames.last - opened.frames.first + 1)
+        _require_template(job, shot.frame_step, opened.frames.last - opened.frames.first + 1)
         write_result(to, _format_template(build_job_template(job, to.resolve().parent), to.suffix), sys.stdout)
     if not quiet and not is_standard_output(to):
         _print_summary(job, to)
@@ -124,7 +124,8 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
 
 
 def _require_template(job: FarmJob, frame_step: int, frames: int) -> None:
-    """Raise CommandError for a job that a template cannot express: too many tasks, or text that contains `{{`."""
+    """Raise CommandError for a job that a template cannot express: too many tasks, or text that contains `{{`. `frames`: the
+    number of frames."""
     from antdsl.farm import MAX_TASKS
 
     tasks = max(len(step.chunk_ranges) for step in job.steps)

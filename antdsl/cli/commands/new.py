@@ -51,7 +51,7 @@ def new(
     ),
 ) -> None:
     """Write a small project to start from, with its specs and what checks it in CI."""
-    check_new_folder(folder)
+    require_new_folder(folder)
     if template == DEFAULT_TEMPLATE:
         files = {name: read_template_file(name).encode() for name in TEMPLATE_FILES} | {"ground.ply": build_ground_ply()}
         program = "walker.ant"
@@ -88,7 +88,7 @@ def examples(
     if name not in names:
         raise _make_unknown_name_error("example", name, names, "`antdsl examples` lists all")
     folder = folder or Path(name)
-    check_new_folder(folder)
+    require_new_folder(folder)
     files = read_example_files(name)
     write_files(folder, files)
     scene = next(file for file in sorted(files, key=lambda file: (file != "scene.yaml", file)) if file.endswith(".yaml"))
@@ -97,12 +97,13 @@ def examples(
 
 
 def _make_unknown_name_error(kind: str, name: str, names: tuple[str, ...], usual: str) -> CommandError:
-    """Return the error for a name that is none of `names`. `usual`: the advice if no name is similar."""
+    """Return the error for a name that is none of `names`. `kind`: the kind of name. `usual`: the advice if no name is
+    similar."""
     near = find_nearest_name(name, names)
     return CommandError(ExitCode.USAGE, f"error: there is no {kind} `{name}`", f"did you mean `{near}`?" if near else usual)
 
 
-def check_new_folder(folder: Path) -> None:
+def require_new_folder(folder: Path) -> None:
     """Raise CommandError if a folder exists and is not empty."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` already exists and is not empty", "name another folder")

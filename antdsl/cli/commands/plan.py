@@ -49,9 +49,8 @@ def plan(
 def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_code: bool) -> str:
     """Return the listing of a plan's machine code. Raises CommandError if no machine code can be made.
 
-    `setting`: that of the scene, or None for a program alone.
-    `include_code`: append the text of the code.
-    """
+    `setting`: the world of the scene, or None for a program without a scene.
+    `include_code`: append the text of the code."""
     from antdsl.machine_code import llvm_compiler
     from antdsl.runtime.backends.native import program_listing
     from antdsl.runtime.backends.native.programs import WorldFacts

@@ -85,7 +85,8 @@ def _open_sockets(host: str | None, port: int | None, let_others_in: bool) -> Li
 
 
 def _create_live(scene: Path, choices: RunChoices, threads: int) -> Live:
-    """Return the live simulation. Errors in the files are reported; the simulation begins as soon as they are corrected."""
+    """Return the live simulation of a scene. Errors in the files are reported; the simulation begins as soon as the user has
+    corrected them."""
     from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.preview.live import Live
@@ -101,8 +102,7 @@ def _create_live(scene: Path, choices: RunChoices, threads: int) -> Live:
 
 
 def _depends_on_params(choices: RunChoices, live: Live) -> bool:
-    """Return whether the files have no errors without the values from the command line. If so, the command line must be
-    corrected, not the files."""
+    """Return whether errors are due to the values from the command line: whether the files have none without these values."""
     from dataclasses import replace
 
     if not choices.params:
@@ -114,7 +114,10 @@ def _depends_on_params(choices: RunChoices, live: Live) -> bool:
 def _serve_preview(
     live: Live, scene: Path, listening: ListeningSockets, *, opens_browser: bool, allows_others: bool, allows_reconnect: bool
 ) -> None:
-    """Serve the preview. `allows_reconnect`: it may be restarted on this port, and pages that are open now reconnect to it."""
+    """Serve the preview until it is stopped.
+
+    `allows_others`: anyone with the address may use it. `allows_reconnect`: pages that are open when it restarts on this port
+    reconnect to it."""
     from antdsl.preview.serving.guard import RequestGuard, ReturningPages
     from antdsl.preview.serving.page_files import load_pages
     from antdsl.preview.serving.server import PreviewServer, run_server

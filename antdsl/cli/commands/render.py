@@ -228,7 +228,9 @@ def _draw_frames(
     threads: int,
     stored_stills: StillStore | None,
 ) -> Iterator[tuple[int, Any, bool]]:
-    """Yield frames with their pictures, and True if the picture was drawn, False if it comes from `stored_stills`.
+    """Yield, for each frame, its number, its picture, and whether the picture was drawn now. Otherwise it comes from
+    `stored_stills`.
+
     `camera_frames`: the frames for which the camera is chosen."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.drawing import AgentMissing, FrameDrawer
@@ -264,7 +266,8 @@ def _draw_on_cluster(
     folder: Path,
     fps: float | None,
 ) -> None:
-    """Draw stills on a cluster's workers. With `fps`, join them to a film."""
+    """Draw stills on a cluster's workers into `folder`. With `fps`, join them to a film. `camera_frames`: the frames for which
+    the camera is chosen."""
     from antdsl.outputs.drawing import make_still_path
     from antdsl.shots.stills import make_still_tasks
 
@@ -288,7 +291,8 @@ def _draw_on_cluster(
 
 
 def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: int) -> None:
-    """Combine pictures into a film, and remove the pictures. `pixels_per_picture`: the number of pixels of each."""
+    """Write the film `path` from the pictures `paths`, and remove the pictures. `pixels_per_picture`: the number of pixels of
+    each."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.drawing import MAX_STILL_BYTES
     from antdsl.outputs.pictures import write_film

@@ -155,9 +155,11 @@ def run(
 
 
 def choose_threads(requested_threads: int, quiet: bool = False) -> int:
-    """Return the number of threads to use: `requested_threads`, or all usable cores for 0. It is at most the number of usable
-    cores, because more threads would only wait for each other, and libraries print warnings about it. Unless `quiet`, a message
-    reports a reduction."""
+    """Return the number of threads to use: `requested_threads`, or all usable cores for 0. Unless `quiet`, a message reports a
+    reduction.
+
+    The result is at most the number of usable cores. More threads would only wait for each other, and libraries print warnings
+    about it."""
     core_count = count_available_cores()
     if requested_threads > core_count and not quiet:
         print_note(
@@ -178,7 +180,7 @@ def _build_resume_command(
     summary: Path | None,
     any_memory: bool,
 ) -> str:
-    """Return the command that continues a run. It contains all arguments that the results depend on, and the location of the
+    """Return the command line that continues a run, with all arguments that the results depend on, and the folder of the
     results."""
     import shlex
 
@@ -195,7 +197,7 @@ def _build_resume_command(
 
 @contextmanager
 def _handle_stop_in_set_up(resume_command: str) -> Iterator[None]:
-    """End the command with its exit code on SIGTERM during set-up, when there is no frame to store yet."""
+    """Within the context, end the command on SIGTERM with the exit code of a stop. During set-up there is no frame to store."""
     import signal
 
     def raise_stop(number: int, frame: object) -> None:
@@ -256,7 +258,7 @@ def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> No
         failures = report_failures("cannot write the cache", f"continue with: {resume_command}")
         with explain_cache_errors(), failures, show_progress(recording, quiet) as watch:
             for _ in record_frames(recording, watch.show_preroll):
-                watch.frame()
+                watch.show_frame()
     except LimitStop as error:
         words = f"correct the program; the earlier frames are in {recording.folder}"
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", words) from None

@@ -177,7 +177,7 @@ def sweep(
     where = open_engine((scheduler, tls, no_tls), processes, threads, files)
     try:
         with raise_on_sigterm(), where as engine, _show_progress(todo, quiet, bool(request.until_known)) as watch:
-            for outcome in run_jobs(chooser.needed_jobs(), engine, watch.frame, watch.show_note):
+            for outcome in run_jobs(chooser.needed_jobs(), engine, watch.show_frame, watch.show_note):
                 watch.show_finished(outcome)
                 if outcome.measures is None:
                     failed_outcomes.append(outcome)
@@ -219,7 +219,10 @@ def _require_measures(chooser: JobChooser) -> None:
 def _write_tables(
     run_store: RunStore, study: Study, chooser: JobChooser, finished_measures: Mapping[str, Any], show: Sequence[str], plots: bool
 ) -> None:
-    """Write the table in all formats, and print it."""
+    """Write the table in all formats, and print it.
+
+    `finished_measures`: the measures of each finished run, by its key. `show`: the beginnings of the names of the printed
+    measures."""
     from antdsl.sweeps import build_rows
     from antdsl.sweeps.figures import is_available
     from antdsl.sweeps.plots import INSTALL_HINT, draw_factors, draw_measures
@@ -279,7 +282,7 @@ def _write_tables(
 
 
 def _truncate_table(lines: str) -> str:
-    """Return the first lines of a table, which are printed."""
+    """Return the first lines of a table, as many as are printed, and a note on the rest."""
     each = lines.splitlines(keepends=True)
     omitted_count = len(each) - 1 - MAX_PRINTED_LINES
     return "".join(each[: MAX_PRINTED_LINES + 1]) + (
@@ -288,14 +291,14 @@ def _truncate_table(lines: str) -> str:
 
 
 class _RunProgress:
-    """A listener for the progress of runs. It prints a line for each finished run, or nothing if quiet."""
+    """A display of the progress of runs, which prints one line for each finished run, or nothing if quiet."""
 
     def __init__(self, total: int, quiet: bool, is_maximum: bool) -> None:
         self.total, self.quiet, self.count = total, quiet, 0
         self.of = f"of at most {total}" if is_maximum else f"of {total}"
         self.printed_notes: set[str] = set()
 
-    def frame(self, job: SweepJob, frame: int) -> None:
+    def show_frame(self, job: SweepJob, frame: int) -> None:
         """Display that a run has reached a frame."""
 
     def show_finished(self, outcome: JobOutcome) -> None:
@@ -307,7 +310,7 @@ class _RunProgress:
             self.print_line(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
     def show_note(self, sentence: str) -> None:
-        """Print a message about a deviation from the request. A message that several runs send is printed once."""
+        """Print a message about a deviation from the request, once, even if several runs send it."""
         if sentence not in self.printed_notes:
             self.printed_notes.add(sentence)
             print_note(sentence, to_stderr=True)
@@ -318,7 +321,7 @@ class _RunProgress:
 
 
 class _BarProgress(_RunProgress):
-    """Progress of runs as one line that is updated in place: finished runs, and the frames of the current runs."""
+    """A display of the progress of runs as one line that is updated: finished runs, and the frames of the current runs."""
 
     def __init__(self, total: int, is_maximum: bool, bar: Any) -> None:
         super().__init__(total, False, is_maximum)
@@ -326,7 +329,7 @@ class _BarProgress(_RunProgress):
         self.task = bar.add_task("", total=float(total), words="")
         self.current_runs: dict[str, tuple[str, int, float]] = {}
 
-    def frame(self, job: SweepJob, frame: int) -> None:
+    def show_frame(self, job: SweepJob, frame: int) -> None:
         first, last = job.frames
         self.current_runs[job.key] = (job.name, frame, (frame - first) / max(last - first, 1))
         self._update_bar()

@@ -112,7 +112,7 @@ def test(
 
                 def frame(run: SpecRun, number: int, last: int) -> None:
                     check_interrupt()
-                    progress.frame(run, number, last)
+                    progress.show_frame(run, number, last)
 
                 work.frame = frame
                 run_cases(runs, work)
@@ -149,8 +149,9 @@ def test(
 
 @contextmanager
 def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
-    """Yield a function to call between frames, which raises KeyboardInterrupt after Ctrl-C. If Ctrl-C raised immediately, the
-    library that is running could swallow the exception. A second Ctrl-C does raise immediately."""
+    """Yield a function that raises KeyboardInterrupt if Ctrl-C was pressed, to be called between frames.
+
+    If Ctrl-C raised immediately, a library could swallow the exception. A second Ctrl-C does raise immediately."""
     import signal
 
     interrupts: list[int] = []
@@ -172,7 +173,7 @@ def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
 
 
 class _TestProgress:
-    """Displays the current run and its frame on a terminal; displays nothing elsewhere."""
+    """A display of the current run and its frame on a terminal; it displays nothing elsewhere."""
 
     def __init__(self, quiet: bool, runs: int) -> None:
         import sys
@@ -182,8 +183,8 @@ class _TestProgress:
         self.started_run_ids: set[int] = set()
         self.last_drawn_seconds = 0.0
 
-    def frame(self, run: SpecRun, frame: int, last: int) -> None:
-        """Display that a run has reached a frame."""
+    def show_frame(self, run: SpecRun, frame: int, last: int) -> None:
+        """Display that a run has reached a frame. `last`: the last frame of the run."""
         from time import monotonic
 
         self.started_run_ids.add(id(run))

@@ -55,7 +55,7 @@ def format_body(body: Definition) -> Iterator[str]:
 
 
 def _format_language_names(body: Definition) -> Iterator[str]:
-    """Yield the spelling in programs and scenes of names that the language cannot write unchanged."""
+    """Yield how programs and scenes write the names of a body that are no valid words of the language."""
     names_by_kind: list[tuple[str, Iterable[str]]] = [
         ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
         *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),

@@ -46,18 +46,19 @@ def format_params_table(programs: CheckedPrograms) -> Iterator[str]:
         yield "no program here has a param"
 
 
-def settings_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the settings with defaults that depend on the edition, of all species: value, and where it comes from."""
+def format_settings_table(programs: CheckedPrograms) -> Iterator[str]:
+    """Yield the settings of all species with defaults that depend on the edition: their value, and its source."""
     listed_spans: set[Span] = set()
     for file, program in programs:
-        rows = [row for source in program.sources for row in _setting_rows(source, program, listed_spans)]
+        rows = [row for source in program.sources for row in _make_setting_rows(source, program, listed_spans)]
         if rows:
             yield f"{file}:"
             yield from _align_rows([("setting", "value", "from"), *rows])
 
 
-def _setting_rows(source: nodes.File, program: Program, listed_spans: set[Span]) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of the species of one file that are not in `listed_spans`, and add them to it."""
+def _make_setting_rows(source: nodes.File, program: Program, listed_spans: set[Span]) -> Iterator[tuple[str, str, str]]:
+    """Yield the rows of the species of one file, without those with a location in `listed_spans`, and add their locations to
+    it."""
     edition = source.edition_number
     for species in source.items:
         if not isinstance(species, nodes.Species) or species.span in listed_spans or species.name.text not in program.species:
@@ -72,8 +73,8 @@ def _setting_rows(source: nodes.File, program: Program, listed_spans: set[Span])
 
 
 def _make_param_row(param: Param) -> tuple[str, ...]:
-    """Return name, default, unit, range and help. Numbers are in the author's unit; values of other kinds are as in the
-    source."""
+    """Return the cells of a param's row: name, default, unit, range and help. Numbers are in the author's unit; other values are
+    as in the source."""
     measure = find_unit_measure(param.unit) if param.unit else None
 
     def format_cell(value: Constant | None) -> str:
@@ -108,12 +109,14 @@ def format_cost_table(programs: CheckedPrograms) -> Iterator[str]:
 
 
 def _make_state_rows(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of a species: each state, and its queries of senses, fields and random draws."""
     for part in estimate_costs(program, species):
         words = "; ".join(_list_uses(part))
         yield part.name, f"{part.weight:,.0f}", f"{part.operation_count:,}", words or "-"
 
 
 def _list_uses(part: StateCost) -> Iterator[str]:
+    """Yield, for each kind of query that a state has, the kind and its queries."""
     for kind in ("senses", "fields", "draws"):
         words = [use.description for use in part.uses if use.kind == kind]
         if words:
@@ -124,7 +127,7 @@ _ROLE_PHRASES = {"attribute": "attributes", "pair": "values per pair", "memory":
 
 
 def _describe_memory(program: Program) -> dict[str, str]:
-    """Return a description of the memory of each species, empty if the program cannot be compiled to a plan yet."""
+    """Return a description of the memory of each species, by name. Empty if the program cannot be compiled to a plan yet."""
     from antdsl import passes, plan
     from antdsl.plan.registers import count_bytes_by_purpose
 

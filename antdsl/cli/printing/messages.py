@@ -1,5 +1,5 @@
-"""Owns the terminal streams. A command finishes its work in any state of standard output and standard error: closed, full,
-broken, slow, or with an encoding that lacks a character."""
+"""The terminal streams. A command finishes its work in any state of standard output and standard error: closed, full, broken,
+slow, or with an encoding that lacks a character."""
 
 from __future__ import annotations
 
@@ -23,9 +23,8 @@ class TerminalWriter(io.RawIOBase):
     """The raw end of standard output or standard error. Writing never raises OSError.
 
     Results wait for a slow reader. Notes do not: they wait in a backlog while the work continues, until `close_streams`.
-    `loss_reason`: the reason why a part of a result could not be written. It is None if everything was written or nothing reads
-    the stream.
-    """
+    `loss_reason`: the reason why a part of a result could not be written; None if everything was written or nothing reads the
+    stream."""
 
     def __init__(self, raw: Any) -> None:
         self.raw = raw
@@ -54,6 +53,7 @@ class TerminalWriter(io.RawIOBase):
             self._send_backlog(len(self.backlog))
 
     def _send_backlog(self, size: int) -> None:
+        """Write the first `size` bytes of the backlog, and remove them from it."""
         block = bytes(self.backlog[:size])
         del self.backlog[:size]
         self._send(memoryview(block), is_note=True)
@@ -99,8 +99,9 @@ class TerminalWriter(io.RawIOBase):
 
 
 def guard_streams() -> None:
-    """Make the streams of this process safe. Call this once, before any file is opened. A closed stream is opened on /dev/null,
-    so that no other file gets its number and no child process receives it closed."""
+    """Make writing to the streams of this process safe. Call this once, before any file is opened.
+
+    A closed stream is opened on /dev/null, so that no other file gets its number and no child process receives it closed."""
     for number in range(3):
         _open_null_stream(number)
     if hasattr(os, "set_blocking"):

@@ -10,7 +10,7 @@ from antdsl.resources import find_code_page
 
 
 def print_code_page(code: str) -> None:
-    """Print the page of a known code. If the pages are not installed, print its one-line meaning."""
+    """Print the documentation page of a diagnostic's code. If the pages are not installed, print its one-line meaning."""
     path = find_code_page(code)
     print_markdown(f"# {code}\n\n{CODE_DESCRIPTIONS[code]}\n" if path is None else path.read_text(encoding="utf-8"))
 

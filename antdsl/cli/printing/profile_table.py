@@ -65,8 +65,10 @@ def _print_table(
     total: float,
     cpu_milliseconds: Mapping[str, float] | None = None,
 ) -> None:
-    """Print the rows of one kind: milliseconds, CPU milliseconds, and the share of `total`. `cpu_milliseconds`: CPU milliseconds
-    by row, or None."""
+    """Print the rows of one kind (`row_kind`): name, details and milliseconds. Columns show milliseconds, CPU milliseconds, and
+    the share of `total` milliseconds.
+
+    `cpu_milliseconds`: CPU milliseconds by the name of the row, or None."""
     rows = list(rows)
     if not rows:
         return

@@ -18,7 +18,7 @@ _BAR_CHARACTER = "█"
 
 
 class ProgressDisplay:
-    """A listener for frames that displays nothing. The displays derive from it."""
+    """A display of a run's progress that shows nothing. The other displays derive from it."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -28,12 +28,12 @@ class ProgressDisplay:
     def show_preroll(self, label: str, frame: int) -> None:
         """Display that a preroll frame was simulated."""
 
-    def frame(self) -> None:
+    def show_frame(self) -> None:
         """Display that a frame was written."""
         self.written_frames += 1
 
     def compute_frame_rate(self) -> float:
-        """Return the frames per second since the beginning."""
+        """Return the frames per second since the beginning of the run."""
         return self.written_frames / max(time.perf_counter() - self.start_seconds, 1e-6)
 
     def describe_states(self) -> str:
@@ -51,8 +51,8 @@ class LineProgress(ProgressDisplay):
     def show_preroll(self, label: str, frame: int) -> None:
         self._print_line(f"preroll {frame}")
 
-    def frame(self) -> None:
-        super().frame()
+    def show_frame(self) -> None:
+        super().show_frame()
         last = self.recording.shot.frames.last
         self._print_line(
             f"frame {self.recording.frame} of {last}, {self.compute_frame_rate():.1f} fps, {self.describe_states()}",
@@ -77,8 +77,8 @@ class BarProgress(ProgressDisplay):
     def show_preroll(self, label: str, frame: int) -> None:
         self.bar.update(self.task, advance=1, words=f"preroll {frame}")
 
-    def frame(self) -> None:
-        super().frame()
+    def show_frame(self) -> None:
+        super().show_frame()
         seconds = time.perf_counter()
         complete = self.recording.is_complete
         if seconds - self.last_drawn_seconds > 0.2 or complete:
@@ -120,7 +120,7 @@ def _make_stage_printer() -> Callable[[str], None]:
 
 @contextmanager
 def show_progress(recording: Recording, is_quiet: bool) -> Iterator[ProgressDisplay]:
-    """Yield a display of each frame that suits the output stream. At the end, print the location of the cache."""
+    """Yield a display of each frame that suits the output stream. At the end of the context, print where the cache is."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
     if recording.resumed_from is not None and not is_quiet:
         print_note(f"continues after frame {recording.resumed_from}")

@@ -25,14 +25,14 @@ def print_report(report: Report, format: str = "full", *, to_stderr: bool = Fals
 
 
 def exit_on_errors(report: Report) -> None:
-    """Print warnings and errors to standard error. If there are errors, exit with their code."""
+    """Print the findings to standard error. If there are errors, exit with the code of `choose_exit_code`."""
     print_report(report, to_stderr=True)
     if not report.ok:
         raise CommandError(choose_exit_code(report))
 
 
 def choose_exit_code(report: Report) -> ExitCode:
-    """Return the exit code for a report: input/output if a file cannot be read or written, findings in all other cases."""
+    """Return the exit code for a report: INPUT_OUTPUT if a file cannot be read or written, else FINDINGS."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
     if errors and all(d.span is None and d.code in _FILE_ERROR_CODES for d in errors):
         return ExitCode.INPUT_OUTPUT

@@ -310,7 +310,7 @@ def store_footing(footings: FootingArrays, i: I64, mesh: I64, face: I64, height:
 
 @inlined
 def _store_pose(poses: PoseArrays, i: I64, pose: AgentPose) -> None:
-    store_column(poses.place, i, pose.place)
+    store_column(poses.place, i, pose.position)
     store_column(poses.up, i, pose.up)
     store_column(poses.heading, i, pose.heading)
     store_column(poses.direction, i, pose.direction)

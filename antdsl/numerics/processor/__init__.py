@@ -1,1 +1,1 @@
-"""The machine a process runs on: what it grants the process, and the floating-point environment of a thread."""
+"""The machine that a process runs on: the resources available to the process, and the floating-point environment of a thread."""

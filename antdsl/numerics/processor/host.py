@@ -59,7 +59,7 @@ def _read_quota_v2(folder: Path) -> tuple[int, int]:
 
 
 def iterate_group_folders(process_groups: str, groups_folder: Path, controller: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders of the groups in which a controller limits a process, each with whether it belongs to version 1 of
+    """Yield the folder of each group in which a controller limits a process, and whether the group belongs to version 1 of
     control groups.
 
     - `process_groups`: Linux's list of the process's groups, one line `number:controllers:path` each

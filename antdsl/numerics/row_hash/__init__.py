@@ -55,7 +55,8 @@ def _to_digest(sums: Sequence[int]) -> bytes:
 
 
 class RowHasher:
-    """Repeated `hash_rows` of tables that mostly have the same addresses. The addresses are looked up once."""
+    """A hasher of tables that mostly have the same arrays as in the previous call. It stores their addresses, so that they are
+    looked up once."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []  # the ids first, if there are ids
@@ -64,10 +65,10 @@ class RowHasher:
         self._split_columns: list[NDArray[Any]] = []
 
     def split_columns(self, arrays: Sequence[NDArray[Any]], has_several: Sequence[bool]) -> list[NDArray[Any]]:
-        """Return the columns of `arrays` in one list. `has_several`: by array, whether its first axis enumerates columns;
-        otherwise the array is one column.
+        """Return the columns of all arrays in one list.
 
-        A call with the same array objects returns the same list."""
+        `has_several`: for each array, whether its first axis enumerates columns; otherwise the array is one column. A call with
+        the same array objects returns the same list."""
         if len(arrays) != len(self._split_arrays) or any(map(is_not, arrays, self._split_arrays)):
             self._split_arrays = list(arrays)
             self._split_columns = [
@@ -76,8 +77,9 @@ class RowHasher:
         return self._split_columns
 
     def hash_rows(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]], threads: int = 1) -> bytes:
-        """Return the hash of columns [n] or [n, k]; the latter count as k columns. Columns with fewer than four bytes per value
-        must be contiguous."""
+        """Return the hash, 16 bytes, of a table with these columns. A column is [n]; an array [n, k] counts as k columns.
+
+        `ids`: int64 [n], as in the function `hash_rows`. Columns with fewer than four bytes per value must be contiguous."""
         arrays = list(columns) if ids is None else [ids, *columns]
         count = len(arrays[0])
         if not count:  # arrays without rows have arbitrary strides
@@ -101,10 +103,10 @@ def _describe_columns(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) 
 
 @cache
 def compute_word_keys(number: int) -> Int64Array:
-    """Return the four keys of a word by its number in the row, 32 bits each.
+    """Return the keys (32 bits each, int64 [4]) of a word by its number in the row.
 
-    They are the keys of its first and second half in one lane, then in the other lane. They come from two numbers of SplitMix64,
-    started at 0."""
+    They are the keys of the word's first and second half in the first lane, then those in the second lane. They are the bits of
+    two numbers of SplitMix64, started at 0."""
     halves: list[int] = []
     for each in (2 * number + 1, 2 * number + 2):
         z = each * 0x9E3779B97F4A7C15 & _MASK_64
@@ -120,7 +122,8 @@ _WordPart = tuple[int, int, int]  # column, byte offset from its start, bytes be
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ColumnForm:
-    """The memory layout of a column's arrays: type, steps, axes after the first, and whether they are contiguous."""
+    """The memory layout of a column's array: its type, its strides, its shape without the first axis, and whether it is
+    contiguous."""
 
     dtype: np.dtype[Any]
     strides: tuple[int, ...]
@@ -169,8 +172,7 @@ class HashTable:
         self.replace_arrays(columns, [None] * len(columns))
 
     def replace_arrays(self, columns: Sequence[NDArray[Any]], previous_columns: Sequence[NDArray[Any] | None]) -> bool:
-        """Replace the arrays of the columns if the new arrays have the same layout; return whether they have.
-        `previous_columns`: the arrays to replace."""
+        """Use the arrays of `columns` instead of `previous_columns` if their layout is equal. Return whether it is."""
         for k, (column, other) in enumerate(zip(columns, previous_columns, strict=True)):
             if column is other:
                 continue
@@ -185,7 +187,8 @@ class HashTable:
         return True
 
     def compute_sums(self, count: int, threads: int = 1) -> tuple[int, int]:
-        """Return the sums of both lanes over `count` rows modulo 2^64. Each row is mixed before it is added."""
+        """Return the sums of the first and of the second lane over `count` rows, modulo 2^64. Each row is mixed before it is
+        added."""
         chunks = 1 if threads < 2 else max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
         if len(self._chunk_headers) != chunks or self._chunks[-1, 2] != count:
             self._chunk_headers = np.zeros((chunks, TABLE_HEADER_WORDS), np.int64)

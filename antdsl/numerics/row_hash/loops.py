@@ -49,7 +49,7 @@ class _TextBuilder:
         return self.add_value(f"getelementptr {kind}, ptr {begin}, i64 {number}")
 
     def add_broadcast(self, value: str, kind: str = "i64") -> str:
-        """Write a number to all lanes."""
+        """Append instructions that copy a number to all lanes of a vector. Return the vector's name."""
         one = self.add_value(f"insertelement <{ROWS_PER_STEP} x {kind}> poison, {kind} {value}, i64 0")
         return self.add_value(
             f"shufflevector <{ROWS_PER_STEP} x {kind}> {one}, <{ROWS_PER_STEP} x {kind}> poison, <{ROWS_PER_STEP} x i32> "
@@ -99,7 +99,7 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
 
 
 def _write_word_sums(w: _TextBuilder) -> None:
-    """Add up both lanes of a block, word by word."""
+    """Write the code that adds the words of a block's rows to both lanes, word by word."""
     w.begin_block("words.loop")
     w.append("%w = phi i64 [ 0, %block ], [ %w.next, %added ]")
     w.append("%w.more = icmp slt i64 %w, %words\n  br i1 %w.more, label %word, label %mix")
@@ -146,10 +146,10 @@ def _write_word_sums(w: _TextBuilder) -> None:
 
 
 def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
-    """Add the products of a word to both lanes of a block. The word comes from one column of complete words, or from two columns
-    of halves.
+    """Write the loop that adds the products of one word to both lanes of a block.
 
-    `predecessor` is the label of the block of code before."""
+    `columns`: the column of complete words, or the two columns of its halves. `keys`: the four keys of the word. `predecessor`:
+    the label of the preceding block of code."""
     _begin_loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     if len(columns) == 1:
         place = w.add_pointer(columns[0], "i64", f"%{label}.i")
@@ -173,8 +173,10 @@ def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequen
 
 
 def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
-    """Write the low or the `high` halves of words from a column of values of at most 4 bytes. Then continue at the label
-    `name`.done."""
+    """Write the code that reads values of at most 4 bytes from a column, and stores them as one 32-bit half of 64-bit words.
+
+    `name`: `low` or `high`, the half that is stored, and the prefix of labels. `begin`, `step`: the registers with the column's
+    address and the bytes between its values. The code ends with a jump to the label `name`.done."""
     shift = 32 if name == "high" else 0
     w.append(f"br i1 %few, label %{name}.few, label %{name}.many")
     for is_full in (True, False):
@@ -197,7 +199,8 @@ def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
 
 
 def _begin_loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) -> None:
-    """Begin a loop over the rows of a block. `predecessor` is the label of the block of code before."""
+    """Begin a loop over the rows of a block. `predecessor`: the label of the preceding block of code. `step`: the rows per
+    iteration. `count`: the register with the number of rows."""
     w.append(f"br label %{label}")
     w.begin_block(label)
     w.append(f"%{label}.i = phi i64 [ 0, %{predecessor} ], [ %{label}.next, %{label}.turn ]")
@@ -207,13 +210,14 @@ def _begin_loop(w: _TextBuilder, label: str, predecessor: str, step: int, count:
 
 
 def _end_loop(w: _TextBuilder, label: str) -> None:
-    """Jump back to the label of a loop, and begin the block of code after it."""
+    """Write the jump back to the label of a loop, and begin the block of code after the loop."""
     w.append(f"br label %{label}")
     w.begin_block(f"{label}.end")
 
 
 def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
-    """Emit a loop that adds contiguous values in memory as halves of 64-bit values."""
+    """Write a loop that reads contiguous values, several at once, and stores them as halves of 64-bit words. `shift`: 0 for the
+    low half, 32 for the high half."""
     _begin_loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     address = w.add_pointer(begin, kind, f"%{label}.i")
     half = w.add_value(f"load <{ROWS_PER_STEP} x {kind}>, ptr {address}, align 1")
@@ -230,7 +234,10 @@ def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind
 
 
 def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
-    """Write values that are `step` bytes apart, one by one, as complete words or as halves."""
+    """Write a loop that reads values that are `step` bytes apart, one by one, and stores them as 64-bit words or as halves of
+    them.
+
+    `shift`: 0 for the low half, 32 for the high half, None for complete words."""
     _begin_loop(w, label, predecessor, 1, "%count")
     address = w.add_pointer(begin, "i8", w.add_value(f"mul i64 %{label}.i, {step}"))
     word = w.add_value(f"load {kind}, ptr {address}, align 1")
@@ -248,7 +255,7 @@ def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, st
 
 
 def _write_row_numbers(w: _TextBuilder) -> None:
-    """Write the numbers of the rows."""
+    """Write the loop that stores the numbers of a block's rows as words."""
     _begin_loop(w, "numbers.of", "numbers", ROWS_PER_STEP, "%room")
     number = w.add_value(
         f"add {_LONG_LANES_TYPE} {w.add_broadcast(w.add_value('add i64 %first, %numbers.of.i'))}, {_LANE_NUMBERS}"
@@ -260,7 +267,7 @@ def _write_row_numbers(w: _TextBuilder) -> None:
 
 
 def _write_row_mixing(w: _TextBuilder) -> None:
-    """Mix both lanes of each row of a block and add them to the sums.
+    """Write the loop that mixes both lanes of each row of a block, and adds them to the sums.
 
     It works row by row, because few processors multiply 64-bit numbers in SIMD lanes."""
     w.begin_block("mix")

@@ -177,7 +177,7 @@ def walk_triangles(
             store_footing(new_footing, i, mesh[i], walk.walker.face - first[mesh[i]], walk.height, walk.walker)
             pose = compute_final_pose(surface.table, walk.walker, walk.height)
             for k in range(3):
-                place[k, i] = pose.place[k]
+                place[k, i] = pose.position[k]
             update_arrived_agent(i, pose, walk.stop.followed_borders > 0, arrival)
     waiting, left = compact_waiting_agents(how, pending_walks.float_values, pending_walks.integer_values, begin, end)
     return begin, waiting, left
@@ -198,5 +198,5 @@ def walk_plane(
         look = _level_heading(heading, level_heading, state, i)
         pose, _ = walk_straight(up, (at[i, 0], at[i, 1], at[i, 2]), displacement, look)
         for k in range(3):
-            place[i, k] = pose.place[k]
+            place[i, k] = pose.position[k]
         update_arrived_agent(i, pose, False, arrival)

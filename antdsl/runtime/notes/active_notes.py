@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.easing import compute_ease
+from antdsl.numerics.easing import compute_ease_weight
 from antdsl.runtime.world import Population, World
 
 if TYPE_CHECKING:
@@ -61,4 +61,4 @@ class NoteAgents:
 
 def compute_weight(note: Note, frame: int) -> float:
     """Return the share of a note in a frame: 1 in its frames, rising and falling smoothly in the frames of its ease."""
-    return compute_ease(note.first_frame, note.last_frame, note.ease_frames, frame)
+    return compute_ease_weight(note.first_frame, note.last_frame, note.ease_frames, frame)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import elementary
-from antdsl.numerics.easing import smooth_share
+from antdsl.numerics.easing import apply_smoothstep
 from antdsl.numerics.records import match_ids
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
@@ -71,10 +71,10 @@ def find_journey(agents: NoteAgents, target: TargetPoints | NearestOnMesh | OwnP
     needs = np.where(distance > 0, distance / np.maximum(most * _CRUISE_SHARE, 1e-9), 0.0) + turn
     left_at = _record_departures(agents, needs + world.dt * agents.active.note.ease_frames >= seconds)
     since = np.where(left_at == _NOT_LEFT, 0, world.display_frame + 1 - left_at)
-    share = smooth_share(since / (agents.active.note.ease_frames + 1)) * agents.weight
+    share = apply_smoothstep(since / (agents.active.note.ease_frames + 1)) * agents.weight
     size = p.now["size"][rows].astype(np.float64)
     exists = np.isfinite(distance)  # targets that are not born yet, or dead, have no distance
-    early = np.where(exists & (left_at == _NOT_LEFT), smooth_share(1.0 - distance / (_AVOIDED_SIZES * size)), 0.0)
+    early = np.where(exists & (left_at == _NOT_LEFT), apply_smoothstep(1.0 - distance / (_AVOIDED_SIZES * size)), 0.0)
     share = np.where(exists, share, 0.0)
     speed = np.where(exists, distance / seconds, 0.0)
     velocity = direction * np.where(left_at == _NOT_LEFT, -most, np.minimum(speed, most))[:, None]
@@ -90,7 +90,7 @@ def compute_turn_seconds(heading: Floats, direction: Floats, max_turn: Floats) -
 
 def _compute_urgency(speed: Floats, max_speed: Floats) -> Floats:
     low, high = _URGENT_SHARES
-    return smooth_share((speed / np.maximum(max_speed, 1e-9) - low) / (high - low))
+    return apply_smoothstep((speed / np.maximum(max_speed, 1e-9) - low) / (high - low))
 
 
 def _record_departures(agents: NoteAgents, leaves: NDArray[np.bool_]) -> NDArray[np.int64]:

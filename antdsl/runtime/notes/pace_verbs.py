@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.easing import smooth_share
+from antdsl.numerics.easing import apply_smoothstep
 from antdsl.numerics.randomness import draw_uniform
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.scene.notes.notes_model import ReleaseNote, RetimeNote
@@ -33,7 +33,7 @@ def release_agents(agents: NoteAgents) -> Shares:
     if note.spread:
         draws = draw_uniform(world.setting.seed, 0, agents.population.name, _RELEASE_SITE, 0, agents.ids)
         delays = np.floor(draws.astype(np.float64) * (note.spread + 1))
-    return smooth_share((world.display_frame - note.frame - delays + 1) / (note.ease_frames + 1)).astype(np.float32)
+    return apply_smoothstep((world.display_frame - note.frame - delays + 1) / (note.ease_frames + 1)).astype(np.float32)
 
 
 def _mix_shares(agents: NoteAgents, share: float) -> Shares:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.easing import smooth_share
+from antdsl.numerics.easing import apply_smoothstep
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.outlines import find_centre, find_outlines, find_own_agents, measure_outlines
@@ -24,7 +24,7 @@ def make_way(agents: NoteAgents, register: str, is_final: bool) -> None:
     """Lead agents of a `part` away from the outline, and out of its way."""
     p, rows = agents.population, agents.rows
     need, direction = _find_needs(agents)
-    share = smooth_share((need - _URGENT_SHARE) / (1.0 - _URGENT_SHARE)) if is_final else need
+    share = apply_smoothstep((need - _URGENT_SHARE) / (1.0 - _URGENT_SHARE)) if is_final else need
     velocity = lay_on_ground(p, rows, direction) * read_max_speeds(p, rows)[:, None]
     wish_velocities(agents.world, p, rows, velocity, share * agents.weight, register)
 
@@ -57,9 +57,9 @@ def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
         outward = _turn_aside(world, outward, find_centre(world, outlines) - centre)
         if seconds:
             spare = seconds - np.maximum(clear - np.minimum(outside, clear), 0.0) / speed - _TURN_SECONDS
-            own = np.where(outside < clear, smooth_share(1.0 - spare / _SPARE_SECONDS), 0.0)
+            own = np.where(outside < clear, apply_smoothstep(1.0 - spare / _SPARE_SECONDS), 0.0)
         else:
-            own = smooth_share(1.0 - outside / distance)
+            own = apply_smoothstep(1.0 - outside / distance)
         direction += own[:, None] * outward
         need = np.maximum(need, own)
     return np.where(_find_excluded(agents), 0.0, need), direction

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics.easing import smooth_share
+from antdsl.numerics.easing import apply_smoothstep
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.pace_verbs import Shares
@@ -75,7 +75,7 @@ def _lead_by_distance(
     """Lead agents in a direction: fully at the target, and not at all from the radius of the note on."""
     share = compute_region_share(agents, None) * np.isfinite(distance)
     if note.radius is not None:
-        share *= smooth_share(2.0 - 2.0 * distance / note.radius.to_millimetres(agents.world.setting.unit_mm))
+        share *= apply_smoothstep(2.0 - 2.0 * distance / note.radius.to_millimetres(agents.world.setting.unit_mm))
     _wish_direction(agents, direction, share, register, is_final)
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.numerics.easing import smooth_share
+from antdsl.numerics.easing import apply_smoothstep
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.notes.targets import NearestOnMesh, TargetPoints, find_centres, find_curve, find_mesh
@@ -96,7 +96,7 @@ def compute_region_share(agents: NoteAgents, outside: Floats | None) -> Floats:
     share = np.full(len(agents.rows), agents.weight * note.strength)
     if outside is not None:
         falloff = 0.0 if note.falloff is None else note.falloff.to_millimetres(world.setting.unit_mm)
-        share *= smooth_share(1.0 - outside / falloff) if falloff else (outside <= 0)
+        share *= apply_smoothstep(1.0 - outside / falloff) if falloff else (outside <= 0)
     if note.painted is not None and world.ground.meshes is not None:
         footing = agents.population.footing.take_rows(agents.rows)
         share *= np.clip(world.maps[note.painted].sample(world.ground.meshes, footing).astype(np.float64), 0.0, 1.0)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from antdsl.bodies.agents.transforms import Floats
-from antdsl.numerics.easing import compute_ease
+from antdsl.numerics.easing import compute_ease_weight
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.cache_selection import find_item_points
@@ -173,7 +173,7 @@ class PlacingLayer(EditLayer):
 
 def compute_line_ease(line: EasedLine, number: int) -> float:
     """Return how far a line applies in a frame, from 0 to 1."""
-    return 1.0 if line.frames is None else compute_ease(*line.frames, line.ease, number)
+    return 1.0 if line.frames is None else compute_ease_weight(*line.frames, line.ease, number)
 
 
 def convert_displacement(value: Any, manifest: Manifest) -> Floats:
