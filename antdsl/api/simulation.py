@@ -196,7 +196,7 @@ class Simulation:
         from antdsl.runtime import FaultStop
 
         if self._has_failed:
-            raise AntdslError("a step failed before", "open the scene again")
+            raise AntdslError("an earlier step failed, so the simulation cannot continue", "open the scene again")
         try:
             run()
         except FaultStop as error:
@@ -223,7 +223,7 @@ class Simulation:
     def stop_observing(self, observer: Callable[[Simulation], object]) -> None:
         """Do not call an observer any more. Raises AntdslError if the function is not an observer."""
         if observer not in self._observers:
-            raise AntdslError("this function observes nothing here")
+            raise AntdslError("this function is not an observer of the simulation", "pass the function that `observe` got")
         self._observers.remove(observer)
 
     @property

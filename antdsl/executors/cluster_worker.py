@@ -111,7 +111,7 @@ def run_task_on_worker(work: TaskFunction, document_text: str, project_name: str
     dask_worker = get_worker()
     project = dask_worker.plugins.get(project_name)
     if project is None or project.worker is None:
-        raise TaskRejected(f"worker {dask_worker.address} does not have the files")
+        raise TaskRejected(f"worker {dask_worker.address} does not have the files of this command")
 
     def say_frame(frame: int) -> None:
         dask_worker.log_event(project_name, {"key": key, "frame": frame})

@@ -148,12 +148,12 @@ def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: in
                 f"leave out `--points {point_count}`",
             )
         if total_points > limits.MAX_SWEEP_POINTS:
-            words = f"these values make {total_points:,} combinations; the limit is {limits.MAX_SWEEP_POINTS:,} are not run"
+            words = f"these values have {total_points:,} combinations, more than the limit of {limits.MAX_SWEEP_POINTS:,}"
             report.error("too-large", words, None, "sample them: `--design latin --points 100`")
         return
     if not factors:
-        advice = "add values to vary: `--vary forager.smell=30mm..90mm`"
-        report.error("missing-argument", f"{flag} has no values to choose", None, advice)
+        advice = "add a param with its range: `--vary forager.smell=30mm..90mm`"
+        report.error("missing-argument", f"{flag} needs at least one param to vary", None, advice)
         return
     if point_count is None:
         usual = 64 if design.needs_power_of_two else 20
@@ -179,7 +179,7 @@ def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: in
     if total_points > limits.MAX_SWEEP_POINTS:
         words = (
             f"{flag} with `--points {point_count}` has {total_points:,} points, "
-            f"and more than {limits.MAX_SWEEP_POINTS:,} are not run"
+            f"more than the limit of {limits.MAX_SWEEP_POINTS:,}"
         )
         report.error("too-large", words, None, "write a smaller `--points`")
     if design.analysis is not None and not sensitivity.is_available():

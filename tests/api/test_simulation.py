@@ -103,7 +103,7 @@ MISTAKES = [
     (lambda s: s.set_param("forager.smel", 1), "there is no param `forager.smel`; did you mean `forager.smell`?"),
     (lambda s: s.set_param("forager.smell", "3 s"), "is a length, not a time"),
     (lambda s: s.set_param("forager.smell", 1e9), "out-of-range"),
-    (lambda s: s.stop_observing(print), "observes nothing"),
+    (lambda s: s.stop_observing(print), "not an observer"),
     (lambda s: s.step(-1), "-1 frames cannot be simulated"),
 ]
 

@@ -271,7 +271,7 @@ def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
     names, zeros = np.array(["low", "high"]), np.zeros(2)
     with pytest.raises(KeyError, match="fly"):
         build_playback(table, two, np.array(["low", "fly"]), zeros, zeros)
-    with pytest.raises(ValueError, match="3 clip times where agents have 2"):
+    with pytest.raises(ValueError, match="3 clip times, but the agents need 2"):
         build_playback(table, two, names, np.zeros(3), zeros)
     with pytest.raises(ValueError, match="agent 1: 0 layers have the parent -1"):
         build_playback(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int), zeros, np.array([-1, 0]))
@@ -284,7 +284,7 @@ def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
     (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, -1)), "2 layers have the parent -1"),
     (dict(layers=(0,), groups=("",), modes=(0, 0, 0), parents=(-1, 2, 1)), "layer 1 is its own ancestor"),
     (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, 2)), "a number from 0 to 1"),
-    (dict(layers=(1,), groups=("",)), "input of no layer"),
+    (dict(layers=(1,), groups=("",)), "layer that does not exist"),
     (dict(layers=(0,), groups=("",), modes=(3,)), "1 \\(additive\\) or 2"),
     (dict(layers=(0,), groups=()), "each clip needs a layer"),
 ])  # fmt: skip

@@ -186,7 +186,7 @@ def test_a_body_that_was_changed_is_not_drawn(cache: Cache, tmp_path: Path) -> N
     manifest = json.loads(path.read_text(encoding="utf-8"))
     manifest["bodies"][0]["digest"] = "0" * 32
     path.write_text(json.dumps(manifest), encoding="utf-8")
-    with pytest.raises(PictureUnavailable, match="is not the written one"):
+    with pytest.raises(PictureUnavailable, match="has changed since it was written"):
         crowd_at(open_cache(tmp_path / "out"), 1)
 
 

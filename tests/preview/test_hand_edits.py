@@ -193,7 +193,7 @@ def test_a_value_that_is_wrong_is_reported_at_its_key(page: Page) -> None:
         ("kill", "gards", {}, "agents", "no crowd line or species is named `gards`"),
         ("kill", "guards", {"frames": "900..905"}, "frames", "the cache has no frames 900 to 905"),
         ("hold", "guards", {}, "frames", "missing"),
-        ("move", "guards", {}, "", "`move` has `by` or `to`"),
+        ("move", "guards", {}, "", "`move` needs either `by` or `to`"),
         ("move", "guards", {"by": "[1 kg, 0, 0]"}, "by", "kg"),
         ("rotate", "guards", {"by": "20 mm"}, "by", "is not an angle"),
         ("face", "guards", {"to": "leef"}, "to", "`leef`"),

@@ -125,11 +125,11 @@ def test_options_that_do_not_fit_together_are_reported_with_a_correction() -> No
     assert "`--vary ant.smell=30mm,60mm,90mm`, or choose points within: `--design latin --points 20`" in refused("grid", SMELL)
     assert "leave out `--points 4`" in refused("grid", Factor("x.p", ("1",)), points=4)
     assert "write `--design latin --points 20`" in refused("latin", SMELL)
-    assert "add values to vary" in refused("latin", points=4)
+    assert "add a param with its range" in refused("latin", points=4)
     assert "`--points 64` or `--points 32`" in refused("sobol", SMELL, points=50)
     assert "write its ends: `--vary x.p=1..3`" in refused("morris", Factor("x.p", ("1", "2", "3")), points=10)
-    assert "20,000 are not run" in refused("latin", SMELL, points=limits.MAX_SWEEP_POINTS + 1)
-    assert "20,000 are not run" in refused("grid", *(Factor(f"x.p{k}", tuple(map(str, range(100)))) for k in range(3)))
+    assert "more than the limit of 20,000" in refused("latin", SMELL, points=limits.MAX_SWEEP_POINTS + 1)
+    assert "more than the limit of 20,000" in refused("grid", *(Factor(f"x.p{k}", tuple(map(str, range(100)))) for k in range(3)))
 
 
 def test_without_salib_its_designs_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,7 +67,7 @@ class ClipTree:
                 f"the mode of a layer is {INTERPOLATE_MODE} (interpolate), {ADDITIVE_MODE} (additive) or {OVER_MODE} (over)"
             )
         if any(not 0 <= layer < count for layer in self.layers):
-            raise ValueError(f"a clip is an input of no layer: they are numbered from 0 to {count - 1}")
+            raise ValueError(f"a clip is an input of a layer that does not exist: layers are numbered from 0 to {count - 1}")
         if any(not NO_PARENT <= parent < count for parent in self.parents):
             raise ValueError(f"the parent of a layer is a number from 0 to {count - 1}, or {NO_PARENT} for the topmost layer")
         if self.parents.count(NO_PARENT) != 1:

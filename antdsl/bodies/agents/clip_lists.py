@@ -56,7 +56,7 @@ def build_playback(
     lists = [(what, values, counts) for what, values in of_clips.items()]
     for what, values, expected_counts in lists + [(what, values, layer_counts) for what, values in of_layers.items()]:
         if values is not None and len(values) != int(expected_counts.sum()):
-            raise ValueError(f"there are {len(values)} {what} where agents have {int(expected_counts.sum())}")
+            raise ValueError(f"there are {len(values)} {what}, but the agents need {int(expected_counts.sum())}")
     clip_numbers = _number_names(names, table.find_clip)
     words, group_numbers = _find_distinct_names(groups, len(names))
     clips = _pad_lists(clip_numbers, counts, REST_CLIP).astype(np.int32)

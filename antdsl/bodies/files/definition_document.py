@@ -202,7 +202,9 @@ def _resolve_clip_reference(
     if entry.file is not None:
         clips = _read_clip_file(entry, entry.file, find_span(node, ("file",)), files, rig)
     elif entry.clip is None:
-        report.error("missing-key", "a clip has no `file`", node.marked_span, 'add `"file": "walk.json"`, or `"clip": "Walk"`')
+        words = f"{f'the clip `{entry.name[:60]}`' if entry.name else 'a clip'} has neither `file` nor `clip`"
+        help = 'add `"file": "walk.json"`, or `"clip": "Walk"` for a clip of the file under `from`'
+        report.error("missing-key", words, node.marked_span, help)
         return []
     if entry.clip is not None:
         if entry.clip not in clips:

@@ -29,8 +29,8 @@ _EXPECTED_BY_ERROR_TYPE: dict[str, tuple[str, str | None]] = {
     "bool_type": ("true or false", "write `true` or `false`"),
     "list_type": ("a list", "write `[ … ]`"),
     "tuple_type": ("a list", "write `[ … ]`"),
-    "dict_type": ("an object", None),
-    "model_type": ("an object", None),
+    "dict_type": ("names with values", "write `{ … }`"),
+    "model_type": ("names with values", "write `{ … }`"),
 }
 
 

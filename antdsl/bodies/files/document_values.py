@@ -24,8 +24,10 @@ _LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # scale factors relative to the rest pose
 
 def _check_text(value: str) -> str:
     """Return a text. Raises for too many characters and for the character 0."""
-    if len(value) > _MAX_NAME_CHARACTERS or "\0" in value:
-        raise make_error("this text is too long, or contains an invisible character")
+    if len(value) > _MAX_NAME_CHARACTERS:
+        raise make_error(f"this text has {len(value):,} characters, more than {_MAX_NAME_CHARACTERS:,}")
+    if "\0" in value:
+        raise make_error("this text contains the invisible character U+0000")
     return value
 
 
@@ -52,7 +54,7 @@ def require_version(number: int) -> BeforeValidator:
 
     def check_version(value: Any) -> int:
         if value != number or isinstance(value, bool):
-            raise make_error("this version is not supported", f"write `{number}`, if the file is in that form")
+            raise make_error(f"only version {number} of this form is supported", f"write `{number}` if the file has this form")
         return number
 
     return BeforeValidator(check_version)
@@ -73,7 +75,7 @@ def limit_entries(limit_name: str, entry_noun: str, owner: str = "a body") -> Be
 def _reject_number_array(entries: Any) -> Any:
     """Reject an array of numbers at once, because a document may have millions of them in a row."""
     if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
-        raise make_error("this must be a list of texts or objects, not of numbers")
+        raise make_error("this list must have names or entries `{ … }`, not numbers")
     return entries
 
 

@@ -203,7 +203,9 @@ _COMPONENTS_BY_TYPE = {
 def read_metadata(root: Node, report: Report) -> dict[str, Any]:
     """Return the entries of a metadata document. Wrong entries are reported."""
     if not isinstance(root.value, dict):
-        report.error("wrong-value", f"metadata must be an object, not {root.kind}", root.marked_span)
+        report.error(
+            "wrong-value", f"metadata must be names with values, not {root.kind}", root.marked_span, 'write `{"name": 1}`'
+        )
         return {}
     return {key: _read_value(each, report) for key, each in root.value.items()}
 
@@ -212,7 +214,7 @@ def _read_value(node: Node, report: Report) -> Any:
     """Return a metadata value; None after an error."""
     if isinstance(node.value, bool) or node.value is None:
         help = f"write `{int(node.value)}`" if node.value is not None else "leave the key out"
-        words = f"expected a text, a number, a list or an object here, not {node.kind}"
+        words = f"expected a text, a number, a list or `{{ … }}` here, not {node.kind}"
         report.error("wrong-value", words, node.marked_span, help)
         return 0
     if isinstance(node.value, list):

@@ -21,7 +21,7 @@ Plain = dict[str, "Node"] | list["Node"] | list[float] | str | int | float | boo
 
 
 _KIND_NAMES = {
-    dict: "an object", list: "a list", str: "a text", bool: "true or false", int: "a number", float: "a number",
+    dict: "names with values `{ … }`", list: "a list", str: "a text", bool: "true or false", int: "a number", float: "a number",
     type(None): "nothing",
 }  # fmt: skip
 

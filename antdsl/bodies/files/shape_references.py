@@ -30,7 +30,7 @@ def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shape
         new_shapes = _resolve_shape_reference(reference, node, files, shapes, materials)
         if reference.name is not None and len(new_shapes) != 1:
             if new_shapes:
-                words = f"a name is given, and the file has {len(new_shapes)} shapes"
+                words = f"`name` is given, but the file has {len(new_shapes)} shapes"
                 help = f'add `"shape": "{new_shapes[0].name}"`'
                 files.report.error("wrong-value", words, find_span(node, ("name",)), help)
             continue
@@ -58,7 +58,9 @@ def _resolve_shape_reference(
     """Return the shapes that a reference selects."""
     if reference.file is None:
         if reference.shape is None:
-            files.report.error("missing-key", "a shape has no `file`", node.marked_span, 'add `"file": "sword.obj"`')
+            words = f"{f'the shape `{reference.name[:60]}`' if reference.name else 'a shape'} has neither `file` nor `shape`"
+            help = 'add `"file": "sword.obj"`, or `"shape": "body"` for a shape of the file under `from`'
+            files.report.error("missing-key", words, node.marked_span, help)
             return []
         what, known = "shape", shapes
     else:
@@ -158,7 +160,7 @@ def _add_blend_attributes(reference: ShapeReference, node: Node, files: BodyFile
         reference.blendshape_shapenames, reference.blendshape_channels, reference.blendshape_inbetweenweights,
     )  # fmt: skip
     if "blendshape_shapenames" not in keys:
-        words = "a blend shape does not say which shapes it blends"
+        words = f"the shape `{shape.name}` does not state the shapes that it blends"
         files.report.error("missing-key", words, node.marked_span, 'add `"blendshape_shapenames": ["…"]`')
         return shape
     if "blendshape_inbetweenweights" in keys:

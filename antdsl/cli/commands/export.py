@@ -140,7 +140,7 @@ def export(
             f"`{to.name}` as `{word}` does not support this option; {', '.join(forms)} does", param_hint=f"--{name}"
         )
     if show not in (None, "states"):
-        raise typer.BadParameter(f"cannot show `{show}`: there is `states`", param_hint="--show")
+        raise typer.BadParameter(f"cannot show `{show}`: write `states`", param_hint="--show")
     if show is not None and word not in export.coloured_forms:
         raise typer.BadParameter(f"`{to.name}` as `{word}` has no colours: leave `--show` out", param_hint="--show")
     if "samples" in set_options and "shutter" not in set_options:

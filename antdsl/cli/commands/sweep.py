@@ -212,7 +212,7 @@ def _require_measures(chooser: JobChooser) -> None:
         raise CommandError(
             ExitCode.USAGE,
             f"error: no measure begins with `{unheard[0]}`",
-            f"there are: {', '.join(chooser.list_measure_prefixes())}",
+            f"measures begin with: {', '.join(chooser.list_measure_prefixes())}",
         )
 
 
@@ -245,7 +245,7 @@ def _write_tables(
     measures = choose_measures(table, show)
     if show and not measures:
         names = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
-        raise CommandError(ExitCode.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {names}")
+        raise CommandError(ExitCode.USAGE, f"error: no measure begins with `{show[0]}`", f"measures begin with: {names}")
     effects, remarks = study.find_effects(table, measures)
     lines = format_table(table, measures)
     words = f"\n{format_known_medians(known_medians)}" if known_medians else ""

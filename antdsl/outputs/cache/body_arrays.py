@@ -62,10 +62,10 @@ def load_definition(manifest: Manifest, static: Arrays, number: int) -> Definiti
     written."""
     arrays = {part: static[name] for part in ARRAY_NAMES if (name := f"body.{number}.{part}") in static}
     if number >= len(manifest.bodies) or len(arrays) != len(ARRAY_NAMES):
-        raise BodyError("is not there")
+        raise BodyError("is missing")
     definition = unpack_checked_definition(arrays)
     if hash_definition(definition) != manifest.bodies[number].digest:
-        raise BodyError("is not the written one")
+        raise BodyError("has changed since it was written")
     return definition
 
 

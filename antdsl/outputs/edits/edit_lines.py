@@ -67,7 +67,7 @@ def read_edits(data: bytes, name: str, manifest: Manifest) -> tuple[EditList | N
         if key != EDITS_KEY:
             report.error("unknown-key", f"`{key[:60]}` is not a key of edits", document.keys[key], _EXAMPLE)
     if not isinstance(nodes, SequenceNode):
-        report.error("missing-key", "a file of edits has a list `edits`", Span(source, 0, min(1, len(source.text))), _EXAMPLE)
+        report.error("missing-key", "the file of edits has no list `edits`", Span(source, 0, min(1, len(source.text))), _EXAMPLE)
     elif len(nodes.items) > limits.MAX_EDITS:
         message = f"{len(nodes.items):,} edits are more than the limit of {limits.MAX_EDITS:,}"
         report.error("too-large", message, nodes.span, "combine edits of the same verb by a list of agents")

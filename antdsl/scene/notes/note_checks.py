@@ -75,7 +75,7 @@ class _NoteCheck:
         for path, target in self._iterate_targets():
             if isinstance(target, FacingDirection) and not any(target.direction):
                 help = "write one that is not zero, such as `{direction: [0, 1, 0]}`"
-                self.report.error("wrong-value", "this is not a direction", self.scene.span(*self.path, *path), help)
+                self.report.error("wrong-value", "a direction of zeros leads nowhere", self.scene.span(*self.path, *path), help)
             if isinstance(target, AgentName):
                 problems += self._find_target_problems(target, (*self.path, *path))
         problems += self._find_region_problems()
@@ -168,8 +168,9 @@ class _NoteCheck:
                 known = {a.name for s in species for a in self.program.species[s].attributes if is_settable(a)}
                 report_unknown_name(self.report, self.scene, path, f"`{'`, `'.join(species)}` has no attribute", known)
             elif isinstance(value, bool) != (fitting[0].type.kind is TypeKind.BOOL):
-                help = "write `true` or `false`" if fitting[0].type.kind is TypeKind.BOOL else "write a number"
-                self.report.error("wrong-value", f"`{name}` cannot have this value", self.scene.span(*path), help)
+                is_bool, span = fitting[0].type.kind is TypeKind.BOOL, self.scene.span(*path)
+                words = f"`{name}` is {'' if is_bool else 'not '}true or false, so it cannot be `{span.text}`"
+                self.report.error("wrong-value", words, span, "write `true` or `false`" if is_bool else "write a number")
             elif not isinstance(value, bool):
                 check_value(self.scene, self.report, value, fitting[0], *path)
 

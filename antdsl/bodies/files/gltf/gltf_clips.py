@@ -143,7 +143,7 @@ def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
     except ValidationError as problem:
         error = problem.errors(include_url=False, include_input=False)[0]
         path = "".join(f" at `{str(key)[:60]}`" for key in error["loc"])
-        hint = f"the {holder} must be an object of rate, stride, loop, feet and marks: delete or correct it"
+        hint = f"the {holder} may have the keys rate, stride, loop, feet and marks: delete or correct it"
         raise BodyError(f"has unknown {holder} `{EXTRAS_KEY}` in the clip `{name}`{path}", hint) from None
 
 

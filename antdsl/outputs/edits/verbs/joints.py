@@ -33,7 +33,7 @@ class OffsetLine(EasedLine):
     @model_validator(mode="after")
     def _check_one(self) -> OffsetLine:
         if self.rotate is None and self.by is None:
-            raise make_error("`offset` has `rotate` or `by`", "write `rotate: [0, 30 deg, 0]`")
+            raise make_error("`offset` needs `rotate` or `by`", "write `rotate: [0, 30 deg, 0]`")
         return self
 
 

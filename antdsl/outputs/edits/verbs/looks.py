@@ -49,7 +49,7 @@ class ReplaceLine(AgentsLine):
     @model_validator(mode="after")
     def _check_keys(self) -> ReplaceLine:
         if self.body is None and self.colour is None and self.wear is None:
-            raise make_error("`replace` has `body`, `colour` or `wear`", "write `colour: red`")
+            raise make_error("`replace` needs `body`, `colour` or `wear`", "write `colour: red`")
         if self.body is not None and self.frames is not None:
             raise make_error("agents have one body in all frames", "leave `frames` out")
         return self

@@ -62,7 +62,7 @@ class MoveLine(PlacingLine):
     @model_validator(mode="after")
     def _check_one(self) -> MoveLine:
         if (self.by is None) == (self.to is None):
-            raise make_error("`move` has `by` or `to`", "write `by: [40 mm, 0, 0]`")
+            raise make_error("`move` needs either `by` or `to`", "write `by: [40 mm, 0, 0]`")
         return self
 
 

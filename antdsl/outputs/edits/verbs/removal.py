@@ -33,7 +33,7 @@ class ClipLine(AgentsLine):
     @model_validator(mode="after")
     def _check_one(self) -> ClipLine:
         if self.frames is None and self.inside is None:
-            raise make_error("`clip` has `frames` or `inside`", "write `inside: {from: [0, 0, 0], to: [50, 20, 50]}`")
+            raise make_error("`clip` needs `frames` or `inside`", "write `inside: {from: [0, 0, 0], to: [50, 20, 50]}`")
         return self
 
     def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:

@@ -48,7 +48,7 @@ class SmoothLine(AgentsLine):
     @model_validator(mode="after")
     def _check_one(self) -> SmoothLine:
         if self.orient is None and self.position is None:
-            raise make_error("`smooth` has `orient` or `position`", "write `orient: 9`, for four frames before and four after")
+            raise make_error("`smooth` needs `orient` or `position`", "write `orient: 9`, for four frames before and four after")
         return self
 
 

@@ -51,7 +51,7 @@ class RetimeLine(TimeLine):
     @model_validator(mode="after")
     def _check_one(self) -> RetimeLine:
         if (self.speed is None) == (self.later is None):
-            raise make_error("`retime` has `speed`, with `frames`, or `later`", "write `frames: 100..150, speed: 50 %`")
+            raise make_error("`retime` needs either `speed` or `later`", "write `frames: 100..150, speed: 50 %`")
         if self.later is not None and self.frames is not None:
             raise make_error("`later` applies to all frames", "leave `frames` out, or write `speed` instead")
         return self
