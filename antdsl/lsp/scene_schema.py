@@ -1,0 +1,85 @@
+"""The JSON Schema of scenes, for editors of YAML. `python -m antdsl.lsp.scene_schema` writes the file that is shipped.
+
+It has the keys of the scene's models, with their help. Values are looser than in a scene: a number may also be a text with a
+unit, and a list a text such as `1..240`. `antdsl check` judges values."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from antdsl import resources
+from antdsl.atomic_write import write_atomically
+from antdsl.lsp.word_descriptions import find_scene_key_help
+from antdsl.scene.scene_model import SceneModel, ScenePart
+
+SCHEMA_FILE_NAME = "scene.schema.json"
+_SCALAR_SCHEMA = {"type": ["number", "string"]}
+_SCALAR_TYPES = ("number", "integer", "string")
+_DROPPED_KEYWORDS = ("title", "default", "discriminator", "required")  # a scene that extends another may leave out any key
+
+
+def build_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a scene file."""
+    schema = SceneModel.model_json_schema(by_alias=True)
+    definitions = schema.pop("$defs")
+    model_names = {model.__name__ for model in _list_models(ScenePart)}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$comment": "Made from the models of scenes by `python -m antdsl.lsp.scene_schema`: change it there.",
+        "title": "antdsl scene",
+        **_loosen(schema),
+        "$defs": {name: _loosen(part) if name in model_names else _SCALAR_SCHEMA for name, part in definitions.items()},
+    }
+
+
+def build_schema_text() -> str:
+    """Return the schema as the text of its file."""
+    return json.dumps(build_schema(), indent=1) + "\n"
+
+
+def _list_models(model: type) -> Iterator[type]:
+    """Yield the subclasses of a model, at all levels."""
+    for child in model.__subclasses__():
+        yield child
+        yield from _list_models(child)
+
+
+def _loosen(part: Any) -> Any:
+    """Return a part of the schema in which scalars may also be texts with units."""
+    if isinstance(part, list):
+        return [_loosen(each) for each in part]
+    if not isinstance(part, dict):
+        return part
+    if part.get("type") in _SCALAR_TYPES and not part.keys() & {"enum", "const"}:
+        return _SCALAR_SCHEMA
+    if part.get("type") == "array":
+        items = {"items": _loosen(part["items"])} if "items" in part else {}
+        return {"anyOf": [{"type": "array", **items}, _SCALAR_SCHEMA]}
+    loose_part = {}
+    for keyword, value in part.items():
+        if keyword == "properties":
+            loose_part[keyword] = {key: _describe(key, _loosen(schema)) for key, schema in value.items()}
+        elif keyword in ("oneOf", "anyOf"):  # looser alternatives can hold at the same time
+            alternatives = _loosen(value)
+            loose_part["anyOf"] = [each for number, each in enumerate(alternatives) if each not in alternatives[:number]]
+        elif keyword not in _DROPPED_KEYWORDS:
+            loose_part[keyword] = _loosen(value)
+    return loose_part
+
+
+def _describe(key: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a key with the key's help."""
+    help = find_scene_key_help(key)
+    return {**schema, "description": help} if help else schema
+
+
+def main() -> None:
+    """Write the schema next to the grammar of the checkout."""
+    path = resources.grammar_file(SCHEMA_FILE_NAME)
+    write_atomically(path, build_schema_text().encode())
+
+
+if __name__ == "__main__":
+    main()
