@@ -111,7 +111,7 @@ class Measurement:
     `state`: the bytes of all stored values of agents.
     `nodes`: the number of nodes of the plan.
     `neighbours`: the mean number of other agents within the case's sight after the last step.
-    `told`: messages about deviations from the request, for example that NumPy ran instead of machine code. Each begins with the
+    `told`: notes about deviations from the request, for example that NumPy ran instead of machine code. Each begins with the
     name of its backend."""
 
     job: BenchJob

@@ -132,7 +132,7 @@ def _read_pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
 
 
 def _check_reference_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
-    """Return the reference run of an `against` block, with the changes of its own `set` lines."""
+    """Return the reference run of an `against` block, with the changes that its `set` lines make."""
     report, scene = work.declarations.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
         message = f"`{scene.text}` is not the name of a scene"

@@ -326,7 +326,7 @@ def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
 
 
 def _find_cell_field(declarations: Declarations, operand: nodes.Expr) -> str:
-    """Return the name of the field whose cells an expression reads, such as `trail` in `trail.value > 0.1`; "" without one."""
+    """Return the name of the field that an expression reads by cells, such as `trail` in `trail.value > 0.1`; "" without one."""
     members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declarations.fields), "")
