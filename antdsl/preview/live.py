@@ -229,7 +229,7 @@ class Live:
         from antdsl.preview.viewing.messages import make_outcome_message
 
         if self._session is None:
-            self._try_to_open()
+            self._try_to_open_session()
             return
         self.show_exact_frame()
         result = self._session.reload()
@@ -375,7 +375,7 @@ class Live:
             client.tell({"op": "refused", "of": request.op, "message": _BUG_MESSAGE, "help": "the earlier simulation continues"})
         self.screen.on_action()
 
-    def _try_to_open(self) -> None:
+    def _try_to_open_session(self) -> None:
         choices, options, how = self._session_options
         self._session, report = Session.open(self.compiler.scene, choices, options, compiler=self.compiler, **how)
         self.on_files_read(report)

@@ -36,7 +36,7 @@ class PrecompiledShot:
             (choices, replacement_texts) == (self.choices, self.replacement_texts)
             and parsed_files.keys() == self.parsed_files.keys()
             and all(parsed_files[place] is known for place, known in self.parsed_files.items())
-            and all(_is_same_text(source) for source in iterate_sources(self.shot.scene.document))
+            and all(_has_unchanged_text(source) for source in iterate_sources(self.shot.scene.document))
             and self._has_same_inputs()
         )
 
@@ -74,7 +74,7 @@ def iterate_sources(document: DocumentNode) -> Iterator[Source]:
             stack += node.items
 
 
-def _is_same_text(source: Source) -> bool:
+def _has_unchanged_text(source: Source) -> bool:
     try:
         now, report = decode_source(read_user_file(Path(source.path), limits.MAX_SCENE_BYTES), source.path)
     except PathRefused:

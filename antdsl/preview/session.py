@@ -74,7 +74,7 @@ class Session:
         `budget`: bytes of memory for all stored data.
         `compiler`: a compiler that has opened this scene before."""
         session = cls(compiler or Compiler(scene), options or Options(), Timeline(checkpoint_interval, budget))
-        report = session._start_over(choices or RunChoices(), {}).report
+        report = session._restart_from_first_frame(choices or RunChoices(), {}).report
         return (session if report.ok else None), report
 
     # --- time --------------------------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ class Session:
 
     def seek(self, frame: int) -> None:
         """Go to a frame that was simulated. Raises ValueError for any other frame, also for one that was dropped."""
-        self._check_stored(frame)
+        self._check_frame_is_stored(frame)
         if not self.is_ahead(frame):
             self._restore_checkpoint(self.timeline.find_stretch(frame), self.find_checkpoint_frame(frame))
         while self.frame < frame:
@@ -146,10 +146,10 @@ class Session:
 
     def find_checkpoint_frame(self, frame: int) -> int:
         """Return the frame of the checkpoint from which a frame is simulated. Raises ValueError as `seek` does."""
-        self._check_stored(frame)
+        self._check_frame_is_stored(frame)
         return find_nearest_checkpoint(self.timeline.find_stretch(frame), frame)
 
-    def _check_stored(self, frame: int) -> None:
+    def _check_frame_is_stored(self, frame: int) -> None:
         if not self.first_frame <= frame <= self.last_frame:
             raise ValueError(f"frame {frame} is not among those stored, {self.first_frame} to {self.last_frame}")
 
@@ -270,7 +270,7 @@ class Session:
         if frame == inf:
             outcome = Outcome(line="the run does not change", description=description)
         elif frame < self.first_frame:
-            outcome = replace(self._start_over(choices, layers), text=text, description=description)
+            outcome = replace(self._restart_from_first_frame(choices, layers), text=text, description=description)
         else:
             outcome = self._recompile_files(choices, layers, text, description, first=int(min(frame, self.frame)))
         self.notes = notes if outcome.ok else self.notes
@@ -284,9 +284,9 @@ class Session:
         """Simulate the current files from the first frame, with the settings made by hand.
 
         Its state hashes equal those of `antdsl run` with these settings in the files."""
-        return self._start_over(self.choices, self._current_stretch.disabled_layers)
+        return self._restart_from_first_frame(self.choices, self._current_stretch.disabled_layers)
 
-    def _start_over(self, choices: RunChoices, disabled_layers: DisabledLayers) -> Outcome:
+    def _restart_from_first_frame(self, choices: RunChoices, disabled_layers: DisabledLayers) -> Outcome:
         shot, report, _ = self._compile(choices, disabled_layers)
         if shot is None or not report.ok:
             return Outcome(report)

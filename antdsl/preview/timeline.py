@@ -23,7 +23,7 @@ _REDUCED_FRAMES_BUDGET_SHARE = 0.25  # share of the budget for reduced frames
 _POSES_BUDGET_SHARE = 0.125  # share of the budget for poses of bodies
 _MAX_CURVE_FRAMES = 50_000  # frames
 _MAX_BRANCHES = 8
-_MAX_STOPS = 256
+_MAX_STOP_REASONS = 256
 
 
 class ReducedFrames(dict[int, Mapping[str, Arrays]]):
@@ -126,6 +126,7 @@ class SimulationStretch:
         self.is_fresh = same and self._state_before_edit == (self._list_source_texts(), state_hash(world))
 
     def _list_source_texts(self) -> object:
+        """Return the inputs of the shot and the disabled layers, to compare them with those of another stretch."""
         return dict(self.shot.inputs), frozenset(self.disabled_layers)
 
     def change_param(self, world: World, name: str, text: str, value: float) -> None:
@@ -241,7 +242,7 @@ class Timeline:
         """Mark a frame as one at which play was stopped."""
         self.stop_reasons.pop(frame, None)
         self.stop_reasons[frame] = reason
-        while len(self.stop_reasons) > _MAX_STOPS:
+        while len(self.stop_reasons) > _MAX_STOP_REASONS:
             del self.stop_reasons[next(iter(self.stop_reasons))]
 
     def _add_branch(self, branch: TimelineBranch) -> None:

@@ -33,11 +33,11 @@ _MIGRATED_COLUMNS = [name for name, column in FIXED_COLUMN_BY_NAME.items() if co
 class MigratedSpecies:
     """The result of a migration for the agents of one species. Names in lists are attributes, or states as `machine.state`.
 
-    `agents`: their number. `moved_count`: how many moved to other positions. `restart_counts`: by removed state and start state,
-    how many agents start again."""
+    `agent_count`: the number of agents. `moved_count`: how many moved to other positions.
+    `restart_counts`: by removed state and start state, how many agents start again."""
 
     species: str
-    agents: int = 0
+    agent_count: int = 0
     moved_count: int = 0
     restart_counts: dict[tuple[str, str], int] = field(default_factory=dict)  # (removed state, start state) -> agents
     states: list[str] = field(default_factory=list)  # new states

@@ -36,19 +36,20 @@ class Migration:
     """The result of a migration.
 
     `added_counts`, `removed_counts`: by species, how many agents were added or removed because the scene's crowd has another
-    size."""
+    size.
+    `restarted_items`: amounts that begin with the value of the scene, as `item.attribute`."""
 
     species: list[MigratedSpecies] = field(default_factory=list)
     added_counts: dict[str, int] = field(default_factory=dict)
     removed_counts: dict[str, int] = field(default_factory=dict)
-    items: list[str] = field(default_factory=list)  # restarted or new items
+    restarted_items: list[str] = field(default_factory=list)  # also new items
     reset_fields: list[str] = field(default_factory=list)
     reset_solids: list[str] = field(default_factory=list)
 
     @property
     def agents(self) -> int:
         """Return the number of agents that were retained."""
-        return sum(migrated.agents for migrated in self.species)
+        return sum(migrated.agent_count for migrated in self.species)
 
 
 @standard_floats()
@@ -179,7 +180,7 @@ def _migrate_items(old_world: World, world: World, migration: Migration) -> None
                 if same and known is not None:
                     amounts[k] = known.amounts[attribute][rows[item]]
                 else:
-                    migration.items.append(f"{item}.{attribute}")
+                    migration.restarted_items.append(f"{item}.{attribute}")
         items.publish_amounts()
 
 
@@ -266,7 +267,7 @@ def describe_migration(migration: Migration) -> str:
         parts += _describe_species(migrated, f"{migrated.species}." if several else "")
     parts += [f"{count:,} `{name}` added" for name, count in migration.added_counts.items()]
     parts += [f"{count:,} `{name}` removed" for name, count in migration.removed_counts.items()]
-    parts += _format_names(migration.items, "has its amount from the scene", "have their amounts from the scene")
+    parts += _format_names(migration.restarted_items, "has its amount from the scene", "have their amounts from the scene")
     parts += _format_names([f"field {name}" for name in migration.reset_fields], "starts again", "start again")
     parts += _format_names([f"solid {name}" for name in migration.reset_solids], "is whole", "are whole")
     return " · ".join(parts)

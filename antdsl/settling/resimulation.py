@@ -29,13 +29,13 @@ _START_ROUNDS, _START_SECONDS = 8, 0.25  # of contacts that separate agents in t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settlement:
-    """The agents that were simulated again. `checkpoint`: the frame of the checkpoint from which they were simulated.
+    """The agents that were simulated again. `checkpoint_frame`: the frame of the checkpoint from which they were simulated.
 
-    `left_out`: the number of affected agents that the shot does not have."""
+    `left_out_count`: the number of affected agents that the shot does not have."""
 
     frames: SettledFrames
-    checkpoint: int
-    left_out: int
+    checkpoint_frame: int
+    left_out_count: int
 
 
 class SettlingError(Exception):

@@ -86,7 +86,7 @@ def test_the_other_hand_mirrors_and_holes_are_minded(tmp_path: Path) -> None:
     assert np.cross(b - a, c - a)[2] > 0, "outside stays outside"
     two = SQUARE.replace("[4]", "[3, 3]").replace("[0, 1, 2, 3]", "[0, 1, 2, 0, 2, 3]")
     holed = read_usd_mesh(opened(tmp_path, f'def Mesh "m" {{\n{two}int[] holeIndices = [0]\n}}')).raw_mesh
-    assert len(holed.faces) == 1 and len(holed.vertices) == 3 and holed.own_vertices.tolist() == [0, 2, 3]
+    assert len(holed.faces) == 1 and len(holed.vertices) == 3 and holed.file_vertex_indices.tolist() == [0, 2, 3]
 
 
 def test_only_visible_prims_of_the_requested_purpose_are_read(tmp_path: Path) -> None:

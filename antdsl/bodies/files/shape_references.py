@@ -116,7 +116,7 @@ def load_shapes(
         words = f"`{path[-80:]}` has more than {limits.MAX_BODY_POINTS:,} points"
         files.report.error("too-large", words, place, "use a lighter mesh")
         return {}
-    ids = {"id": mesh.own_vertices.astype(np.int64)}
+    ids = {"id": mesh.file_vertex_indices.astype(np.int64)}
     return {name: Shape(name, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), attributes=dict(ids))}
 
 

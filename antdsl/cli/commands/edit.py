@@ -129,8 +129,8 @@ def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str,
     if settlement is None:
         print_note("nothing to settle: edits make no agents overlap, and leave none without a neighbour")
         return loaded
-    left = f"; {settlement.left_out:,} others have another body or species and stay" if settlement.left_out else ""
-    print_note(f"settled {settlement.frames.describe_agents()}, from the checkpoint of frame {settlement.checkpoint}{left}")
+    left = f"; {settlement.left_out_count:,} others have another body or species and stay" if settlement.left_out_count else ""
+    print_note(f"settled {settlement.frames.describe_agents()}, from the checkpoint of frame {settlement.checkpoint_frame}{left}")
     return loaded.add_settled(settlement.frames)
 
 

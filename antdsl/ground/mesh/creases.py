@@ -36,7 +36,7 @@ _WIDE_FACE_PER_BODY = 0.6  # body lengths; a face of this height has at most one
 _MAX_CURVATURE_PER_BODY = (
     0.84  # radians per body length; on ground that curves more, feet would turn faster than a body by default
 )
-_NO_CELL = np.iinfo(np.int32).max
+_NO_PIECE = np.iinfo(np.int32).max
 _POSITIONS_PER_THREAD = 512  # fewer positions are not worth another thread
 _EXPONENT_BIAS = 1022  # offset from the exponent bits of a float64 to the exponent of np.frexp
 
@@ -131,7 +131,7 @@ class CreaseMap:
         sharp |= self._mark_cells(corners[np.flatnonzero(table.cuts.is_cut & minded)])
         if len(np.unique(table.piece[live])) < 2:
             return (sharp,)
-        least, most = np.full(self._shape, _NO_CELL, np.int32), np.full(self._shape, -1, np.int32)
+        least, most = np.full(self._shape, _NO_PIECE, np.int32), np.full(self._shape, -1, np.int32)
         for cell, which in iterate_triangle_cells((corners[live] - self._low) / self._width, exact=False):
             at = tuple(np.clip(cell, 0, self._shape - 1).T)
             np.minimum.at(least, at, table.piece[live[which]])

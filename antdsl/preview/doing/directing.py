@@ -37,10 +37,12 @@ def draft_line(live: Live, request: requests.DraftLine, client: Client) -> None:
     client.tell({"op": "directed", "list": request.list, **answer})
 
 
-_Drafted = tuple[LineDraft, bool, list[Diagnostic], bool]  # the line, whether it is valid, findings, whether it was added
+_DraftResult = tuple[LineDraft, bool, list[Diagnostic], bool]  # the line, whether it is valid, findings, whether it was added
 
 
-def _draft_note(live: Live, request: requests.DraftLine, form: VerbForm) -> _Drafted:
+def _draft_note(live: Live, request: requests.DraftLine, form: VerbForm) -> _DraftResult:
+    """Check a note, and add it if the request says so. Return the draft, whether it is valid, the findings, and whether it was
+    added."""
     notes = live.session.notes
     draft, note = draft_note(live.session.shot, form, request.agents, request.values)
     if not request.apply or note is None:
@@ -51,7 +53,9 @@ def _draft_note(live: Live, request: requests.DraftLine, form: VerbForm) -> _Dra
     return draft, True, result.report.diagnostics, result.ok
 
 
-def _draft_edit(live: Live, request: requests.DraftLine, form: VerbForm) -> _Drafted:
+def _draft_edit(live: Live, request: requests.DraftLine, form: VerbForm) -> _DraftResult:
+    """Check an edit, and add it if the request says so. Return the draft, whether it is valid, the findings, and whether it was
+    added."""
     edits = live.screen.edited.edits
     draft, is_valid = live.screen.edited.check_line(form, request.agents, request.values)
     if not request.apply or not is_valid:

@@ -77,9 +77,9 @@ class SpeciesActions:
 
     `machines`: the machines that play clips. `layers`: the layers that agents may wear. `channels`: the channels that states set.
     `seed`: the seed of the scene. `seconds`: the time of the frame.
-    `outfits`: by body key. `numbers`: uint8[n], the index of each agent's body.
-    `stored`: arrays as in caches, with feet in mm. `displayed`: positions and directions as pages display them. Both are ordered
-    by id."""
+    `outfits`: by body key. `body_numbers`: uint8[n], the index of each agent's body.
+    `stored_arrays`: arrays as in caches, ordered by id, with feet in mm.
+    `displayed_arrays`: positions and directions as pages display them, ordered by id."""
 
     species: str
     machines: tuple[str, ...]
@@ -88,16 +88,16 @@ class SpeciesActions:
     seed: int
     seconds: float
     outfits: Mapping[str, BodyOutfit]
-    numbers: NDArray[np.uint8]
-    stored: Mapping[str, NDArray[Any]]
-    displayed: Arrays
+    body_numbers: NDArray[np.uint8]
+    stored_arrays: Mapping[str, NDArray[Any]]
+    displayed_arrays: Arrays
 
     def select(self, rows: NDArray[np.intp]) -> SpeciesActions:
         """Return the actions of the agents in `rows`. The arrays of feet are not limited to them: their rows are bodies, not
         agents."""
-        stored = {name: array if name.startswith("feet.") else array[rows] for name, array in self.stored.items()}
-        displayed = {name: array[rows] for name, array in self.displayed.items()}
-        return replace(self, stored=stored, displayed=displayed, numbers=self.numbers[rows])
+        stored = {name: array if name.startswith("feet.") else array[rows] for name, array in self.stored_arrays.items()}
+        displayed = {name: array[rows] for name, array in self.displayed_arrays.items()}
+        return replace(self, stored_arrays=stored, displayed_arrays=displayed, body_numbers=self.body_numbers[rows])
 
 
 def gather_actions(world: World, shot: Shot, population: Population, displayed: Arrays) -> SpeciesActions:
@@ -137,15 +137,15 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
     if len(actions.outfits) == 1:
         ((key, worn),) = actions.outfits.items()
         return _make_body_arrays(actions, key, worn)
-    arrays = {f"{actions.species}/body": actions.numbers}
+    arrays = {f"{actions.species}/body": actions.body_numbers}
     for number, (key, worn) in enumerate(actions.outfits.items()):
-        arrays |= _make_body_arrays(actions.select(np.flatnonzero(actions.numbers == number)), key, worn)
+        arrays |= _make_body_arrays(actions.select(np.flatnonzero(actions.body_numbers == number)), key, worn)
     return arrays
 
 
 def _make_body_arrays(actions: SpeciesActions, key: str, worn: BodyOutfit) -> Arrays:
     """Return the actions of the agents with a body."""
-    stored, displayed = actions.stored, actions.displayed
+    stored, displayed = actions.stored_arrays, actions.displayed_arrays
     count = len(displayed["id"])
     clips_by_machine = {each: read_machine_clips(actions.species, each, stored, count) for each in actions.machines}
     machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
@@ -165,7 +165,7 @@ def _make_body_arrays(actions: SpeciesActions, key: str, worn: BodyOutfit) -> Ar
 
 def _make_display_arrays(actions: SpeciesActions, body_outfit: BodyOutfit) -> Arrays:
     arrays: Arrays = {}
-    stored, species = actions.stored, actions.species
+    stored, species = actions.stored_arrays, actions.species
     if body_outfit.layers:
         mask = stored[f"wears.{species}"]
         layer_bits = np.zeros(len(mask), np.uint32)
@@ -182,7 +182,7 @@ def _make_display_arrays(actions: SpeciesActions, body_outfit: BodyOutfit) -> Ar
 
 
 def _make_trait_arrays(actions: SpeciesActions, body_outfit: BodyOutfit, machines: tuple[MachineClips, ...]) -> Arrays:
-    stored, ids = actions.stored, actions.displayed["id"].astype(np.int64)
+    stored, ids = actions.stored_arrays, actions.displayed_arrays["id"].astype(np.int64)
     differ, varied, count = find_traits(body_outfit), body_outfit.definition.variation, len(ids)
     if not differ.count or not count:
         return {}

@@ -145,6 +145,7 @@ def _renumber_states(arrays: Arrays, stored_plan: Plan, page_plan: Plan) -> Arra
 
 
 def _join_stored_arrays(reduced_frame: Mapping[str, Arrays]) -> Arrays:
+    """Return the arrays of a reduced frame by the names `SPECIES/NAME`."""
     return {f"{species}/{name}": array for species, light in reduced_frame.items() for name, array in light.items()}
 
 

@@ -37,7 +37,7 @@ Arrays = dict[str, NDArray[Any]]
 MAX_PAGE_LAYERS = 24  # maximum number of layers on pages; integers of this number of bits are exact in float32
 _CACHED_BODIES = 16  # number of outfits with cached bodies
 MAX_BLEND_TARGETS = 48  # maximum number of blend-shape targets on pages
-_NATURAL_STEPS = 255  # steps along the path of natural colours
+_NATURAL_COLOUR_STEPS = 255  # steps along the path of natural colours
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +138,7 @@ def _find_blend_targets(level: PosedBody) -> dict[BlendTarget, NDArray[np.float3
 
 @lru_cache(maxsize=_CACHED_BODIES)
 def _make_rig(body_outfit: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
+    """Return the arrays of a body's rig, and the entries for the header of its packet."""
     definition, plays = body_outfit.definition, body_outfit.clips
     body, table = build_posed_body(body_outfit), build_clip_table(definition)
     idle = definition.clips.get(definition.idle)
@@ -242,7 +243,7 @@ def _make_natural_colours(body: PosedBody) -> NDArray[np.uint8]:
     path = body.definition.variation.materials.get(STATE_MATERIAL)
     linear = body.compute_natural_colours(NO_DRIVEN_POSE, 1)
     if path is not None:
-        at = np.linspace(0, len(path) - 1, _NATURAL_STEPS + 1)
+        at = np.linspace(0, len(path) - 1, _NATURAL_COLOUR_STEPS + 1)
         linear = np.column_stack([np.interp(at, np.arange(len(path)), channel) for channel in np.array(path).T])
     return np.round(np.clip(encode_srgb_values(linear), 0, 1) * 255).astype(np.uint8)
 
@@ -252,7 +253,7 @@ def _find_natural_trait(definition: Definition, body_traits: BodyTraits) -> list
     if path is None:
         return []
     first = len(body_traits.targets) + len(body_traits.scales)
-    return [first + body_traits.materials.index(STATE_MATERIAL), _NATURAL_STEPS / (len(path) - 1)]
+    return [first + body_traits.materials.index(STATE_MATERIAL), _NATURAL_COLOUR_STEPS / (len(path) - 1)]
 
 
 def _make_trait_vertex_arrays(level: PosedBody, body_traits: BodyTraits) -> Arrays:

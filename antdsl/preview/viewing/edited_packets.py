@@ -24,7 +24,7 @@ from antdsl.runtime import World
 from antdsl.scene.thing_models import UNIT_MM
 
 PageArrays = dict[str, NDArray[Any]]
-_FEET_LENGTHS = ("P", "rise")  # fields of feet in scene units
+_FEET_LENGTH_COLUMNS = ("P", "rise")  # fields of feet in scene units
 _DIRECTION_SCALE = np.float32(127)
 
 
@@ -109,10 +109,11 @@ def _gather_actions(
     worn: Mapping[str, BodyOutfit],
     world: World,
 ) -> SpeciesActions:
+    """Return the actions of the bodies of species `number` in a frame with edits. `rows`: the rows of its agents in the frame."""
     manifest, entry = view.manifest, view.manifest.species[number]
     unit_mm = np.float32(UNIT_MM[manifest.units])
     stored = {
-        name: array * unit_mm if name.startswith("feet.") and name.rpartition(".")[2] in _FEET_LENGTHS else array
+        name: array * unit_mm if name.startswith("feet.") and name.rpartition(".")[2] in _FEET_LENGTH_COLUMNS else array
         for name, array in frame.items()
         if _find_owner(name) in (entry.name, *worn)
     }
@@ -134,15 +135,16 @@ def find_edited_outfits(view: EditedCache, world: World, shot: Shot) -> Mapping[
     originals = {entry.name: entry for entry in view.original.manifest.species}
     edited = {}
     for number, entry in enumerate(view.manifest.species):
-        is_same = (_list_looks(entry), view.manifest.bodies) == (
-            _list_looks(originals[entry.name]),
+        is_same = (_list_body_choices(entry), view.manifest.bodies) == (
+            _list_body_choices(originals[entry.name]),
             view.original.manifest.bodies,
         )
         edited[entry.name] = list_outfits(world, shot, world.populations[entry.name]) if is_same else _make_outfits(view, number)
     return edited
 
 
-def _list_looks(entry: SpeciesEntry) -> tuple[object, ...]:
+def _list_body_choices(entry: SpeciesEntry) -> tuple[object, ...]:
+    """Return the properties of a species that decide how its bodies look."""
     return entry.body, entry.definition, entry.bodies, entry.wears
 
 

@@ -46,7 +46,7 @@ PACKET_MAKERS: tuple[Callable[[], PacketMaker], ...] = (
     ItemBodyPackets,
 )
 _FRAME_INTERVAL_SECONDS = 1 / 60  # seconds
-_REPORT_INTERVAL = 0.1  # the same of status and curves while it plays
+_REPORT_INTERVAL_SECONDS = 0.1  # the same of status and curves while it plays
 _RATE_WINDOW_SECONDS = 1.0  # seconds of steps that the rate is measured over
 
 
@@ -184,11 +184,11 @@ class PageScreen:
             live.send_to_all(messages.make_problems_message(live))
         if not laid:
             self._send_scene(True)
-        if not playing or time - self._last_report_time >= _REPORT_INTERVAL:
+        if not playing or time - self._last_report_time >= _REPORT_INTERVAL_SECONDS:
             self._last_report_time = time
             self._send_progress(session)
         if playing:
-            self.next_refresh_time = min(self.next_refresh_time, self._last_report_time + _REPORT_INTERVAL)
+            self.next_refresh_time = min(self.next_refresh_time, self._last_report_time + _REPORT_INTERVAL_SECONDS)
 
     def _send_packets(self, session: Session, time: float) -> set[str]:
         """Send the slots that changed to all pages, and return these slots."""

@@ -37,7 +37,8 @@ def match_scene(scene: Scene, program: Program) -> Report:
     return report
 
 
-def _check_world(scene: Scene, program: Program, report: Report) -> None:
+def _check_world_entries(scene: Scene, program: Program, report: Report) -> None:
+    """Report entries of `world` without a thing in the program, things without an entry, and wrong entries."""
     program_things = {name: thing for name, thing in program.world.items() if thing.kind in SCENE_KINDS}
     placed_things = [name for name, thing in program_things.items() if KIND_BY_WORD[thing.kind].section == "world"]
     misspelt = set()
@@ -199,7 +200,8 @@ def _check_level_of_detail(scene: Scene, program: Program, report: Report) -> No
         report.error("wrong-value", "`far` is less than `near`", scene.span("lod", "far"), "write the greater distance")
 
 
-def _check_output(scene: Scene, program: Program, report: Report) -> None:
+def _check_output_attributes(scene: Scene, program: Program, report: Report) -> None:
+    """Report names below `output` that are no attributes of the program."""
     known = set(COLUMN_BY_ATTRIBUTE)
     for species in program.species.values():
         known |= {attribute.name for attribute in species.attributes if attribute.type.kind is TypeKind.NUMBER}
@@ -214,7 +216,7 @@ def _check_notes(scene: Scene, program: Program, report: Report) -> None:
 
 
 SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
-    _check_world,  # the names that `around` and `on` refer to
+    _check_world_entries,  # the names that `around` and `on` refer to
     check_crowd,
     check_bodies,
     check_absent_species,
@@ -225,7 +227,7 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_layers,
     _check_cameras,
     _check_level_of_detail,
-    _check_output,
+    _check_output_attributes,
     _check_notes,
     check_step_lengths,  # last, because it warns about values that the others have checked
 )

@@ -13,7 +13,7 @@ from antdsl.scene.load import Scene
 from antdsl.scene.notes.selectors import Ball
 
 _KEY_BY_FIELD = {"volume": "in"}  # keys that are no names in Python
-_SHAPES = ("points", "inside", "along", "edge", "volume", "ranks")  # of which a place has one at most
+_SHAPE_FIELDS = ("points", "inside", "along", "edge", "volume", "ranks")  # of which a place has one at most
 
 
 def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
@@ -33,7 +33,7 @@ def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
 
 def check_shapes(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
     """Report shapes of a placement that exclude each other, unknown names in them, and directions that it cannot have."""
-    shapes = [name for name in _SHAPES if getattr(place, name) is not None]
+    shapes = [name for name in _SHAPE_FIELDS if getattr(place, name) is not None]
     disc = ["around"] if place.around is not None and place.ranks is None else []
     disc += ["radius"] if place.radius is not None and place.along is None and place.edge is None else []
     density = ["density"] if place.density is not None else []

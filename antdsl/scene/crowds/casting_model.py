@@ -111,11 +111,11 @@ def _find_draw_type_tag(value: Any) -> str:
     return f"{known or next((key for key in meant if key), 'uniform')}-draw"
 
 
-def _check_value(value: Any) -> str:
+def _check_initial_value(value: Any) -> str:
     return require_text(value, "a value or one of `{uniform: [A, B]}`, `{normal: [A, B]}`, `{choice: {A: 3, B: 1}}`")
 
 
-def _check_key(value: Any) -> str:
+def _check_initial_value_key(value: Any) -> str:
     text = require_text(value, "the name of an attribute")
     if not _KEY_PATTERN.fullmatch(text):
         raise make_error(f"{describe_value(text)} is no attribute", "write an attribute, `state`, or `MACHINE.state`")
@@ -123,14 +123,14 @@ def _check_key(value: Any) -> str:
 
 
 InitialValue = Annotated[
-    Annotated[str, BeforeValidator(_check_value), Tag("one-value")]
+    Annotated[str, BeforeValidator(_check_initial_value), Tag("one-value")]
     | Annotated[UniformRandomValue, Tag("uniform-draw")]
     | Annotated[NormalRandomValue, Tag("normal-draw")]
     | Annotated[WeightedChoice, Tag("choice-draw")]
     | Annotated[PaintedMapValue, Tag("painted-draw")],
     Discriminator(_find_draw_type_tag),
 ]
-InitialValues = dict[Annotated[str, BeforeValidator(_check_key)], InitialValue]
+InitialValues = dict[Annotated[str, BeforeValidator(_check_initial_value_key)], InitialValue]
 
 
 class Ranks(ScenePart):

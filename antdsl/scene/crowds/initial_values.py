@@ -18,7 +18,7 @@ from antdsl.scene.values import ScenePart
 if TYPE_CHECKING:
     from antdsl.scene.load import Scene
 
-_BOOL_TEXTS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
+_NUMBER_BY_BOOL_TEXT = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 
 
 class _Line(NamedTuple):
@@ -96,10 +96,10 @@ def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Ma
             return None
         return ValueDraw("uniform" if word == "uniform" else "normal", low, high)
     assert isinstance(value, PaintedMapValue)
-    return _stage_painted(line, value, target, *path)
+    return _stage_painted_value(line, value, target, *path)
 
 
-def _stage_painted(line: _Line, value: PaintedMapValue, target: AttributeDecl, *path: PathKey) -> ValueDraw | None:
+def _stage_painted_value(line: _Line, value: PaintedMapValue, target: AttributeDecl, *path: PathKey) -> ValueDraw | None:
     if not check_map_name(line.scene, line.report, line.program, value.painted, *path, "painted"):
         return None
     if (value.low is None) != (value.high is None) or (value.low is None and target.type.dimension != Dimension()):
@@ -143,9 +143,9 @@ def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path
     error."""
     if isinstance(target, Machine):
         indices = {state.name: float(state.index) for state in target.states}
-        return _find_word(line, text, indices, f"`{line.species.name}` has no state", *path)
+        return _find_number_of_word(line, text, indices, f"`{line.species.name}` has no state", *path)
     if target.type.kind is TypeKind.BOOL:
-        return _find_word(line, text, _BOOL_TEXTS, f"`{target.name}` is true or false, not", *path)
+        return _find_number_of_word(line, text, _NUMBER_BY_BOOL_TEXT, f"`{target.name}` is true or false, not", *path)
     try:
         quantity = parse_quantity(text)
     except QuantityError as error:
@@ -155,7 +155,8 @@ def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path
     return _convert_quantity(line, quantity, target, *path)
 
 
-def _find_word(line: _Line, text: str, number_by_word: Mapping[str, float], words: str, *path: PathKey) -> float | None:
+def _find_number_of_word(line: _Line, text: str, number_by_word: Mapping[str, float], words: str, *path: PathKey) -> float | None:
+    """Return the number of a word; None, with an error, for an unknown word. `words`: the message before the word."""
     if text not in number_by_word:
         near = find_nearest_name(text, number_by_word)
         listed = "known: " + ", ".join(f"`{each}`" for each in number_by_word)

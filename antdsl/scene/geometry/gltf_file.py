@@ -163,7 +163,7 @@ class GltfDocument:
         else:
             raw = np.zeros((count, width), kind)
         if "sparse" in accessor:
-            raw = self._apply_sparse(self.get_object(accessor, "sparse"), raw, kind, width)
+            raw = self._apply_sparse_values(self.get_object(accessor, "sparse"), raw, kind, width)
         if kind == "<f4":
             return convert_to_float64(raw)
         integers = raw.astype(np.int64)
@@ -171,7 +171,7 @@ class GltfDocument:
             return integers
         return np.maximum(integers / float(np.iinfo(kind).max), -1.0)
 
-    def _apply_sparse(self, sparse: dict[str, Any], raw: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
+    def _apply_sparse_values(self, sparse: dict[str, Any], raw: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
         indices, values, count = self.get_object(sparse, "indices"), self.get_object(sparse, "values"), sparse.get("count")
         index_kind = _DTYPE_BY_COMPONENT.get(_check_integer(indices.get("componentType")))
         if index_kind is None or isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= len(raw):
@@ -278,7 +278,7 @@ def _parse_json(text: bytes) -> dict[str, Any]:
         words = f"has more than {limits.MAX_BODY_JSON_BYTES:,} bytes of JSON"
         raise GltfError(words, "write its buffers to a .bin file", "too-large")
     try:
-        document = json.loads(text.decode("utf-8-sig"), parse_constant=_reject_constant)
+        document = json.loads(text.decode("utf-8-sig"), parse_constant=_reject_json_constant)
     except (ValueError, RecursionError):
         raise GltfError("is not glTF: its JSON cannot be read", _EXPORT_AGAIN_HELP) from None
     if not isinstance(document, dict):
@@ -286,7 +286,7 @@ def _parse_json(text: bytes) -> dict[str, Any]:
     return document
 
 
-def _reject_constant(word: str) -> float:
+def _reject_json_constant(word: str) -> float:
     raise ValueError(word)
 
 

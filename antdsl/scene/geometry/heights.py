@@ -29,12 +29,12 @@ def read_heights(data: bytes, name: str, array: str | None = None, layer: int | 
     `layer`: the first index, if the array has three dimensions."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind == "npz":
-        samples = _read_array(data, array, layer)
+        samples = _read_height_array(data, array, layer)
     elif kind in IMAGE_FORMATS:
         for key, value in (("array", array), ("layer", layer)):
             if value is not None:
                 raise MeshError("is an image, which has one layer of samples", f"leave `{key}` out")
-        samples = _read_image(data, IMAGE_FORMATS[kind])
+        samples = _read_height_image(data, IMAGE_FORMATS[kind])
     else:
         raise MeshError("is not one of " + ", ".join(f".{word}" for word in (*IMAGE_FORMATS, "npz")))
     if not np.isfinite(samples).all():
@@ -42,14 +42,14 @@ def read_heights(data: bytes, name: str, array: str | None = None, layer: int | 
     return samples
 
 
-def _read_image(data: bytes, form: str) -> Floats:
+def _read_height_image(data: bytes, form: str) -> Floats:
     from antdsl.reader.image_request import ImageError, read_image_file
 
     try:
         image = read_image_file(data, form, _PIXEL_MODES, 2 * limits.MAX_MESH_FACES)
     except ImageError as error:
         raise MeshError(str(error), *([error.help] if error.help else [])) from None
-    _check_size(image.rows, image.columns)
+    _check_sample_count(image.rows, image.columns)
     if image.pages != 1:
         raise MeshError("has several pages", "save one of them")
     if image.samples is None:
@@ -58,7 +58,7 @@ def _read_image(data: bytes, form: str) -> Floats:
     return samples if image.mode == "F" else samples / _MAX_GREY_SAMPLE
 
 
-def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
+def _read_height_array(data: bytes, array: str | None, layer: int | None) -> Floats:
     try:
         arrays = read_archive(io.BytesIO(data), len(data), None if array is None else {array})
     except ArrayFileError as error:
@@ -81,11 +81,11 @@ def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
         raise MeshError("has one layer of samples", "leave `layer` out")
     if samples.ndim != 2:
         raise MeshError(f"has an array with {samples.ndim} dimensions", "save one with rows and columns")
-    _check_size(*samples.shape)
+    _check_sample_count(*samples.shape)
     return convert_to_float64(samples)
 
 
-def _check_size(rows: int, columns: int) -> None:
+def _check_sample_count(rows: int, columns: int) -> None:
     if rows < 2 or columns < 2:
         raise MeshError(f"has {rows} rows and {columns} columns of samples, but needs two of each")
     if 2 * (rows - 1) * (columns - 1) > limits.MAX_MESH_FACES:

@@ -35,14 +35,14 @@ _MAX_COORDINATE_MM = 1e9  # mm; a thousand kilometres
 class RawMesh:
     """A mesh in the file's units and axes. `dropped_faces`: the number of faces without area that were left out.
 
-    `own_vertices`, `own_faces`: the index that each vertex and each face has in the file.
+    `file_vertex_indices`, `file_face_indices`: the index that each vertex and each face has in the file.
     `file_counts`: the numbers of vertices and triangles of the file."""
 
     vertices: Floats
     faces: Faces
     dropped_faces: int
-    own_vertices: NDArray[np.int64]
-    own_faces: NDArray[np.int64]
+    file_vertex_indices: NDArray[np.int64]
+    file_face_indices: NDArray[np.int64]
     file_counts: tuple[int, int]
     notes: ImportNotes = field(default_factory=ImportNotes)
 
@@ -65,7 +65,7 @@ _MAX_CACHED_BYTES = 2 * limits.MIB  # cache for files that are read again by the
 def _read_cached_mesh(data: bytes, name: str, group: str | None) -> RawMesh:
     """Read a mesh. Small meshes are cached for further scenes, so the arrays must not be changed."""
     mesh = _read_and_check_mesh(data, name, group, None)
-    for array in (mesh.vertices, mesh.faces, mesh.own_vertices, mesh.own_faces):
+    for array in (mesh.vertices, mesh.faces, mesh.file_vertex_indices, mesh.file_face_indices):
         array.setflags(write=False)
     return mesh
 

@@ -37,19 +37,19 @@ class _ObjReader:
     """The state of reading a file, block by block.
 
     `group`: the only group or object to read; None for all.
-    `points`: arrays of positions. `indices`: the vertex of each corner of polygons. `counts`, `lines`: the number of corners and
-    the line of each polygon.
-    `vertices`, `corners`: totals up to now. `names`: the groups and objects of the file."""
+    `points`: arrays of positions. `vertex_indices`: the vertex of each corner of polygons. `corner_counts`, `polygon_lines`: the
+    number of corners and the line of each polygon.
+    `vertex_count`, `corner_count`: totals up to now. `group_names`: the groups and objects of the file."""
 
     notes: ImportNotes
     group: str | None
     points: list[mesh_text.Floats] = field(default_factory=list)
-    indices: list[mesh_text.Integers] = field(default_factory=list)
-    counts: list[mesh_text.Integers] = field(default_factory=list)
-    lines: list[mesh_text.Integers] = field(default_factory=list)
-    vertices: int = 0
-    corners: int = 0
-    names: dict[str, None] = field(default_factory=dict)
+    vertex_indices: list[mesh_text.Integers] = field(default_factory=list)
+    corner_counts: list[mesh_text.Integers] = field(default_factory=list)
+    polygon_lines: list[mesh_text.Integers] = field(default_factory=list)
+    vertex_count: int = 0
+    corner_count: int = 0
+    group_names: dict[str, None] = field(default_factory=dict)
     is_in_group: bool = False
     is_in_object: bool = False
 
@@ -57,7 +57,7 @@ class _ObjReader:
         """Read the lines of a block."""
         kind = block.find_line_keywords()
         vertex, face = kind == b"v", (kind == b"f") | (kind == b"fo")
-        vertex_counts = self.vertices + np.cumsum(vertex)
+        vertex_counts = self.vertex_count + np.cumsum(vertex)
         if vertex.any():
             self._read_vertices(block.line_numbers[vertex], block.first_words[vertex], block.word_counts[vertex], block)
         within = np.ones(len(block), np.bool_) if self.group is None else self._select_group_lines(block, kind)
@@ -83,8 +83,8 @@ class _ObjReader:
         short = np.flatnonzero(count < 4)
         if len(short):
             raise mesh_text.MeshError(f"has a vertex of fewer than three numbers in line {number[short[0]]:,}")
-        self.vertices += len(first)
-        mesh_text.check_count(self.vertices, mesh_text.MAX_VERTICES, "vertices")
+        self.vertex_count += len(first)
+        mesh_text.check_count(self.vertex_count, mesh_text.MAX_VERTICES, "vertices")
         self.points.append(block.read_floats(first[:, None] + np.arange(1, 4), "a vertex"))
 
     def _read_faces(self, block: mesh_text.TextBlock, lines: mesh_text.Integers, vertex_counts: mesh_text.Integers) -> None:
@@ -93,8 +93,8 @@ class _ObjReader:
         short = np.flatnonzero(count < 3)
         if len(short):
             raise mesh_text.MeshError(f"has a face of fewer than three corners in line {number[short[0]]:,}")
-        self.corners += int(count.sum())
-        mesh_text.check_count(self.corners // 3, limits.MAX_MESH_FACES, "faces")
+        self.corner_count += int(count.sum())
+        mesh_text.check_count(self.corner_count // 3, limits.MAX_MESH_FACES, "faces")
         within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
         at = np.repeat(block.first_words[lines] + 1, count) + within
         index, is_integer = block.read_integers(at, slash=True)
@@ -107,9 +107,9 @@ class _ObjReader:
         absent = np.flatnonzero(index < -back)
         if len(absent):
             raise mesh_text.MeshError(_describe_missing_vertex(int(index[absent[0]]), block.find_line_number(int(at[absent[0]]))))
-        self.indices.append(np.where(index < 0, back + index, index - 1))
-        self.counts.append(count)
-        self.lines.append(number)
+        self.vertex_indices.append(np.where(index < 0, back + index, index - 1))
+        self.corner_counts.append(count)
+        self.polygon_lines.append(number)
 
     def _select_group_lines(self, block: mesh_text.TextBlock, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
         """Return whether each line of a block belongs to the requested group or object."""
@@ -124,24 +124,24 @@ class _ObjReader:
             else:
                 words = [" ".join(words)]
                 self.is_in_object = self.group == words[0]
-            if len(self.names) < 1000:
-                self.names.update(dict.fromkeys(word[:60] for word in words[:100]))
+            if len(self.group_names) < 1000:
+                self.group_names.update(dict.fromkeys(word[:60] for word in words[:100]))
             begin = k
         is_chosen[begin:] = self.is_in_group or self.is_in_object
         return is_chosen
 
     def make_mesh(self) -> PolygonMesh:
         """Return the mesh of all lines read."""
-        if self.group is not None and not self.counts:
-            raise mesh_text.MeshError(_describe_missing_group(self.group, list(self.names)), None)
+        if self.group is not None and not self.corner_counts:
+            raise mesh_text.MeshError(_describe_missing_group(self.group, list(self.group_names)), None)
         points = np.concatenate(self.points) if self.points else np.empty((0, 3))
-        indices = np.concatenate(self.indices) if self.indices else np.empty(0, np.int64)
-        counts = np.concatenate(self.counts) if self.counts else np.empty(0, np.int64)
+        indices = np.concatenate(self.vertex_indices) if self.vertex_indices else np.empty(0, np.int64)
+        counts = np.concatenate(self.corner_counts) if self.corner_counts else np.empty(0, np.int64)
         absent = np.flatnonzero(indices >= len(points))
         if len(absent):
             face = int(np.searchsorted(np.cumsum(counts), absent[0], side="right"))
             raise mesh_text.MeshError(
-                _describe_missing_vertex(int(indices[absent[0]]) + 1, int(np.concatenate(self.lines)[face]))
+                _describe_missing_vertex(int(indices[absent[0]]) + 1, int(np.concatenate(self.polygon_lines)[face]))
             )
         return PolygonMesh(points, counts, indices)
 

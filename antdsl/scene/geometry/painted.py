@@ -58,7 +58,7 @@ def _read_ply_attribute(data: bytes, attribute: str | tuple[str, ...], width: in
         for element in header.elements:
             columns = _find_columns(element, attribute, width)
             if element.name in ("vertex", "face") and columns is not None:
-                return _read_scaled(data, header, element, columns, width)
+                return _read_scaled_columns(data, header, element, columns, width)
     except HeaderError as error:
         raise PaintError(str(error)) from None
     painted = [p.name for e in header.elements if e.name in ("vertex", "face") for p in e.properties if not p.length_type]
@@ -82,7 +82,7 @@ def _find_columns(element: PlyElement, attribute: str | tuple[str, ...], width: 
     return None
 
 
-def _read_scaled(data: bytes, header: PlyHeader, element: PlyElement, columns: tuple[str, ...], width: int) -> Floats:
+def _read_scaled_columns(data: bytes, header: PlyHeader, element: PlyElement, columns: tuple[str, ...], width: int) -> Floats:
     values = read_columns(data, header, element, columns)
     kinds = {p.name: p.value_type for p in element.properties}
     if any(kinds[name] == "u1" for name in columns):

@@ -82,7 +82,7 @@ def read_header(data: bytes) -> PlyHeader:
     if order is None:
         raise HeaderError("has no format line")
     header = PlyHeader(order, tuple(elements), body, len(lines) + 3)
-    _check_size(header, len(data))
+    _check_element_counts(header, len(data))
     return header
 
 
@@ -115,7 +115,7 @@ def _parse_property(words: list[str]) -> PlyProperty | None:
     return PlyProperty(words[1], DTYPE_BY_TYPE[kinds[0]]) if len(words) == 2 and kinds[0] in DTYPE_BY_TYPE else None
 
 
-def _check_size(header: PlyHeader, size: int) -> None:
+def _check_element_counts(header: PlyHeader, size: int) -> None:
     counts = {element.name: element.count for element in header.elements}
     for name, words, most in (("face", "faces", limits.MAX_MESH_FACES), ("vertex", "vertices", 3 * limits.MAX_MESH_FACES)):
         if counts.get(name, 0) > most:

@@ -319,7 +319,7 @@ class _BinaryBody:
         return np.ascontiguousarray(raw).view(self._byte_order + kind)[:, 0]
 
 
-_STRUCT_CODES = {
+_STRUCT_CODE_BY_DTYPE = {
     "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d",
 }  # fmt: skip
 
@@ -330,5 +330,5 @@ def _make_value_reader(
     """Return the number of bytes of a value, the reader of a list's length, and the number of bytes of this length.
 
     For a property that is no list, the last two are None and 0. `kind`, `count`: the types of the value and of the length."""
-    read = None if count is None else struct.Struct(order + _STRUCT_CODES[count])
+    read = None if count is None else struct.Struct(order + _STRUCT_CODE_BY_DTYPE[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

@@ -18,7 +18,7 @@ class PointsError(Exception):
     """Error for a file without usable points. The message is the reason, and fits after the file's name."""
 
 
-def _reject_constant(word: str) -> Any:
+def _reject_json_constant(word: str) -> Any:
     raise PointsError(f"has `{word}`, which is not a number")
 
 
@@ -26,7 +26,7 @@ def read_points(data: bytes, min_count: int) -> NDArray[np.float64]:
     """Return at least `min_count` points as an array (n, 3) in the file's own units. Raises PointsError with the reason if that
     fails."""
     try:
-        points = json.loads(data.decode("utf-8-sig"), parse_constant=_reject_constant)
+        points = json.loads(data.decode("utf-8-sig"), parse_constant=_reject_json_constant)
     except (ValueError, RecursionError):
         raise PointsError("is not JSON") from None
     if not isinstance(points, list) or len(points) < min_count:

@@ -19,7 +19,7 @@ GridCorner = tuple[int, int]
 
 MAX_POLYGON_CORNERS = 20_000  # limit for one polygon that no fan covers; cutting it takes about a second
 MAX_FILE_WORK = 16 * MAX_POLYGON_CORNERS**2  # limit for all such polygons of a file: sum of squared corner counts, plus calls
-_WORK_PER_CALL = 20_000  # cost of each polygon in this sum for its call
+_WORK_PER_EARCUT_CALL = 20_000  # cost of each polygon in this sum for its call
 _MAX_FAN_TRIES = 8  # corners that are tried as the centre of a fan
 _GRID_CELLS = 2.0**24  # cells of the grid across a polygon; products of two sides stay below 2**53
 _FLAT_AREA_RATIO = 1e-10  # share of the squared extent of a polygon; triangles with less area count as empty
@@ -96,7 +96,7 @@ def _cut_polygons(points: Floats, counts: Integers, indices: Integers) -> Triang
         concave += int(_find_concave(rings[middle != 0]).sum())
         crossing += these[crossed].tolist()
         hard += these[~known].tolist()
-    _check_work(counts[hard])
+    _check_cutting_work(counts[hard])
     for number in sorted(hard):
         at = np.arange(start[number], start[number] + counts[number])
         triangles, crossed_itself = _cut_ears(_project_outlines(points[indices[at]][None])[0][0])
@@ -109,10 +109,11 @@ def _cut_polygons(points: Floats, counts: Integers, indices: Integers) -> Triang
     return Triangulation(corners[order], polygon[order], int((counts > 3).sum()), concave, tuple(sorted(crossing)))
 
 
-def _check_work(counts: Integers) -> None:
+def _check_cutting_work(counts: Integers) -> None:
+    """Raise TooManyCorners if the polygons would take too long to cut. `counts`: their numbers of corners."""
     if len(counts) and counts.max() > MAX_POLYGON_CORNERS:
         raise TooManyCorners(f"has a polygon of {counts.max():,} corners, more than {MAX_POLYGON_CORNERS:,}")
-    if (counts.astype(np.float64) ** 2 + _WORK_PER_CALL).sum() > MAX_FILE_WORK:
+    if (counts.astype(np.float64) ** 2 + _WORK_PER_EARCUT_CALL).sum() > MAX_FILE_WORK:
         raise TooManyCorners(f"has {len(counts):,} polygons with too many corners to triangulate")
 
 

@@ -21,7 +21,7 @@ _MISSING_PART_MESSAGE = "is not a .stl file, or a part of it is missing"
 
 def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
     """Return the triangles of a file. Raises MeshError with the reason."""
-    corners = _read_text(data, notes) if _is_text(data) else _read_binary(data, notes)
+    corners = _read_text_corners(data, notes) if _is_text(data) else _read_binary_corners(data, notes)
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(wrong):
         raise mesh_text.MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
@@ -40,7 +40,7 @@ def _is_text(data: bytes) -> bool:
     return solid and b"\0" not in head and b"facet" in head.lower()
 
 
-def _read_binary(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
+def _read_binary_corners(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     notes.form = "binary .stl"
     if len(data) < _HEADER_BYTES:
         raise mesh_text.MeshError(_MISSING_PART_MESSAGE)
@@ -70,7 +70,7 @@ _LINE_KIND_BY_KEYWORD = {
 }  # fmt: skip
 
 
-def _read_text(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
+def _read_text_corners(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     notes.form = "text .stl"
     corners, kinds, numbers, last = [np.empty((0, 3))], [np.empty(0, np.int64)], [np.empty(0, np.int64)], 0
     for block in mesh_text.read_blocks(mesh_text.normalise_text(data)):

@@ -141,7 +141,7 @@ def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> s
         staging.raw_meshes[name] = replace(
             raw,
             faces=raw.faces[welding.is_retained_face],
-            own_faces=raw.own_faces[welding.is_retained_face],
+            file_face_indices=raw.file_face_indices[welding.is_retained_face],
             dropped_faces=dropped,
         )
     return welding.mesh

@@ -41,7 +41,7 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
         )
     goal = find_flow_target(thing)
     assert goal is not None
-    target = _stage_target(staging, name, *goal)
+    target = _stage_flow_target(staging, name, *goal)
     if target is None:
         return None
     if isinstance(thing, model.SolvedFlow):
@@ -59,7 +59,9 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
     return setting_data.SpreadFlowData(direction, target, radius, thing.falloff, thing.strength, cell, on, gather)  # type: ignore[arg-type]
 
 
-def _stage_target(staging: SceneStaging, name: str, key: str, target: model.Target) -> FlowTarget | None:
+def _stage_flow_target(staging: SceneStaging, name: str, key: str, target: model.Target) -> FlowTarget | None:
+    """Return the target of a flow in mm. `key`: the key of the scene that names it. On failure, report an error and return
+    None."""
     scene, items = staging.scene, staging.items
     if not isinstance(target, str):
         return FlowTarget(np.array([model.convert_point(target, scene.model.unit_mm)]), np.zeros(1))
@@ -144,8 +146,8 @@ def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[
     Return None if the number of rows fits neither."""
     vertices, faces = raw.file_counts
     if len(rows) == vertices:
-        return rows[raw.own_vertices], False
-    return (rows[raw.own_faces], True) if len(rows) == faces else None
+        return rows[raw.file_vertex_indices], False
+    return (rows[raw.file_face_indices], True) if len(rows) == faces else None
 
 
 def check_densities(staging: SceneStaging) -> None:

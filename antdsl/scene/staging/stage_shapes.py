@@ -58,13 +58,13 @@ def stage_shapes(staging: SceneStaging, item_points: PointsByName, placement: Pl
         "line": placement.along,
         "edge_of": placement.edge,
         "volume": None if placement.volume is None else _stage_volume(staging, item_points, placement.volume, *path),
-        "clumps": None if clumps is None else ClumpsData(clumps.number, _read_length(scene, clumps.radius)),
+        "clumps": None if clumps is None else ClumpsData(clumps.number, _convert_required_length(scene, clumps.radius)),
         "facing": None if placement.facing is None else _stage_facing(staging, item_points, placement.facing, *path),
         "centre_item": _find_centre_item(staging, placement.around),
     }
 
 
-def _read_length(scene: Scene, value: Quantity) -> float:
+def _convert_required_length(scene: Scene, value: Quantity) -> float:
     return value.to_millimetres(scene.model.unit_mm)
 
 
@@ -74,20 +74,24 @@ def _stage_ranks(scene: Scene, ranks: Ranks, number: int) -> RanksData:
     count = model.crowd[number].count_agents(model.frames.first, model.fps)
     across, along = ranks.spacing if isinstance(ranks.spacing, tuple) else (ranks.spacing, ranks.spacing)
     columns = min(ranks.columns, max(count, 1))
-    return RanksData(columns, -(-count // columns), _read_length(scene, across), _read_length(scene, along))
+    return RanksData(
+        columns, -(-count // columns), _convert_required_length(scene, across), _convert_required_length(scene, along)
+    )
 
 
 def _stage_volume(staging: SceneStaging, item_points: PointsByName, volume: Region, *path: PathKey) -> VolumeData | None:
+    """Return a box or a ball in mm; None after an error."""
     unit_mm = staging.scene.model.unit_mm
     if isinstance(volume, Box):
         corner, opposite = convert_point(volume.corner, unit_mm), convert_point(volume.opposite, unit_mm)
         (x, to_x), (y, to_y), (z, to_z) = (sorted(pair) for pair in zip(corner, opposite, strict=True))
         return VolumeData((x, y, z), (to_x, to_y, to_z))
     centre = stage_point(staging, item_points, volume.around, volume.radius, *path, "in")
-    return None if centre is None else VolumeData(centre, radius=_read_length(staging.scene, volume.radius))
+    return None if centre is None else VolumeData(centre, radius=_convert_required_length(staging.scene, volume.radius))
 
 
 def _stage_facing(staging: SceneStaging, item_points: PointsByName, facing: Facing, *path: PathKey) -> FacingData | None:
+    """Return the direction in which agents begin, in mm and the scene's axes; None after an error."""
     if isinstance(facing, FacingDirection):
         x, y, z = facing.direction
         size = math.sqrt((x * x + y * y) + z * z)

@@ -147,7 +147,7 @@ def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tupl
                 words = f"`{file}` has other faces than `{files[0]}`"
                 staging.report.error("moving-topology", words, span, "write all frames with the same faces in the same order")
                 return None
-            positions[k] = vertices[raw.own_vertices]
+            positions[k] = vertices[raw.file_vertex_indices]
             if not (np.isfinite(positions[k]).all() and (np.abs(positions[k]) < 1e30).all()):
                 raise MeshError("has a vertex that is not a finite point")
         except MeshError as why:

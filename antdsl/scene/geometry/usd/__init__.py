@@ -39,11 +39,13 @@ __all__ = [
     "read_usd_mesh",
     "read_usd_points",
 ]  # fmt: skip
-_MODULES = {"Closure": "closure", "UsdError": "errors", "UsdPoints": "points", "import_pxr_module": "errors", "UsdStage": "stage",
-            "open_stage": "stage"}  # fmt: skip
+_MODULE_BY_NAME = {
+    "Closure": "closure", "UsdError": "errors", "UsdPoints": "points", "import_pxr_module": "errors", "UsdStage": "stage",
+    "open_stage": "stage",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module `{__name__}` has no `{name}`")
-    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'answers')}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULE_BY_NAME.get(name, 'answers')}"), name)

@@ -68,8 +68,8 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
     except ProtocolError as error:
         raise stage.make_answer_error(error) from None
     raw = check_mesh(vertices, faces)  # `check_mesh` examines each index and each used vertex
-    used_values = {name: value[raw.own_vertices] for name, value in values.items()}
-    return UsdMesh(raw, None if moves is None else moves.select_vertices(raw.own_vertices), used_values, passed_over)
+    used_values = {name: value[raw.file_vertex_indices] for name, value in values.items()}
+    return UsdMesh(raw, None if moves is None else moves.select_vertices(raw.file_vertex_indices), used_values, passed_over)
 
 
 def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMoves:

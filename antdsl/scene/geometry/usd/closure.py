@@ -193,7 +193,7 @@ class Closure:
             raise UsdError("bad-path", f"{named} is an address, not a file", "copy the file next to the others", "usd")
         outer, mark, inner = asset.partition("[")
         if _ABSOLUTE_PATH_PATTERN.match(asset):
-            self._reject_outside(named)
+            self._reject_path_outside_roots(named)
         file_place = self._copy_file(self._resolve_name(layer[0], outer, named), layer)
         if not mark:
             return file_place
@@ -207,7 +207,7 @@ class Closure:
         names = [self._find_scene_name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
         inside = [name for name in names if name is not None]
         if not inside:
-            self._reject_outside(asset_path)
+            self._reject_path_outside_roots(asset_path)
         return next((name for name in inside if self._has_file(name)), inside[0])
 
     def _has_file(self, name: str) -> bool:
@@ -218,7 +218,7 @@ class Closure:
         except PathRefused as error:
             return error.code != "no-such-file"
 
-    def _reject_outside(self, asset_path: str) -> NoReturn:
+    def _reject_path_outside_roots(self, asset_path: str) -> NoReturn:
         message = f"{asset_path} lies outside the scene's folder and of every granted root, or is absolute"
         help = "write a path relative to the file, and grant its folder with `--root NAME=FOLDER`, or copy the file"
         raise UsdError("bad-path", message, help, "usd")
@@ -269,7 +269,7 @@ def read_layers(data: bytes) -> dict[str, bytes]:
     _check_end(data)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return _read_layers(archive, len(data))
+            return _read_archive_layers(archive, len(data))
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError, struct.error):
         raise PackageError("is damaged, or not a zip file") from None
 
@@ -284,7 +284,7 @@ def _check_end(data: bytes) -> None:
         raise PackageError(f"has {count:,} members, and more than {limits.MAX_PACKAGE_FILES:,} are not read")
 
 
-def _read_layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
+def _read_archive_layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
     entries = archive.infolist()
     if len(entries) > limits.MAX_PACKAGE_FILES:
         raise PackageError(f"has {len(entries):,} members, and more than {limits.MAX_PACKAGE_FILES:,} are not read")

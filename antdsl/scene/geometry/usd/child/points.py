@@ -29,7 +29,7 @@ def read_point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     if len(empties) > limits.MAX_AGENTS:
         raise UsdError("too-large", f"there are more than {limits.MAX_AGENTS:,} places below `{stage.prim.GetPath()}`")
     check_motion_bytes(len(empties) * len(stage.times) * 24, f"the places below `{stage.prim.GetPath()}`")
-    parts = [_read_cloud(stage, prim) for prim in clouds] or [_read_empty(stage, prim) for prim in empties]
+    parts = [_read_points_prim(stage, prim) for prim in clouds] or [_read_empty(stage, prim) for prim in empties]
     if not parts:
         message = f"there are neither points nor empties below `{stage.prim.GetPath()}`"
         raise UsdError("no-such-prim", message, "name a Points prim")
@@ -62,7 +62,8 @@ def read_point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     )
 
 
-def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
+def _read_points_prim(stage: OpenStage, prim: Any) -> UsdPoints:
+    """Return the points of a Points prim."""
     points = import_pxr_module("UsdGeom").Points(prim)
     attribute, path = points.GetPointsAttr(), prim.GetPath()
     moving = len(stage.times) > 1 and attribute.ValueMightBeTimeVarying()
@@ -79,14 +80,14 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
     widths = np.array(points.GetWidthsAttr().Get(stage.first_time) or [], np.float64)
     one = find_uniform_scale(transforms[0])
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
-    names = tuple(_read_names(prim, count))
-    values = _read_numbers(stage, prim, count)
+    names = tuple(_read_point_names(prim, count))
+    values = _read_numeric_primvars(stage, prim, count)
     return UsdPoints(
         names, positions, width / 2 * one, values, {}, np.full((count, 3), np.nan), find_uniform_scale(stage.to_scene)
     )
 
 
-def _read_names(prim: Any, count: int) -> list[str]:
+def _read_point_names(prim: Any, count: int) -> list[str]:
     """Return the primvar `name` if it has one word per point, else the prim's name with numbers."""
     primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvar("name")
     words = list(primvar.ComputeFlattened() or []) if primvar and primvar.HasValue() else []
@@ -95,7 +96,8 @@ def _read_names(prim: Any, count: int) -> list[str]:
     return [prim.GetName()] if count == 1 else [f"{prim.GetName()}_{number}" for number in range(count)]
 
 
-def _read_numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
+def _read_numeric_primvars(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
+    """Return the primvars of a prim with one number, or one number per point, as arrays (count,) by name."""
     values_by_name = {}
     for primvar in import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues():
         value = primvar.ComputeFlattened(stage.first_time)
@@ -106,6 +108,7 @@ def _read_numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
 
 
 def _find_placed_children(stage: OpenStage) -> list[Any]:
+    """Return the visible children of the stage's prim that can have a position."""
     return [
         p
         for p in stage.prim.GetFilteredChildren(import_pxr_module("Usd").TraverseInstanceProxies())
@@ -140,7 +143,7 @@ def _find_prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
 def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
     """Return a prim that has only a position, as one point: an Xform, a locator, or an empty of Blender."""
     transforms = stage.compute_scene_transforms(prim, stage.is_moving(prim))
-    values = _read_numbers(stage, prim, 1)
+    values = _read_numeric_primvars(stage, prim, 1)
     texts: dict[str, tuple[str, ...]] = {}
     for attribute in prim.GetAuthoredPropertiesInNamespace(_USER_NAMESPACE):
         name = str(attribute.GetName()).removeprefix(f"{_USER_NAMESPACE}:")

@@ -39,14 +39,14 @@ class PlaceCounter:
     def add_instances(self, count: int) -> None:
         """Add the instances of one instancer, for all places of this instancer. Raises UsdError above the limit."""
         self.instances += count
-        self._check_total(self.instances, "instances")
+        self._check_limit(self.instances, "instances")
 
     def add_mesh(self, count: int) -> None:
         """Add the places of one mesh. Raises UsdError above the limit."""
         self.meshes += count
-        self._check_total(self.meshes, "instances of meshes")
+        self._check_limit(self.meshes, "instances of meshes")
 
-    def _check_total(self, total: int, noun: str) -> None:
+    def _check_limit(self, total: int, noun: str) -> None:
         if total > limits.MAX_USD_INSTANCES:
             words = f"the point instancers below `{self.path}` produce {total:,} {noun}, more than {limits.MAX_USD_INSTANCES:,}"
             raise UsdError("too-large", words, "name a part of it, or scatter fewer instances")

@@ -114,13 +114,14 @@ def open_stage(request: ReaderMessage) -> OpenStage:
     key = (path, folder, prim, up, purpose, fps, frames.tobytes())
     if _last_stage is None or _last_stage[0] != key:
         _last_stage = None
-        _last_stage = (key, _open_layer(path, folder, text, prim, up, purpose, fps, frames.tolist()))
+        _last_stage = (key, _open_prim_stage(path, folder, text, prim, up, purpose, fps, frames.tolist()))
     return _last_stage[1]
 
 
-def _open_layer(
+def _open_prim_stage(
     path: str, folder: str, text: str, prim: str, up: str, purpose: str, fps: Fraction, frames: list[int]
 ) -> OpenStage:
+    """Return a stage of the layer at `path`, opened for one prim. Raises UsdError as `open_stage` does."""
     usd, geom, sdf = import_pxr_module("Usd"), import_pxr_module("UsdGeom"), import_pxr_module("Sdf")
     if not prim.startswith("/") or not sdf.Path.IsValidPathString(prim)[0] or not sdf.Path(prim).IsAbsoluteRootOrPrimPath():
         raise UsdError("no-such-prim", f"`{prim}` is not the path of a prim", "write it from the root: `/set/stones`")
