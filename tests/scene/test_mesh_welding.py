@@ -129,12 +129,7 @@ def test_faces_that_welding_removes_are_counted(tmp_path: Path) -> None:
     world = "ground: {mesh: grid.obj, weld: 0.2 mm}"
     assert "degenerate-faces" not in [each.code for each in findings(tmp_path, world)]
     ground_import = read_mesh_imports(tmp_path / "scene.yaml", RunChoices())[0]["ground"]
-    assert (ground_import.triangles, ground_import.dropped, ground_import.remaining_triangles, ground_import.welded) == (
-        33,
-        1,
-        32,
-        1,
-    )
+    assert (ground_import.triangles, ground_import.dropped, ground_import.left, ground_import.welded) == (33, 1, 32, 1)
     assert "1 degenerate or doubled triangle dropped, 32 triangles left" in " ".join(format_import_report(ground_import, "mm"))
     codes = [each.code for each in findings(tmp_path, "ground: {mesh: grid.obj, weld: 0.6 mm}")]
     assert "degenerate-faces" in codes

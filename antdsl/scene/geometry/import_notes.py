@@ -66,7 +66,7 @@ class MeshImport:
     `welded`: vertices moved onto others.
     `border_edges`: edges with exactly one triangle.
     `low`, `high`: the corners of the mesh's box.
-    `remaining_triangles`: triangles in the scene; None if unknown."""
+    `left`: the number of triangles in the scene; None if unknown. Caches store these names."""
 
     file: str
     form: str
@@ -81,7 +81,7 @@ class MeshImport:
     skipped: tuple[str, ...]
     low: FloatTriple
     high: FloatTriple
-    remaining_triangles: int | None = None
+    left: int | None = None
 
 
 def format_import_report(mesh_import: MeshImport, units: str) -> Iterator[str]:
@@ -99,11 +99,7 @@ def format_import_report(mesh_import: MeshImport, units: str) -> Iterator[str]:
         else "",
         f"{_format_count(mesh_import.welded, 'vertex', 'vertices')} welded" if mesh_import.welded else "",
         f"{_format_count(mesh_import.dropped, 'degenerate or doubled triangle')} dropped"
-        + (
-            f", {_format_count(mesh_import.remaining_triangles, 'triangle')} left"
-            if mesh_import.remaining_triangles is not None
-            else ""
-        )
+        + (f", {_format_count(mesh_import.left, 'triangle')} left" if mesh_import.left is not None else "")
         if mesh_import.dropped
         else "",
         f"open, {_format_count(mesh_import.border_edges, 'border edge')}"

@@ -235,7 +235,7 @@ def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
             crossing=notes.crossing_polygons,
             dropped=raw.dropped_faces,
             welded=staging.weld_counts.get(name, 0),
-            remaining_triangles=len(mesh.faces),
+            left=len(mesh.faces),
             border_edges=count_border_edges(mesh),
             skipped=tuple(notes.describe_skipped()),
             low=(float(low[0]), float(low[1]), float(low[2])),
