@@ -112,7 +112,7 @@ CASES: dict[str, tuple[Case, ...]] = {
     ),
     "plan": (Case(("plan", "walker.ant")),),
     "bench": (Case(("bench", "scene.yaml", "--pairs", "1", "--steps", "1", "--backend", "numpy"), SCENE),),
-    "docs": (Case(("docs", "--to", "site"), (), ("site", "site/*", ".antdsl-docs-*")),),
+    "docs": (Case(("docs", "--to", "built"), (), ("built", "built/*", ".antdsl-docs-*")),),
     "doctor": (Case(("doctor",), ()),),
     "lsp": (Case(("lsp",), (), stdin=TALK),),
 }

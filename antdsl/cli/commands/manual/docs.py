@@ -67,17 +67,25 @@ def _require_sphinx() -> None:
 
 def _build_site(site: Path) -> None:
     """Build the site and move it into its folder when it is complete."""
+    import socket
     from io import StringIO
 
-    from sphinx.application import Sphinx
+    has_ipv6 = socket.has_ipv6
+    socket.has_ipv6 = False  # otherwise a package that Sphinx imports binds a socket to find this out
+    try:
+        from sphinx.application import Sphinx
+        from sphinx.util.docutils import docutils_namespace, patch_docutils
 
-    root = documentation_folder()
-    site.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".antdsl-docs-", dir=site.parent) as work:
-        output, doctrees = Path(work) / "site", Path(work) / "doctrees"
-        # Links to sources that are not installed are warnings, which the tests of a checkout report.
-        app = Sphinx(root, root / "docs", output, doctrees, "html", status=None, warning=StringIO())
-        app.build()
-        if site.is_dir():
-            site.rmdir()
-        output.rename(site)
+        root = documentation_folder()
+        site.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".antdsl-docs-", dir=site.parent) as work:
+            output, doctrees = Path(work) / "site", Path(work) / "doctrees"
+            # `patch_docutils` prevents docutils from reading settings in the current folder. Links to sources that are not
+            # installed are warnings, which the tests of a checkout report.
+            with patch_docutils(root / "docs"), docutils_namespace():
+                Sphinx(root, root / "docs", output, doctrees, "html", status=None, warning=StringIO()).build()
+            if site.is_dir():
+                site.rmdir()
+            output.rename(site)
+    finally:
+        socket.has_ipv6 = has_ipv6
