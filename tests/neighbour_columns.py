@@ -95,7 +95,7 @@ def fill_neighbours(crowd: CrowdTables, requesters: Requesters, columns: Neighbo
         at, plane = requesters.positions[k], others.compute_tangent_plane(crowd, requesters, k)
         for axis in range(3):
             planes[axis, k], planes[3 + axis, k], planes[6 + axis, k] = plane.up[axis], plane.ahead[axis], plane.left[axis]
-        for c in range(others.find_nearest(crowd, requesters, k, plane.up, memory)):
+        for c in range(others.find_nearest_others(crowd, requesters, k, plane.up, memory)):
             other = others.compute_relative_agent(crowd, plane, at, memory.nearest_rows[c])
             columns.x[k, c], columns.y[k, c], columns.vx[k, c], columns.vy[k, c] = other.x, other.y, other.vx, other.vy
             columns.radius_sum[k, c], columns.is_present[k, c] = other.radius_sum, True

@@ -1,4 +1,4 @@
-"""Ascending integers: finding a number in them, and sums over groups."""
+"""Ascending integers: their search by blocks, and ranks and sums in groups."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _MAX_BLOCKS = 8_000_000  # maximum number of blocks in an index
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockIndex:
-    """Ascending numbers, divided into blocks that cover 2**shift values each.
+    """An index of ascending numbers. It divides them into blocks of numbers with the same value of `number >> shift`.
 
-    `start`: where each block begins.
-    `bisection_steps`: how many bisection steps the fullest block needs."""
+    `start` [blocks + 1]: the position of each block's first number.
+    `bisection_steps`: how many bisection steps the search in the fullest block needs."""
 
     shift: int
     start: NDArray[np.int32]
@@ -25,14 +25,16 @@ class BlockIndex:
 
     @staticmethod
     def build(numbers: NDArray[np.int64], end: int) -> BlockIndex:
-        """Return the index of ascending numbers from 0 to before `end`."""
+        """Return the index of ascending `numbers`, each at least 0 and below `end`."""
         shift = max(0, int(end // min(_MAX_BLOCKS, 4 * len(numbers) + 1)).bit_length())
         start = np.zeros((end >> shift) + 2, np.int32)
         np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
         return BlockIndex(shift, start, int(np.diff(start).max(initial=0)).bit_length())
 
     def count_smaller(self, numbers: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return, for each of `targets`, how many of the numbers are smaller. Targets are from 0 to before the end."""
+        """Return, for each of `targets`, how many of `numbers` are smaller.
+
+        `numbers`: the same numbers as for `build`. `targets`: numbers from 0 to before `end`."""
         block = targets >> self.shift
         low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
         for _ in range(self.bisection_steps):
@@ -47,7 +49,7 @@ NO_CELLS = np.empty(0, np.int32)
 
 
 def compute_group_ranks(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the rank 0, 1, … of each element within its group, for consecutive groups of these sizes."""
+    """Return the rank 0, 1, … of each element within its group. `counts`: the numbers of elements of consecutive groups."""
     ranks: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
     return ranks
 

@@ -1,4 +1,4 @@
-"""A kernel that finds the cell of each agent's voxel and side."""
+"""A kernel that finds the pheromone cell of each point: the cell with the voxel and the side of the point."""
 
 from typing import NamedTuple
 
@@ -11,8 +11,10 @@ _PREFETCH_GROUP_SIZE = 64  # points with cells prefetched together
 
 
 @inlined
-def _find_axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
-    """Return the index of the voxel at a coordinate along one axis of the box, -1 outside the box."""
+def _find_voxel_along_axis(place: F64, cell: F64, low: I64, size: I64) -> I64:
+    """Return the index of the voxel at coordinate `place` (mm) along one axis of the box; -1 outside the box.
+
+    `cell`: voxel width (mm). `low`, `size`: the lowest voxel of the box, and its number of voxels."""
     step = np.floor(place / cell + 0.5) - np.float64(low)
     if step >= 0.0 and step < np.float64(size):
         return np.int64(step)
@@ -23,7 +25,7 @@ def _find_axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
 def _find_cell(
     direct_table: Array1[I32], has_direct_table: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64
 ) -> I64:
-    """Return the cell of a key, -1 if no cell has the key."""
+    """Return the cell with key `key`, -1 if there is none. The other arguments are fields of `CellIndex`."""
     if has_direct_table:
         return np.int64(direct_table[key])
     a = find_lower_bound(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
@@ -31,15 +33,14 @@ def _find_cell(
 
 
 class CellIndex(NamedTuple):
-    """The cells of a box of voxels, by key. A non-empty table `direct_table` gives the cell of each key; otherwise `keys` is
-    searched.
+    """The cells of a box of voxels, by key. A key is the number of a voxel and a side.
 
     `voxel_width`: voxel width (mm).
-    `low`, `size`: lowest voxel of the box, and its number of voxels along each axis.
-    `direct_table`: the cell of every key, or empty.
-    `keys`: ascending keys of the cells, searched by bisection within one block.
+    `low`, `size`: the lowest voxel of the box, and its number of voxels along each axis.
+    `direct_table`: the cell of every key; empty if the box is too large. Then `keys` is searched by bisection in one block.
+    `keys`: the ascending keys of the cells.
     `shift`: each block covers 2**shift keys.
-    `start` [blocks + 1]: where each block begins in `keys`."""
+    `start` [blocks + 1]: the position of each block's first key in `keys`."""
 
     voxel_width: F64
     low: Array1[I64]
@@ -61,12 +62,11 @@ def locate_cells(
     begin: I64,
     end: I64,
 ) -> I64:
-    """Write the cell of each point from `begin` to before `end` into `cells` [n], and return how many points have no cell.
+    """Write the cell of each point from `begin` to before `end` to `cells` [n], -1 for none. Return how many points have no cell.
 
-    Points without a cell get -1.
-    `points`: x, y, z [n] mm.
-    `previous_keys` [n]: key of each point at the previous call, -1 outside the box; updated.
-    `previous_cells` [n]: cell of each point at the previous call; updated."""
+    `points`: x, y, z [n] mm. `side` [n]: the side of the face under each point.
+    `previous_keys` [n]: the key of each point at the previous call, -1 outside the box; updated.
+    `previous_cells` [n]: the cell of each point at the previous call; updated."""
     cell, box, size, direct, keys, shift, start = index
     has_direct_table = direct.size > 0
     point_keys, is_changed, others = (
@@ -78,9 +78,9 @@ def locate_cells(
     for low in range(begin, end, _PREFETCH_GROUP_SIZE):
         high = min(low + _PREFETCH_GROUP_SIZE, end)
         for n in simd_range(low, high):
-            x = _find_axis_index(points[0][n], cell, box[0], size[0])
-            y = _find_axis_index(points[1][n], cell, box[1], size[1])
-            z = _find_axis_index(points[2][n], cell, box[2], size[2])
+            x = _find_voxel_along_axis(points[0][n], cell, box[0], size[0])
+            y = _find_voxel_along_axis(points[1][n], cell, box[1], size[1])
+            z = _find_voxel_along_axis(points[2][n], cell, box[2], size[2])
             key = -1
             if x >= 0 and y >= 0 and z >= 0:
                 key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]

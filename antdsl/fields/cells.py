@@ -31,8 +31,8 @@ _POINTS_PER_CHUNK = 1 << 15
 
 
 class FieldTooFine(ValueError):
-    """A field would need more cells than `limits.MAX_FIELD_CELLS`, or (`is_axis_limit`) more along an axis than can be numbered.
-    It is raised before anything is allocated."""
+    """The error that a field would need more cells than `limits.MAX_FIELD_CELLS`, or (`is_axis_limit`) too many voxels along an
+    axis. It is raised before anything is allocated."""
 
     def __init__(self, needed_count: int, cap: int, is_axis_limit: bool = False) -> None:
         super().__init__(f"about {needed_count:,} cells are needed, but only {cap:,} are allowed; increase `cell`")
@@ -41,17 +41,18 @@ class FieldTooFine(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class CellLinks:
-    """Pairs of touching cells with compatible sides, as rows of a table: cell a's are `cell[start[a]:start[a+1]]`, ascending."""
+    """For each cell, the neighbour cells with compatible sides: those of cell a are `cell[start[a]:start[a+1]]`, ascending."""
 
     start: NDArray[np.int64]
     cell: Cells
 
 
 class SurfaceCells:
-    """Cells of edge length `cell` (mm) over surfaces, each (vertices float64[n,3], faces int32[m,3]).
+    """The cells that cover surfaces: each is a voxel that a surface touches, and a side.
 
-    A cell is a voxel with a side. Voxel centres are on a lattice through the origin. The side is the axis direction nearest to
-    the surface's normal, so a thin plate has two sides. Cells are numbered by position, then by side, for any order of faces.
+    The side is the axis direction nearest to the surface's normal, so a thin plate has cells of two sides. Voxels have the edge
+    length `cell` (mm), and their centres are on a lattice through the origin. Cells are numbered by position, then by side, for
+    any order of faces. Each surface is (vertices float64[n,3], faces int32[m,3]).
     Raises FieldTooFine before any large allocation."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
@@ -89,7 +90,9 @@ class SurfaceCells:
         self._tables: dict[int, Cells] = {}
 
     def _build_cell_tables(self, corners: Floats, scaled_corners: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
-        """Return keys, positions and normals of all cells, computed from the part of each triangle that lies in each voxel."""
+        """Return the arrays `keys`, `position` and `normal` of all cells of triangles with the given `corners` and normals.
+
+        `scaled_corners`: the corners in units of voxels. `cap`: the number of cells above which FieldTooFine is raised."""
         side = find_facing_sides(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
@@ -112,11 +115,11 @@ class SurfaceCells:
 
     @property
     def sides(self) -> NDArray[np.int64]:
-        """Return the direction that each cell faces, numbered as by `find_facing_sides`."""
+        """Return the side of each cell: the number of the axis direction that it faces, as from `find_facing_sides`."""
         return self._keys % 6
 
     def _pack_keys(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
-        """Return the packed keys of voxels [n,3] and their sides."""
+        """Return one key for each voxel [n,3] and its side: the number of the voxel times 6, plus the side."""
         key: NDArray[np.int64] = ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
         return key
 
@@ -135,8 +138,8 @@ class SurfaceCells:
         return int(np.unique(self._voxel_numbers, return_counts=True)[1].max(initial=0))
 
     def _find_cell_ranges(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the first cell of each voxel, and the number of its cells, int64[n]. `voxel` [n, 3]: coordinates of voxels
-        relative to the corner of the box of all voxels. A voxel outside the box has 0 cells."""
+        """Return the first cell of each voxel [n, 3], and the number of its cells (0 outside the box), int64[n]. Voxels are
+        relative to the corner of the box."""
         is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         flat = np.where(is_in_box, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
         if self._start_table is not None:
@@ -146,16 +149,16 @@ class SurfaceCells:
         return first, np.where(is_in_box, last - first, 0)
 
     def _iterate_voxel_cells(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        """Yield pairs of arrays for voxels [n,3]: the k-th cell of each voxel, and whether the voxel has a k-th cell."""
+        """Yield for k = 0, 1, …: the k-th cell of each voxel [n,3], and whether the voxel has one."""
         first, count = self._find_cell_ranges(voxel)
         for step in range(self._max_cells_per_voxel):
             yield np.minimum(first + step, len(self) - 1), step < count
 
     def find_cells(self, points: Floats, normals: Floats) -> Cells:
-        """Return the cell of each point [n,3] on a face with normal [n,3]. The normal is that of the face, not of the agent's
-        side.
-        Without a cell there, return the nearest cell in the 27 voxels around the point that has not the opposite side, else
-        -1."""
+        """Return the cell of each point [n,3], int32[n]: the one with the point's voxel and the side of its face.
+
+        If there is none, return the nearest cell in the 27 voxels around the point that does not have the opposite side, else
+        -1. `normals` [n,3]: the normal of the face under each point, also if an agent walks on its back."""
         return self.find_cells_by_side(points, find_facing_sides(np.asarray(normals).reshape(-1, 3)))
 
     def find_cells_by_side(self, points: Floats, side: NDArray[np.int8]) -> Cells:
@@ -170,8 +173,8 @@ class SurfaceCells:
         result: Cells | None = None,
         threads: int = 1,
     ) -> tuple[Cells, CellLookupState | None]:
-        """Return cells as `find_cells_by_side` does, and the state for the next call (None if keys are unordered).
-        Only points with a changed voxel or side are searched. `result`: int32[n] for the result.
+        """Return cells as `find_cells_by_side` does, and the state for the next call; None if a kernel cannot search the keys.
+        Only points with a changed voxel or side are searched. `result`: int32[n], an array for the cells.
         `previous_cells`: the state that the previous call returned for the same number of points."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         cell = np.empty(len(points), np.int32) if result is None or len(result) != len(points) else result
@@ -194,8 +197,8 @@ class SurfaceCells:
     def _locate_cells(
         self, points: Floats, side: NDArray[np.int8], previous_cells: CellLookupState | None, cell: Cells, threads: int
     ) -> tuple[int, CellLookupState]:
-        """Write the cell of each point's voxel and side, -1 for none. Return the number of points without a cell, and the
-        state for the next call."""
+        """Write the cell of each point's voxel and side to `cell`, -1 for none. Return the number of points without a cell, and
+        the state for the next call."""
         state = previous_cells
         if state is None or state.surface_cells is not self or len(state.keys) != len(points):
             state = CellLookupState(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
@@ -206,7 +209,7 @@ class SurfaceCells:
         return sum(parallel.run_in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), state
 
     def _search_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
-        """Write the cell of each point's voxel and side, for unordered keys; return how many points have no cell."""
+        """Do the same without a kernel, for keys that are not ascending. Return the number of points without a cell."""
         key = np.empty(len(points), np.int64)
         is_in_box = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _POINTS_PER_CHUNK):
@@ -221,7 +224,7 @@ class SurfaceCells:
         return True
 
     def _write_keys(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> None:
-        """Write the key of each point's voxel and side to `key`, and whether the voxel is in the box to `is_in_box`."""
+        """Write the key of each point's voxel and side to `key`, and to `is_in_box` whether that voxel is in the box."""
         for axis in range(3):
             step = np.floor(points[:, axis] / self.cell + 0.5)
             step -= self._low[axis]
@@ -255,7 +258,7 @@ class SurfaceCells:
 
     @cached_property
     def _direct_table(self) -> Cells | None:
-        """Return the cell of every voxel and side, -1 for none; None if the box is too large for a table."""
+        """Return the cell of every key in the box, -1 for none; None if the box is too large for a table."""
         count = 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2])
         if count > _MAX_DENSE_VOXELS:
             return None
@@ -264,7 +267,7 @@ class SurfaceCells:
         return table
 
     def get_sides(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Return the sides that cells face, as `find_facing_sides`."""
+        """Return the sides of the given cells, numbered as by `find_facing_sides`."""
         return self._keys.take(cell) % 6
 
     def _find_nearby_cells(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -279,9 +282,8 @@ class SurfaceCells:
     def _find_neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return pairs (index in `cells`, neighbour cell) of compatible cells in nearby voxels, sorted by both.
-        `column(x, y)`: how far up and down voxels count in the column at offset (x, y); -1: none. A column's cells have
-            consecutive numbers."""
+        """Return pairs of compatible cells in nearby voxels, sorted: indices into `cells`, and the neighbour cells.
+        `column(x, y)`: how many voxels up and down count in the column of voxels at offset (x, y); -1 for none."""
         voxels = self._voxel_numbers[cells]
         z, rest = voxels % self._size[2], voxels // self._size[2]
         x, y = rest // self._size[1], rest % self._size[1]
@@ -309,16 +311,16 @@ class SurfaceCells:
 
     @cached_property
     def links(self) -> CellLinks:
-        """Return the pairs of cells that share a voxel or a face of their voxels, and do not face opposite directions."""
+        """Return the links of cells that share a voxel or a face of their voxels, and do not face opposite directions."""
         return self._link_cells(1)
 
     @cached_property
-    def diagonals(self) -> CellLinks:
-        """Return the pairs of cells that share only an edge of their voxels, and do not face opposite directions."""
+    def diagonal_links(self) -> CellLinks:
+        """Return the links of cells that share only an edge of their voxels, and do not face opposite directions."""
         return self._link_cells(2)
 
     def _link_cells(self, steps: int) -> CellLinks:
-        """Return pairs of cells in neighbouring voxels: 1 step apart if `steps` is 1, 2 steps along different axes if it is 2."""
+        """Return the links of cells at most 1 voxel step apart if `steps` is 1, or 2 steps along different axes if it is 2."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _POINTS_PER_CHUNK):
             chosen = np.arange(a, min(a + _POINTS_PER_CHUNK, len(self)))
@@ -340,14 +342,14 @@ class SurfaceCells:
         return steps
 
     @property
-    def nearest_block(self) -> Cells:
-        """Return the 16 nearest cells in the 3³ voxels around each cell, itself included: int32[n,16], ascending, padded with
-        `len(self)`."""
+    def nearest_block_cells(self) -> Cells:
+        """Return the 16 nearest cells of each cell, as `get_nearest_cells` does: int32[n,16]."""
         return self.get_nearest_cells(NEAREST_CELLS)
 
     def get_nearest_cells(self, k: int) -> Cells:
-        """Return the `k` nearest cells in the 3³ voxels around each cell, itself included, as int32[n,k], ascending.
-        Candidates are ranked by (distance, cell)."""
+        """Return the `k` nearest cells of each cell in the 27 voxels around it: int32[n,k], ascending, padded with `len(self)`.
+
+        A cell is among its own nearest cells. Of cells at equal distances, those with lesser numbers are nearer."""
         if k not in self._tables:
             inputs = (self._keys, self._size, self.position, float(k))
             work = partial(self._build_nearest_table, k)
@@ -358,7 +360,7 @@ class SurfaceCells:
         return {"nearest": self._compute_nearest_cells(np.arange(len(self)), k)}
 
     def _compute_nearest_cells(self, cells: NDArray[np.int64], k: int) -> Cells:
-        """Return the rows of `get_nearest_cells` for `cells`."""
+        """Compute those rows of `get_nearest_cells` that belong to `cells`."""
         table = np.full((len(cells), k), len(self), np.int32)
         for a in range(0, len(cells), _POINTS_PER_CHUNK):
             chosen = cells[a : a + _POINTS_PER_CHUNK]
@@ -384,8 +386,8 @@ class SurfaceCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellLookupState:
-    """The results of a cell lookup in the cells `surface_cells`, for the next lookup: each point's `keys` (voxel and side), and
-    its `cells`. `keys` is -1 outside the box, `cells` is -1 if there is none."""
+    """What one cell lookup leaves for the next, so that points that stay in their voxel need no search: the cells searched, the
+    key of each point's voxel and side (-1 outside the box), and each point's cell (-1: none)."""
 
     surface_cells: SurfaceCells
     keys: NDArray[np.int64]
@@ -393,6 +395,6 @@ class CellLookupState:
 
 
 def are_sides_compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether two sides are not opposite. An agent can walk between compatible sides within one cell."""
+    """Return whether the sides `a` and `b` are not opposite. An agent can walk between compatible sides within one voxel."""
     other: NDArray[np.bool_] = (a ^ 1) != b
     return other

@@ -26,7 +26,7 @@ _MAX_CUTS_PER_EDGE = 1024  # maximum number of pieces along an edge
 
 
 class LatticeTooFine(ValueError):
-    """The lattice would need more points than allowed; `needed` is the approximate count."""
+    """The error that a lattice would need more points than allowed. `needed`: the approximate number of points."""
 
     def __init__(self, needed_count: int) -> None:
         super().__init__(f"about {needed_count:,} points")
@@ -34,13 +34,14 @@ class LatticeTooFine(ValueError):
 
 
 def count_slots(cuts: Index) -> int:
-    """Return the number of slots (points) of faces that have `cuts` pieces along an edge."""
+    """Return the number of points in each face that has `cuts` pieces along an edge."""
     return int(((cuts + 1) * (cuts + 2) // 2).sum())
 
 
 def count_cuts(edge_lengths: Floats, cell: float | Floats) -> Index:
-    """Return how many pieces edges of these lengths (mm) need so that each is at most `cell` long. The counts are powers of two;
-    1 where `cell` is infinite."""
+    """Return into how many pieces each edge is divided, so that a piece is at most `cell` (mm) long.
+
+    The counts are powers of two; 1 if `cell` is infinite. `edge_lengths`: in mm."""
     with np.errstate(divide="ignore"):
         pieces = np.clip(edge_lengths / cell, 1.0, _MAX_CUTS_PER_EDGE)
     cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
@@ -49,10 +50,11 @@ def count_cuts(edge_lengths: Floats, cell: float | Floats) -> Index:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceLattice:
-    """Points on faces, called slots. Face f has `cuts[f]` pieces along an edge, and (cuts + 1)(cuts + 2) / 2 slots from
-    `start[f]` on.
+    """A lattice of points on faces, called slots. Each face is divided into equal triangles, with slots at their corners.
 
-    Rows of slots follow each other towards the third corner. Slots within a row go towards the second corner."""
+    `cuts`: the number n of pieces along an edge of each face, which has (n + 1)(n + 2) / 2 slots.
+    `start`: the first slot of each face. Slots follow each other in rows towards the face's second corner. Rows follow each
+    other towards its third corner."""
 
     cuts: Index
     start: Index
@@ -67,7 +69,9 @@ class FaceLattice:
         return count_slots(self.cuts)
 
     def locate(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
-        """Return the three slots around each position in a face (3, n), and their barycentric weights (3, n)."""
+        """Return the three slots around each position in a face (3, n), and the weight of each slot (3, n).
+
+        `face`, `b1`, `b2` (n): the faces, and the barycentric weights of their second and third corners."""
         n, start = self.cuts.take(face), self.start.take(face)
         u, v = b1 * n, b2 * n
         j = np.clip(v.astype(np.int64), 0, n - 1)
@@ -93,7 +97,7 @@ class FaceLattice:
         return b1, b2
 
     def compute_triangles(self) -> tuple[Index, Index]:
-        """Return the small triangles as slots (t, 3), with the winding of their face, and the face of each (t,)."""
+        """Return the triangles between slots: their corners as slots (t, 3), wound like their face, and their faces (t,)."""
         parts, owners = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
         for n, chosen, i, j in self._group_by_cuts():
             slots = np.arange(len(i))
@@ -108,7 +112,9 @@ class FaceLattice:
         return np.concatenate(parts), np.concatenate(owners)
 
     def _group_by_cuts(self) -> list[tuple[int, Index, Index, Index]]:
-        """Return, for each number of cuts n: n, the faces with n cuts, and the column i and row j of each of their slots."""
+        """Return one tuple for each number of cuts that occurs, with four values.
+
+        They are the number of cuts, the faces with that number, and the columns and the rows of such a face's slots."""
         groups = []
         for n in np.unique(self.cuts).tolist():
             j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))
@@ -118,8 +124,9 @@ class FaceLattice:
 
 
 def weld_points(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
-    """Return a number for each position (n, 3), equal for equal positions of one owner. Also return how many numbers there
-    are."""
+    """Return the number of each position's point, and the number of points.
+
+    Equal positions (n, 3) with the same owner are one point."""
     if not len(positions):
         return np.empty(0, np.int64), 0
     low = positions.min(axis=0)
@@ -147,10 +154,11 @@ def choose_cell_size(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, ext
 
 
 def count_edge_pieces(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, edge_lengths: Floats, extent: float) -> Index:
-    """Return how many pieces the edges of each face are divided into.
+    """Return into how many pieces the edges of each face are divided.
 
-    `edge_lengths` (n): the longest edge (mm) of each face, 0 where the flow is not needed. A default cell is enlarged if there
-        would be too many points. Raises LatticeTooFine if the cell that the scene sets is too small."""
+    `edge_lengths` (n): the longest edge (mm) of each face, 0 where the flow is not needed. `extent`: the size (mm) of the ground.
+    A default cell size is increased if there would be too many points. Raises LatticeTooFine if the cell size that the scene
+    sets is too small."""
     cell = choose_cell_size(flow, extent)
     while True:
         cuts = count_cuts(edge_lengths, cell)

@@ -23,31 +23,35 @@ VectorColumns = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float
 VectorSource = Callable[[Floats], Floats]  # vectors (n, 3) at positions (n, 3), not projected onto a surface
 
 _CURVE_SPACING_MM = 1.0  # mm, as for curves in nearest-point queries
-_MIN_LAID_COSINE = 0.5  # cosine of the angle to the face; below it, a projected vector loses length
+_MIN_FACE_COSINE = 0.5  # cosine of the angle to the face; below it, a projected vector loses length
 
 
 def project_to_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
-    """Return the components c, s of vectors (n, 3) along the two axes (3, n) of their faces. Vectors up to 60 degrees off the
-    face retain their length."""
+    """Project vectors `v` (n, 3) to faces. Return their components (n) along the first and the second axis of their face.
+
+    Vectors at up to 60 degrees to the face retain their length. `axis1`, `axis2` (3, n): the axes of each vector's face."""
     c, s = (axis1 * v.T).sum(axis=0), (axis2 * v.T).sum(axis=0)
     flat = np.sqrt(c * c + s * s)
     length = np.sqrt((v * v).sum(axis=1))
-    factor = np.minimum(length, flat / _MIN_LAID_COSINE) / np.where(flat > 1e-150, flat, 1.0)
+    factor = np.minimum(length, flat / _MIN_FACE_COSINE) / np.where(flat > 1e-150, flat, 1.0)
     return c * factor, s * factor
 
 
 def project_across_up(v: Floats, up: Floats) -> Floats:
-    """Project vectors onto the plane perpendicular to `up` (n, 3), for agents that stand on no face."""
+    """Return vectors `v` (n, 3) projected onto the planes perpendicular to `up` (n, 3), for agents that stand on no face.
+
+    Vectors at up to 60 degrees to the plane retain their length."""
     tangential = v - (v * up).sum(axis=1)[:, None] * up
     flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (tangential, v))
-    down: Floats = tangential * (np.minimum(length, flat / _MIN_LAID_COSINE) / np.where(flat > 1e-150, flat, 1.0))[:, None]
+    down: Floats = tangential * (np.minimum(length, flat / _MIN_FACE_COSINE) / np.where(flat > 1e-150, flat, 1.0))[:, None]
     return down
 
 
 def compute_falloff(distance: Floats, radius: float | None, kind: str) -> Floats:
-    """Return the strength at a distance (mm): 1 at the source, 0 beyond `radius`; 1 everywhere if `radius` is None.
+    """Return the strength of a flow at a distance (mm) from its source: 1 at the source, and 0 beyond `radius` (mm).
 
-    `kind`: the decrease in between: `none`, `linear`, or anything else for a smooth one."""
+    The strength is 1 everywhere if `radius` is None. `kind`: how it decreases up to `radius`: `none`, `linear`, or any other
+    word for a smooth decrease."""
     if radius is None:
         return np.ones_like(distance)
     t = np.minimum(distance / radius, 1.0)
@@ -59,11 +63,11 @@ def compute_falloff(distance: Floats, radius: float | None, kind: str) -> Floats
 
 @dataclass(slots=True, eq=False)
 class SurfaceFlow:
-    """A flow at the slots of a lattice over the ground's faces.
+    """A flow along the ground's faces, with a vector at each slot of a lattice.
 
-    `c`, `s`: components along the two axes of each face.
-    `source`: evaluates the flow at any position, for agents on other ground. Without a source, the flow is zero on other ground.
-    `updater`: updates the flow after things have moved."""
+    `c`, `s`: the vectors' components along the first and the second axis of the face.
+    `source`: evaluates the flow at any position, for agents on ground without faces. If it is None, the flow is zero there.
+    `updater`: a function that updates the flow after things have moved."""
 
     lattice: FaceLattice
     c: Floats
@@ -72,7 +76,9 @@ class SurfaceFlow:
     updater: Callable[[World], None] | None = None
 
     def sample_on_faces(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
-        """Return the flow's components along the face axes, at points given by face and barycentric weights."""
+        """Return the flow's components along the first and the second axis of the face, at points on faces.
+
+        `face`, `b1`, `b2`: the face of each point, and the barycentric weights of its second and third corner."""
         slots, weights = self.lattice.locate(face, b1, b2)
         return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
 
@@ -80,7 +86,7 @@ class SurfaceFlow:
         """Return the flow at the agents' positions, as float32 x, y, z.
 
         `meshes`: the part of the ground that consists of meshes, or None.
-        `place`, `up` (n, 3): position and up of each agent, used for agents that stand on no face."""
+        `place`, `up` (n, 3): the position and up direction of each agent, used for agents that stand on no face."""
         vectors, is_on_mesh = np.zeros((3, len(place))), np.zeros(len(place), bool)
         if meshes is not None:
             face, is_on_mesh = meshes.get_face_numbers(footing)
@@ -98,7 +104,7 @@ class SurfaceFlow:
         return is_flowing
 
     def set_displayed_state(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Make `state` return `arrays` without applying them. This is for a copy that is only displayed."""
+        """Make `state` return `arrays` without a change of the flow. This is for a copy that is only displayed."""
 
     def begin(self, world: World) -> None:
         """Update the flow before a step. Does nothing for a flow that is computed only once."""
@@ -115,7 +121,7 @@ class SurfaceFlow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaintedMap:
-    """A painted number for each corner of each face of the ground, (3, faces); 0 on unpainted surfaces."""
+    """Painted numbers on the ground. `corners` (3, faces): the number at each corner of each face, 0 on unpainted surfaces."""
 
     corners: Floats
 
@@ -131,10 +137,9 @@ class PaintedMap:
 
 
 def find_nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return, for each position, the distance (n,) from a target, the nearest point of the target (n, 3) and its unit tangent
-    (n, 3).
+    """Return the distance (n,) of each position from a target, the target's nearest point (n, 3), and its unit tangent (n, 3).
 
-    Lengths are in mm. The tangent is zero for targets that are single points."""
+    Lengths are in mm. The tangent of a target that consists of points is zero."""
     if target.is_line:
         closest = SampledCurve(target.positions, _CURVE_SPACING_MM).find_closest(*positions.T)
         columns = (closest.px, closest.py, closest.pz, closest.tx, closest.ty, closest.tz)
@@ -147,8 +152,9 @@ def find_nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Float
 
 
 def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorSource:
-    """Return a function that gives the vectors of a flow around a target. The target is in the world's axes and relative to its
-    origin."""
+    """Return a function that evaluates a flow around a target: it returns vectors (n, 3) for positions (n, 3).
+
+    The target is in the world's axes and relative to the world's origin."""
 
     def compute_vectors(positions: Floats) -> Floats:
         distance, point, tangent = find_nearest_on_target(target, positions)

@@ -37,7 +37,7 @@ class GrowingCells(SurfaceCells):
 
     @property
     def added_cells(self) -> dict[str, NDArray[np.generic]]:
-        """Return the keys and positions of all cells added since the start, as arguments of `add_cells`."""
+        """Return the `keys` and `positions` of all cells that were added after the start, as arguments of `add_cells`."""
         new = slice(self.initial_count, self.used_count)
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
@@ -54,7 +54,7 @@ class GrowingCells(SurfaceCells):
         return self.add_cells(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
 
     def add_cells(self, keys: NDArray[np.int64], positions: Floats) -> NDArray[np.int64]:
-        """Add cells with new keys and rows `positions` [n,6] of position and normal. Return their numbers."""
+        """Add cells with new `keys`. Return their numbers. `positions` [n,6]: the position and the normal of each cell."""
         count = min(len(keys), max(self._cap - self.used_count, 0))
         if not count:
             return np.empty(0, np.int64)
@@ -68,7 +68,7 @@ class GrowingCells(SurfaceCells):
         else:
             self._sorted = np.argsort(self._keys[: self.used_count], kind="stable")
         self.__dict__.pop("links", None)
-        self.__dict__.pop("diagonals", None)
+        self.__dict__.pop("diagonal_links", None)
         changed = np.unique(self._find_neighbour_pairs(new, lambda x, y: 1)[1])
         for k, table in self._tables.items():
             if self._direct_table is not None:
@@ -161,9 +161,9 @@ def fill_nearest_cells(
     direct_table: Array1[I32], numbers: VoxelIndex, size: Array1[I64], position: Array2[F64], cells: Array1[I64], k: I64,
     missing_cell: I64, table: Array2[I32],
 ) -> None:  # fmt: skip
-    """Fill the rows `cells` of `table` with the `k` nearest cells in the 3³ voxels around each cell, ascending by number.
+    """Write the `k` nearest cells in the 27 voxels around each of `cells` to its row of `table`, ascending by number.
 
-    Missing cells are `missing_cell`."""
+    A row with fewer cells is padded with `missing_cell`."""
     gaps, candidates = allocate_scratch(_MAX_NEIGHBOUR_CELLS, F64), allocate_scratch(_MAX_NEIGHBOUR_CELLS, I64)
     voxels, keys = numbers
     layer_size = size[1] * size[2]
@@ -206,7 +206,7 @@ def fill_nearby_cells(
     direct_table: Array1[I32], size: Array1[I64], position: Array2[F64], points: Array2[F64], voxel: Array2[I64],
     side: Array1[I64], nearest_cells: Array1[I64],
 ) -> None:  # fmt: skip
-    """Write to `nearest_cells` the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
+    """Write to `nearest_cells` the nearest cell with a compatible side in the 27 voxels around each point, -1 for none."""
     for n in range(nearest_cells.size):
         least_gap = np.inf
         nearest_cells[n] = -1

@@ -19,7 +19,7 @@ _CONVERGENCE_TOLERANCE = 0.01  # share of the median edge length; smaller change
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkableSurface:
-    """Triangles (t, 3) between points (n, 3), on which paths are computed.
+    """The surface on which paths are computed: `triangles` (t, 3) between `points` (n, 3; mm).
 
     `is_open` (t,): whether a path can cross each triangle.
     `point_links` (k, 2): adjacent points of different surfaces."""
@@ -34,8 +34,8 @@ def compute_path_costs(surface: WalkableSurface, cost: Floats, start: Index, sta
     """Return the least cost of a path from each point to the goal, inf if there is no path.
 
     `cost` (t,): the cost per mm within each triangle.
-    `start`: the points at the goal.
-    `start_costs`: the remaining cost from each of these points.
+    `start`: the points at which a path can end.
+    `start_costs`: the cost from each of these points to the goal.
 
     Dijkstra's shortest paths along edges give an upper bound for all points. In order of that bound, the cost of each point is
     then recomputed from the opposite edges of its triangles. The wave front is straight within a triangle (R. Kimmel and J. A.
@@ -55,7 +55,7 @@ def compute_path_costs(surface: WalkableSurface, cost: Floats, start: Index, sta
 
 
 def compute_directions(surface: WalkableSurface, path_costs: Floats) -> Floats:
-    """Return the unit direction of descent of `path_costs` at each point (n, 3): the mean over its triangles, weighted by area.
+    """Return the unit direction (n, 3) in which `path_costs` decreases at each point: the mean over its triangles, by area.
 
     It is zero at the goal and where there is no path."""
     corners, values = surface.points[surface.triangles], path_costs[surface.triangles]
@@ -76,7 +76,7 @@ def compute_directions(surface: WalkableSurface, path_costs: Floats) -> Floats:
 
 
 def _normalise_rows(v: Floats) -> Floats:
-    """Return vectors (n, 3) scaled to length 1; vectors that are much shorter than the longest become 0."""
+    """Return the vectors `v` (n, 3) scaled to length 1. Vectors that are much shorter than the longest become 0."""
     size = np.sqrt((v * v).sum(axis=1))
     return v / np.where(size > 1e-12 * size.max(initial=0.0) + 1e-300, size, np.inf)[:, None]
 
@@ -122,7 +122,7 @@ def _compute_link_costs(surface: WalkableSurface, cost: Floats) -> Floats:
 
 
 def _relax_links(surface: WalkableSurface, cost: Floats, bound: Floats) -> None:
-    """Lower `bound` at both ends of each link to the bound at the other end plus the link's cost, in place."""
+    """Lower `bound` in place: at each end of a link to at most the bound at the other end plus the link's cost."""
     price = _compute_link_costs(surface, cost)
     for a, b in ((0, 1), (1, 0)):
         np.minimum.at(bound, surface.point_links[:, b], bound[surface.point_links[:, a]] + price)
@@ -133,14 +133,15 @@ def _relax_links(surface: WalkableSurface, cost: Floats, bound: Floats) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CornerEdges:
-    """One entry for each corner of each open triangle.
+    """The corners of all open triangles, each with the opposite edge of its triangle.
 
-    `corner`: its point. `edge_start`, `edge_end`: the ends of the opposite edge. `length`: the length (mm) of that edge.
-    `perpendicular_foot`: where the perpendicular from the corner meets that edge.
+    `corner_point`: the point at the corner. `edge_start`, `edge_end`: the points at the ends of the opposite edge.
+    `length`: the length (mm) of that edge.
+    `perpendicular_foot`: the distance (mm) from `edge_start` to the foot of the perpendicular from the corner.
     `height`: the length (mm) of the perpendicular.
-    `cost`: the cost per mm."""
+    `cost`: the cost per mm in the triangle."""
 
-    corner: Index
+    corner_point: Index
     edge_start: Index
     edge_end: Index
     length: Floats
@@ -149,39 +150,39 @@ class _CornerEdges:
     cost: Floats
 
     def take_rows(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _CornerEdges:
-        """Return some entries."""
-        ends = self.corner[rows], self.edge_start[rows], self.edge_end[rows]
+        """Return the entries `rows`."""
+        ends = self.corner_point[rows], self.edge_start[rows], self.edge_end[rows]
         return _CornerEdges(*ends, self.length[rows], self.perpendicular_foot[rows], self.height[rows], self.cost[rows])
 
 
 def _make_corner_edges(surface: WalkableSurface, cost: Floats) -> _CornerEdges:
-    """Return the entries for all corners of open triangles."""
+    """Return the corners and opposite edges of all open triangles that have an area. `cost` (t,): per mm in each triangle."""
     t = surface.triangles[surface.is_open]
-    corner, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
-    edge, side = surface.points[two] - surface.points[one], surface.points[corner] - surface.points[one]
+    corner_point, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
+    edge, side = surface.points[two] - surface.points[one], surface.points[corner_point] - surface.points[one]
     length = np.sqrt((edge * edge).sum(axis=1))
     foot = (edge * side).sum(axis=1) / np.where(length > 0, length, 1.0)
     height = np.sqrt(np.maximum((side * side).sum(axis=1) - foot * foot, 0.0))
     has_area = (length > 0) & (height > 0)
-    return _CornerEdges(corner, one, two, length, foot, height, np.tile(cost[surface.is_open], 3)).take_rows(has_area)
+    return _CornerEdges(corner_point, one, two, length, foot, height, np.tile(cost[surface.is_open], 3)).take_rows(has_area)
 
 
 def _straighten_costs(bound: Floats, edges: _CornerEdges) -> None:
-    """Lower `bound` where a straight path across a triangle is cheaper. Points are processed in bands of ascending cost."""
+    """Lower `bound` in place where a straight path across a triangle is cheaper, in bands of points of ascending cost."""
     is_reachable = np.isfinite(bound)
     rank = np.empty(len(bound), np.int64)
     rank[np.argsort(bound, kind="stable")] = np.arange(len(bound))
     bands = max(1, int(2 * np.sqrt(is_reachable.sum())))
     band = rank * bands // max(1, int(is_reachable.sum()))
-    usable = np.flatnonzero(is_reachable[edges.corner] & is_reachable[edges.edge_start] & is_reachable[edges.edge_end])
-    usable = usable[np.lexsort((usable, edges.corner[usable], band[edges.corner[usable]]))]
+    usable = np.flatnonzero(is_reachable[edges.corner_point] & is_reachable[edges.edge_start] & is_reachable[edges.edge_end])
+    usable = usable[np.lexsort((usable, edges.corner_point[usable], band[edges.corner_point[usable]]))]
     ordered = edges.take_rows(usable)
-    ends = np.searchsorted(band[ordered.corner], np.arange(bands + 1))
+    ends = np.searchsorted(band[ordered.corner_point], np.arange(bands + 1))
     for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         if first < last:
             part = ordered.take_rows(slice(first, last))
-            begin = np.flatnonzero(np.concatenate(([True], part.corner[1:] != part.corner[:-1])))
-            points = part.corner[begin]
+            begin = np.flatnonzero(np.concatenate(([True], part.corner_point[1:] != part.corner_point[:-1])))
+            points = part.corner_point[begin]
             for _ in range(_MAX_BAND_ITERATIONS):
                 lower = np.minimum(bound[points], np.minimum.reduceat(_compute_corner_costs(bound, part), begin))
                 if np.array_equal(lower, bound[points]):
@@ -190,7 +191,7 @@ def _straighten_costs(bound: Floats, edges: _CornerEdges) -> None:
 
 
 def _compute_corner_costs(bound: Floats, edges: _CornerEdges) -> Floats:
-    """Return the cost of each corner by the best straight path from the opposite edge."""
+    """Return the least cost at each corner of a straight path that crosses the triangle from the opposite edge."""
     from_one, rise = bound[edges.edge_start], (bound[edges.edge_end] - bound[edges.edge_start]) / edges.length
     share = np.clip(rise / edges.cost, -1 + 1e-12, 1 - 1e-12)
     left = np.clip(edges.perpendicular_foot - share * edges.height / np.sqrt(1 - share * share), 0.0, edges.length)

@@ -26,12 +26,12 @@ _CROWD_SMOOTHING_PASSES = 2  # number of lattice steps by which the effect of a 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossableGround:
-    """A lattice over some faces of the ground, as a surface for paths.
+    """The faces of the ground that paths may cross, as a lattice and as a surface for paths.
 
-    `slot_points`: the point of each slot.
+    `slot_points`: the point of `surface` at each slot of `lattice`.
     `axis1`, `axis2` (3, slots): the axes of each slot's face.
     `triangle_areas` (t,): the areas (mm²) of the triangles of `surface`.
-    `faces`: which faces of the ground are included."""
+    `faces`: for each face of the ground, whether paths may cross it."""
 
     lattice: FaceLattice
     surface: WalkableSurface
@@ -44,14 +44,17 @@ class CrossableGround:
 
 @dataclass(slots=True, eq=False)
 class PathFlow(SurfaceFlow):
-    """A flow along the cheapest path to the goal: downhill in the remaining path cost.
+    """A flow along the cheapest path to the goal: its vectors are the directions in which the remaining path cost decreases.
 
-    If the flow avoids crowds, or something moves, `begin` updates it when due. Points and lattice stay the same."""
+    If the flow avoids crowds, or something moves, `begin` updates it in steps with `is_due`. Points and lattice stay the same.
+    `cost` (t,): the cost per mm in each triangle. `start_points`, `start_costs`: the points at which paths end, and the cost
+    from each to the goal. `crowding`: the additional cost per mm where agents cover a complete triangle.
+    `crowd`: the area that agents cover at each point; `reached`: which points have a path to the goal."""
 
     crossable_ground: CrossableGround | None = None
     cost: Floats | None = None  # (t,) per mm, without agents
-    start: Index | None = None
-    first: Floats | None = None  # remaining cost from each of these points
+    start_points: Index | None = None
+    start_costs: Floats | None = None  # remaining cost from each of these points
     target_gap: float = 0.0  # mm from the ground to the nearest point of the target, without its radius
     strength: float = 1.0
     crowding: float = 0.0
@@ -59,14 +62,14 @@ class PathFlow(SurfaceFlow):
     is_due: Callable[[World], bool] = lambda world: False
     crowd: NDArray[np.int64] | None = None  # covered area at each point, in units of 1 / _COVERAGE_PARTS_PER_MM2 mm²
     reached: NDArray[np.bool_] | None = None  # mask of the points with a path to the goal
-    stores_reached: bool = False  # the state includes `threshold_cells`, because a program reads it
+    stores_reached: bool = False  # the state includes `reached`, because a program reads it
 
     def update_flow(self) -> None:
         """Compute the flow for the most recently recorded crowd."""
         g = self.crossable_ground
-        assert g is not None and self.cost is not None and self.start is not None and self.first is not None
-        price = self.cost if self.crowd is None else self.cost + self.crowding * self._compute_crowd_shares(self.crowd)
-        bound = cost.compute_path_costs(g.surface, price, self.start, self.first)
+        assert g is not None and self.cost is not None and self.start_points is not None and self.start_costs is not None
+        raised_cost = self.cost if self.crowd is None else self.cost + self.crowding * self._compute_crowd_shares(self.crowd)
+        bound = cost.compute_path_costs(g.surface, raised_cost, self.start_points, self.start_costs)
         self.reached = np.isfinite(bound)
         vectors = cost.compute_directions(g.surface, bound) * self.strength
         self.c, self.s = project_to_faces(vectors[g.slot_points], g.axis1, g.axis2)
@@ -74,8 +77,9 @@ class PathFlow(SurfaceFlow):
         self.s *= g.faces[g.lattice.faces()]
 
     def has_flow_at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Return whether a path leads to the goal from the lattice point nearest to each agent, bool[n]. It is false off the
-        flow's faces."""
+        """Return whether a path leads to the goal from the lattice point nearest to each agent, bool[n].
+
+        The value is false on faces that the flow does not cover."""
         g = self.crossable_ground
         if meshes is None or g is None or self.reached is None:
             return np.zeros(len(place), bool)
@@ -84,13 +88,13 @@ class PathFlow(SurfaceFlow):
         return is_on_mesh & g.faces[face] & self.reached[g.slot_points[slot]]
 
     def _find_nearest_slot(self, face: Index, footing: Footing) -> Index:
-        """Return the slot of largest weight at each footing."""
+        """Return the slot nearest to each footing: the one with the largest weight."""
         slots, weights = self.lattice.locate(face, footing.b1, footing.b2)
         nearest: Index = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
         return nearest
 
     def _compute_crowd_shares(self, crowd: NDArray[np.int64]) -> Floats:
-        """Return the share of each triangle that agents cover, smoothed over the adjacent triangles."""
+        """Return the share of each triangle's area that agents cover, smoothed over the adjacent triangles."""
         g = self.crossable_ground
         assert g is not None
         point_areas = self._sum_to_points(np.repeat(g.triangle_areas / 3, 3))
@@ -103,7 +107,7 @@ class PathFlow(SurfaceFlow):
         return shares
 
     def _sum_to_points(self, corner_values: Floats) -> Floats:
-        """Return the sum of the corner values `corner_values` at every point."""
+        """Return, for each point, the sum of `corner_values` (3 t,) over the triangle corners at that point."""
         assert self.crossable_ground is not None
         land = self.crossable_ground.surface
         return np.bincount(land.triangles.ravel(), corner_values, len(land.points)).astype(np.float64)
@@ -118,9 +122,7 @@ class PathFlow(SurfaceFlow):
         self.update_flow()
 
     def measure_coverage(self, world: World) -> NDArray[np.int64]:
-        """Return the ground area that agents of all species cover, summed at the lattice point nearest to each agent.
-
-        Areas are whole multiples of 1 / _COVERAGE_PARTS_PER_MM2 mm²."""
+        """Return, for each point, the area that the agents nearest to it cover, in units of 1 / _COVERAGE_PARTS_PER_MM2 mm²."""
         g, meshes = self.crossable_ground, world.ground.meshes
         assert g is not None and meshes is not None
         coverage = np.zeros(len(g.surface.points), np.int64)
@@ -149,6 +151,6 @@ class PathFlow(SurfaceFlow):
             self.update_flow()
 
 
-def raise_to_min_cost(price: Floats) -> Floats:
+def raise_to_min_cost(raised_cost: Floats) -> Floats:
     """Return the costs per mm, each raised to a least cost above 0."""
-    return np.maximum(price, _MIN_COST_PER_MM)
+    return np.maximum(raised_cost, _MIN_COST_PER_MM)

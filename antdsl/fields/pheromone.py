@@ -22,12 +22,12 @@ Floats = NDArray[np.float32]
 DEPOSIT_UNIT = 2.0**-24  # deposits are integer multiples of this
 MAX_DEPOSIT = 2.0**16  # five million such deposits in a cell fit into 63 bits
 FLUSH_THRESHOLD = 1e-12
-_NO_SHARES = np.empty(0)
+_EMPTY_SHARES = np.empty(0)
 _SYMMETRIC_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 class PheromoneField:
-    """Amounts of one pheromone in the cells of surfaces.
+    """The amounts of one pheromone in the cells of surfaces.
 
     `combine`: `add` sums the deposits of a step in a cell; `max` takes the greatest.
     `limit`: the largest amount of a cell.
@@ -69,49 +69,52 @@ class PheromoneField:
     def sensed_positions(self) -> NDArray[np.float32]:
         """Return the cell positions that agents sense: rows x, y, z, 0 in float32[cells + 1, 4]. The last row stands for "no
         cell"."""
-        return self._seen
+        return self._sensed_positions
 
     @property
     def pending_deposits(self) -> NDArray[np.int64]:
-        """Return the deposits in each cell that are not added yet, in units of `DEPOSIT_UNIT`. Call `mark_pending` after
-        writing into the array."""
+        """Return the deposits in each cell that are not yet in `values`, in units of `DEPOSIT_UNIT`.
+
+        After writing into the array, call `mark_pending`."""
         return self._pending
 
     def mark_pending(self) -> None:
-        """Record that deposits were written which the field has not added yet."""
+        """Record that `pending_deposits` has deposits for the next step."""
         self._has_pending = True
 
     def extend_arrays(self, new: NDArray[np.int64]) -> None:
-        """Extend the arrays for cells that were added."""
+        """Extend the arrays for the cells `new`, which were added to `cells`."""
         self.version += 1
         added_count = len(self.cells) - len(self.values)
         if added_count:
             self._padded = np.concatenate([self.values, np.zeros(added_count + 1)])
             self._pending = np.concatenate([self._pending, np.zeros(added_count, np.int64)])
-            for name in ("_cell_positions", "_seen"):
+            for name in ("_cell_positions", "_sensed_positions"):
                 self.__dict__.pop(name, None)
         elif "_cell_positions" in self.__dict__:
             self._cell_positions[:, new] = self.cells.position[new].T
-            self._seen[new, :3] = self._cell_positions[:, new].T
+            self._sensed_positions[new, :3] = self._cell_positions[:, new].T
         self.__dict__.pop("_laplacian", None)
 
     @property
     def added_cells(self) -> dict[str, NDArray[Any]]:
-        """Return the cells added since the start, as arguments for `restore_added_cells`. The result is empty if cells cannot be
-        added."""
+        """Return the cells that were added after the start, as arguments of `restore_added_cells`.
+
+        The result is empty if no cells can be added."""
         return self.cells.added_cells if isinstance(self.cells, GrowingCells) else {}
 
     def restore_added_cells(self, keys: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
-        """Add those cells reported by `added_cells` that are missing. Other fields may share the cells and have added them
-        already."""
+        """Add the cells of a result of `added_cells`, except those that exist because another field with the same cells added
+        them."""
         assert isinstance(self.cells, GrowingCells)
         added_count = self.cells.used_count - self.cells.initial_count
         self.cells.add_cells(keys[added_count:], positions[added_count:])
         self.extend_arrays(np.arange(self.cells.initial_count, self.cells.used_count))
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
-        """Deposit amounts in cells (-1: nowhere); `step` adds them. Return how many amounts were rejected or reduced.
+        """Deposit amounts in cells; `step` adds them. Return how many amounts were rejected or reduced.
 
+        `cells`: the cell of each amount, -1 for none.
         NaN is rejected. Amounts above `MAX_DEPOSIT` are reduced to it. With `combine` max, only amounts above 0 count."""
         cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
         is_finite = np.isfinite(amounts)
@@ -124,15 +127,14 @@ class PheromoneField:
         return wrong
 
     def set_remaining(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
-        """Set the amount of each of these distinct cells after agents took from it. It takes effect when the field steps."""
+        """Set the amounts that remain in distinct cells after agents took pheromone from them. `step` applies them."""
         self._remaining_amounts.append((cells, amounts))
 
     def step(self, remaining_share: float, diffusion: float, dt: float, threads: int = 1) -> None:
-        """Advance by `dt` s: remove what agents took, diffuse by `diffusion` (mm²/s), multiply by `remaining_share`, then add
-        deposits.
+        """Advance by `dt` (s): set the remaining amounts, diffuse, multiply by `remaining_share`, then add deposits.
 
-        With `deposits_first`, deposits are added before diffusion. Raises ValueError with the largest stable value if
-        `diffusion` is unstable for the cell size."""
+        With `deposits_first`, deposits are added before diffusion. `diffusion` is in mm²/s. Raises ValueError with the largest
+        stable value if `diffusion` is unstable for the cell size."""
         values = self.values
         for cells, amounts in self._remaining_amounts:
             values[cells] = amounts
@@ -155,14 +157,14 @@ class PheromoneField:
         lands = 0 if not self._has_pending else 1 if self.combine == "add" else 2
         self._has_pending = False
         if self.deposits_first:
-            run_kernel(_NO_SHARES, self._pending, 0.0, 1.0, DEPOSIT_UNIT, self.limit, -np.inf, lands)
-        change = self._laplacian.compute_flow(self._padded, threads) if spread > 0 else _NO_SHARES
+            run_kernel(_EMPTY_SHARES, self._pending, 0.0, 1.0, DEPOSIT_UNIT, self.limit, -np.inf, lands)
+        change = self._laplacian.compute_flow(self._padded, threads) if spread > 0 else _EMPTY_SHARES
         last = (0.0, np.inf, 0) if self.deposits_first else (DEPOSIT_UNIT, self.limit, lands)
         run_kernel(change, self._pending, spread, remaining_share, *last[:2], FLUSH_THRESHOLD, last[2])
 
     @cached_property
     def _laplacian(self) -> _DiffusionFlow:
-        """Return the flow into each cell per unit of diffusion, as a sparse matrix with columns that sum to 0.
+        """Return the flow that one unit of diffusion causes between the cells.
 
         Between two linked cells flows 4 / max(4, links of either cell) of their difference. On a plane this is the five-point
         stencil. No cell exchanges more than four links would, so stability depends only on the cell size.
@@ -173,11 +175,13 @@ class PheromoneField:
         if self.stencil == 4:
             return _DiffusionFlow(self._build_flow_matrix(self.cells.links, 1.0))
         return _DiffusionFlow(
-            self._build_flow_matrix(self.cells.links, 2 / 3) + self._build_flow_matrix(self.cells.diagonals, 1 / 6)
+            self._build_flow_matrix(self.cells.links, 2 / 3) + self._build_flow_matrix(self.cells.diagonal_links, 1 / 6)
         )
 
     def _build_flow_matrix(self, links: CellLinks, share: float) -> Any:
-        """Return the flow between linked cells as a sparse matrix: `share` times 4 / max(4, links of either cell)."""
+        """Return the flow between linked cells as a sparse matrix [cells, cells].
+
+        Each entry is `share` times 4 / max(4, links of either cell)."""
         from scipy.sparse import csr_array
 
         count = np.diff(links.start)
@@ -190,27 +194,28 @@ class PheromoneField:
         return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
 
     def sample_strongest(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the largest amount in the `k` nearest cells of the 3³ block, and the position of its cell.
+        """Return the largest amount in the `k` nearest cells of each of `cells`, and x, y, z of the cell that has it.
 
-        Results are amount, x, y, z (mm), float32[n] each. Of cells with equal amounts, the first counts. If all amounts are 0,
-        the position is that of the agent's cell. For cell -1 the position is (0, 0, 0)."""
+        The results are float32[n] each, positions in mm. Of cells with equal amounts, the first counts. If all amounts are 0,
+        the position is that of the given cell. For cell -1 the position is (0, 0, 0)."""
         agent_cells = np.asarray(cells).astype(np.int32, copy=False)
         best, value = np.empty(agent_cells.size, np.int64), np.empty(agent_cells.size)
         find_strongest(agent_cells, self._get_nearest_cells(k), self._padded, best, value)
-        x, y, z = (self._seen[:, k].take(best) for k in range(3))
+        x, y, z = (self._sensed_positions[:, k].take(best) for k in range(3))
         return value.astype(np.float32), x, y, z
 
     def get_dependent_cells(self, k: int) -> tuple[NDArray[np.int64], Cells]:
-        """Return, for each cell a, the cells that have a among their nearest `k`: `cell[start[a]:start[a+1]]`, ascending.
+        """Return arrays `start` and `cell`, which list for each cell a the cells that have a among their `k` nearest cells.
 
-        The two results are `start` and `cell`. The cells must not be able to grow."""
+        These are `cell[start[a]:start[a+1]]`, ascending. The field's cells must not be able to grow."""
         if k not in self._dependents_by_size:
             self._dependents_by_size[k] = _find_dependent_cells(self._get_nearest_cells(k), len(self.cells))
         return self._dependents_by_size[k]
 
     def sample_gradient(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats]:
-        """Return direction and strength (per mm) of the gradient along the surface: a least-squares fit over the nearest `k`
-        cells."""
+        """Return x, y, z of the gradient (per mm) along the surface at each of `cells`, float32[n] each.
+
+        It is a least-squares fit over the `k` nearest cells; 0 for cell -1."""
         agent_cells = np.asarray(cells, np.int64)
         has_cell = (agent_cells >= 0) & (len(self.cells) > 0)
         agent_cells = np.where(has_cell, agent_cells, 0)
@@ -238,14 +243,14 @@ class PheromoneField:
         stiff = moments[0] + moments[1] + moments[2] + 1e-30
         for m, (a, b) in enumerate(_SYMMETRIC_ENTRIES):
             moments[m] += stiff * normal[a] * normal[b] * 1e3 + (1e-9 * stiff if m < 3 else 0.0)
-        return tuple(np.where(has_cell, g, 0.0).astype(np.float32) for g in _solve_symmetric(moments, slope))  # type: ignore[return-value]
+        return tuple(np.where(has_cell, g, 0.0).astype(np.float32) for g in _solve_symmetric_system(moments, slope))  # type: ignore[return-value]
 
     def _get_nearest_cells(self, k: int) -> Cells:
         return self.cells.get_nearest_cells(k)
 
     @cached_property
-    def _seen(self) -> NDArray[np.float32]:
-        """Return cell positions as agents sense them: `_cell_positions` in float32, one contiguous row for each cell."""
+    def _sensed_positions(self) -> NDArray[np.float32]:
+        """Return `_cell_positions` as `sensed_positions` has them: float32, one contiguous row for each cell."""
         single_positions = np.zeros((len(self.cells) + 1, 4), np.float32)
         single_positions[:, :3] = self._cell_positions.T
         return single_positions
@@ -257,7 +262,7 @@ class PheromoneField:
 
 
 def _find_dependent_cells(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
-    """Return the same as `PheromoneField.get_dependent_cells`, for a table of blocks [cells, k]."""
+    """Return the result of `PheromoneField.get_dependent_cells`. `block` [cells, k]: the nearest cells of each cell."""
     flat = block.ravel()
     start = np.zeros(cells + 2, np.int64)
     np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])
@@ -265,7 +270,7 @@ def _find_dependent_cells(block: Cells, cells: int) -> tuple[NDArray[np.int64], 
 
 
 class _DiffusionFlow:
-    """A symmetric flow between cells: inflow from the linked cells minus outflow."""
+    """A symmetric flow between cells. `inflow_matrix`: the share of each linked cell's amount that flows in, sparse."""
 
     def __init__(self, inflow_matrix: Any) -> None:
         rows = np.repeat(np.arange(inflow_matrix.shape[0]), np.diff(inflow_matrix.indptr))
@@ -278,8 +283,9 @@ class _DiffusionFlow:
         self._inflow = np.empty(0)
 
     def compute_flow(self, amounts: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
-        """Return the flow into each cell, in an array that the next call overwrites. `amounts` may have extra entries after the
-        cells."""
+        """Return the inflow minus the outflow of each cell. The next call overwrites the array.
+
+        `amounts`: the amount in each cell; further entries are ignored."""
         if not len(self._inflow):
             self._inflow = np.empty(len(self._outflow_shares))
         work = partial(compute_cell_inflow, amounts, *self._inflow_matrix, self._outflow_shares, self._inflow)
@@ -287,8 +293,10 @@ class _DiffusionFlow:
         return self._inflow
 
 
-def _solve_symmetric(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Return the solution x of M x = v by cofactors. M is symmetric 3×3, given as (xx, yy, zz, xy, xz, yz)."""
+def _solve_symmetric_system(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return the three components of the solution x of M x = v, computed by cofactors.
+
+    M is a symmetric 3×3 matrix; `m` has its entries xx, yy, zz, xy, xz, yz."""
     xx, yy, zz, xy, xz, yz = m
     c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
@@ -312,11 +320,10 @@ def compute_cell_inflow(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the net inflow of each cell from `begin` to before `end` into `change`.
+    """Write the inflow minus the outflow of each cell from `begin` to before `end` to `change`.
 
-    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `inflow_shares`: the share of each linked cell's amount that flows
-    in.
-    `outflow_shares`: the share of the cell's own amount that flows out."""
+    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `inflow_shares`: for each entry of `cell`, the share of its amount
+    that flows in. `outflow_shares`: the share of each cell's amount that flows out."""
     for n in range(begin, end):
         total = 0.0
         for k in range(start[n], start[n + 1]):
@@ -340,9 +347,8 @@ def step_cells(
 ) -> None:
     """Advance the cells from `begin` to before `end` by one step.
 
-    Adds `spread` times `change` (none if the array is empty), multiplies by `remaining_share`, then applies the deposits
-    `pending_deposits`.
-    `pending_deposits`: deposits in multiples of `unit`; set to 0 once applied.
+    Adds `spread` times `change` (nothing if the array is empty), multiplies by `remaining_share`, then applies deposits.
+    `pending_deposits`: the deposits in multiples of `unit`; set to 0 after they are applied.
     `deposit_mode`: 1 adds deposits; 2 uses them as the least amount of the cell.
     `limit`: the largest amount. Amounts below `flush_threshold` become 0."""
     spreads = change.size > 0
@@ -368,11 +374,11 @@ def step_cells(
 def find_strongest(
     agent_cells: Array1[I32], block: Array2[I32], values: Array1[F64], best_cells: Array1[I64], value: Array1[F64]
 ) -> None:
-    """Write the largest amount in each row of `block` [cells, k] to `value`, and the first cell that has it to `best_cells`.
+    """Write, for each agent, the largest amount near its cell to `value`, and the first cell that has it to `best_cells`.
 
-    `agent_cells` [n]: the agents' cells, -1 for none. `values` [cells + 1]: amounts, with a final 0 for "no cell". If all amounts
-    are 0,
-        `best_cells` is the agent's own cell and `value` is 0."""
+    If all amounts are 0, `best_cells` is the agent's own cell and `value` is 0.
+    `agent_cells` [n]: the agents' cells, -1 for none. `block` [cells, k]: the nearest cells of each cell.
+    `values` [cells + 1]: the amounts, with a final 0 for "no cell"."""
     none = values.size - 1
     for n in range(agent_cells.size):
         cell = agent_cells[n]

@@ -1,4 +1,4 @@
-"""The cells near which a scent is at least as strong as a threshold. Each step updates only cells where this has changed."""
+"""The cells near which a pheromone is at least as strong as a threshold. Each step updates only cells where this has changed."""
 
 from __future__ import annotations
 
@@ -12,21 +12,19 @@ from antdsl.fields.pheromone import PheromoneField
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, U8, Array1, allocate_scratch, kernel, simd_range
 from antdsl.numerics import parallel
 
-_MAX_LISTED_NUMBERS = 1 << 22  # most entries of the table of blocks; its inverse needs the same memory
+_MAX_BLOCK_TABLE_ENTRIES = 1 << 22  # most entries of the table of blocks; its inverse needs the same memory
 _CELLS_PER_CHUNK = 512  # cells per chunk: compared first, then the changed ones are written
 
 
 class CellsAboveThreshold:
-    """A mask of the cells of a field near which the amount reaches `threshold`: one of the `k` cells nearest to the cell has at
-    least this amount.
+    """The cells of a field of which one of the `k` nearest cells has at least the amount `threshold`.
 
-    All cells count as near if `threshold` is 0 or less, if the field can get new cells, or if there are too many cells for a
-    table."""
+    All cells count if `threshold` is 0 or less, if the field can get new cells, or if there are too many cells for a table."""
 
     def __init__(self, field: PheromoneField, threshold: np.float32, k: int) -> None:
         self._inputs, self._k = (field, field.version, threshold), k
         cells = field.cells
-        self._is_always_above = not threshold > 0 or isinstance(cells, GrowingCells) or len(cells) * k > _MAX_LISTED_NUMBERS
+        self._is_always_above = not threshold > 0 or isinstance(cells, GrowingCells) or len(cells) * k > _MAX_BLOCK_TABLE_ENTRIES
         self._near_counts = np.full(
             len(cells) + 1, self._is_always_above, np.uint8
         )  # number of cells above the threshold in each block
@@ -34,7 +32,7 @@ class CellsAboveThreshold:
         self._changed_buffer = np.empty(len(self._is_above), np.int64)
 
     def matches(self, field: PheromoneField, threshold: np.float32) -> bool:
-        """Return whether this object is valid for a field with its current cells and for this threshold."""
+        """Return whether this object was made for this field, its current cells and this threshold."""
         own_field, own_version, own_threshold = self._inputs
         return own_field is field and own_version == field.version and own_threshold == threshold
 
@@ -61,10 +59,10 @@ class CellsAboveThreshold:
 def write_changed_cells(
     values: Array1[F64], threshold: F32, is_above: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
-    """Write the cells from `begin` to before `end` with an outdated flag in `is_above` into `changed`, from index `begin` on.
+    """Write the cells of which the entry in `is_above` is outdated to `changed`, from index `begin` on.
 
-    `is_above`: whether each cell's amount, in float32, is at least `threshold`. Returns `begin` and the number of cells
-    written."""
+    Returns `begin`, and the number of cells written. Cells from `begin` to before `end` are compared.
+    `is_above`: whether the amount of each cell, in float32, is at least `threshold`."""
     other, count = allocate_scratch(_CELLS_PER_CHUNK, I32), 0
     for low in range(begin, end, 512):
         high = min(low + _CELLS_PER_CHUNK, end)
@@ -79,9 +77,10 @@ def write_changed_cells(
 
 @kernel
 def update_counts(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], is_above: Array1[BOOL], count: Array1[U8]) -> None:
-    """Flip `is_above` for the cells `changed`, and update `count` of all cells with a changed cell in their block.
+    """Invert `is_above` for the cells `changed`, and update `count` of the cells that have them among their nearest cells.
 
-    `cell` from index `start[a]` on: the cells with cell a in their block."""
+    `count`: how many of the nearest cells of each cell are above the threshold.
+    `cell[start[a]:start[a+1]]`: the cells that have cell a among their nearest cells."""
     for n in range(changed.size):
         a = changed[n]
         change = -1 if is_above[a] else 1

@@ -30,13 +30,13 @@ def find_new_contacts(world: World, population: Population, other_species: str, 
     for none.
     `touched_ids` (n, k): the ids touched so far, -1 for none. If all k are in use, new contacts are ignored."""
     contact_ids = np.full(len(rows), -1, np.int64)
-    known = _cached_touching(world).get((population.name, other_species))
+    known = _get_touching_agents(world).get((population.name, other_species))
     if known is None:
         return contact_ids, np.full_like(touched_ids, -1)
-    first, count = known.starts.take(rows), known.starts.take(rows + 1) - known.starts.take(rows)
+    first, count = known.partner_starts.take(rows), known.partner_starts.take(rows + 1) - known.partner_starts.take(rows)
     who = np.repeat(np.arange(len(rows)), count)
     pairs = np.arange(len(who)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
-    ids = known.ids.take(pairs)
+    ids = known.partner_ids.take(pairs)
     same = touched_ids.take(who, axis=0) == ids[:, None]
     lasting = np.zeros(touched_ids.shape, np.bool_)
     pair, slot = np.nonzero(same)
@@ -50,15 +50,15 @@ def find_new_contacts(world: World, population: Population, other_species: str, 
     return contact_ids, touched_ids
 
 
-def _cached_touching(world: World) -> Mapping[tuple[str, str], TouchingAgents]:
-    """Return which agents touched at the start of the step, by both species. The result is cached for the step."""
+def _get_touching_agents(world: World) -> Mapping[tuple[str, str], TouchingAgents]:
+    """Return the agents that touched at the start of the step, by the names of both species; cached for the step."""
     if world.touching_agents is None:
-        world.touching_agents = _find_touching(CapsuleCrowd(world, start=True))
+        world.touching_agents = _find_touching_agents(CapsuleCrowd(world, start=True))
     return world.touching_agents
 
 
-def _find_touching(crowd: CapsuleCrowd) -> dict[tuple[str, str], TouchingAgents]:
-    """Return the contacts of all agents, by both species. `touching` pairs are near enough that an existing contact continues."""
+def _find_touching_agents(crowd: CapsuleCrowd) -> dict[tuple[str, str], TouchingAgents]:
+    """Return the touching agents by the names of both species: pairs so near that an existing contact would continue."""
     contacts: dict[tuple[str, str], TouchingAgents] = {}
     if len(crowd) < 2:
         return contacts

@@ -28,21 +28,21 @@ FourColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 FloatTriple = tuple[F64, F64, F64]
 Sizes = tuple[I64, I64, I64]
 
-_MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
-_AGENTS_PER_COLUMN = 6
-_LAYERS_PER_COLUMN = 2
+_MAX_CELLS_PER_AXIS = 1 << 19  # three packed coordinates stay below 2**62
+_MAX_AGENTS_PER_COLUMN = 6
+_MAX_LAYERS_PER_COLUMN = 2
 _MIN_CHUNKED_AGENTS = 8_192  # fewer agents are not worth several threads
-SHARES_PER_CHUNK = 16  # parts of a chunk; a thread processes at least one chunk
+RANGE_UNITS_PER_CHUNK = 16  # parts of a chunk; a thread processes at least one chunk
 SPARE_TABLE_ENTRIES = 3  # additional entries in a table of cells
 NO_ORDER = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class GridShape:
-    """The cells of a box. Lists are in the order of the fast, middle and slow axis: the longest, the second and the shortest.
+    """A box divided into cells. Lists have values for the box's longest, second and shortest axis: the fast, middle and slow one.
 
-    `axes`: the three axes. `low`: the low corner (mm). `extent`: the size of the box (mm).
-    `width`: the size of a cell (mm). `size`: the number of cells."""
+    `axes`: the axes as indices into x, y, z. `low`: the least corner of the box (mm). `extent`: the lengths of the box (mm).
+    `width`: the lengths of a cell (mm). `size`: the number of cells along each axis."""
 
     axes: tuple[int, ...]
     low: list[float]
@@ -52,7 +52,7 @@ class GridShape:
 
     @classmethod
     def from_bounds(cls, low: list[float], high: list[float], cell: float) -> GridShape:
-        """Return the cells of the box between two corners (mm), for queries with radius `cell` (mm)."""
+        """Return the cells of the box between the corners `low` and `high` (mm), for queries with radius `cell` (mm)."""
         x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
         axes: tuple[int, ...] = (0, 1, 2)
         extent = [x, y, z]
@@ -61,7 +61,7 @@ class GridShape:
             low, extent = ([values[axis] for axis in axes] for values in (low, extent))
         cell = cell if 0 < cell < np.inf else max(extent[0], 1.0)
         # Wider cells only add candidates. The packed key of a widely scattered crowd must not overflow.
-        min_width = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
+        min_width = max(extent[0] / (_MAX_CELLS_PER_AXIS - 4), 1e-30)
         fine, width = max(cell / 4, min_width), max(cell, min_width)
         size = [int(extent[0] / fine) + 1, int(extent[1] / width) + 1, int(extent[2] / width) + 1]
         return cls(axes, low, extent, [fine, width, width], size)
@@ -73,29 +73,26 @@ class GridShape:
 
     @property
     def cells_per_mm(self) -> tuple[float, float, float]:
-        """Return the number of cells per millimetre along the three axes."""
+        """Return the number of cells per millimetre along the fast, middle and slow axis."""
         a, b, c = self.width
         return 1 / a, 1 / b, 1 / c
 
     def has_cell_table(self, agents: int) -> bool:
-        """Return whether the number of cells is small enough for a table of all cells, given the number of agents."""
+        """Return whether a table of all cells is small enough for a crowd of `agents` agents."""
         return self.cell_count <= max(1 << 16, 16 * agents)
 
-    def to_sheet(self) -> GridShape:
-        """Return the shape with a single layer of cells along the shortest axis."""
+    def flatten_to_one_layer(self) -> GridShape:
+        """Return the same box with a single layer of cells along its shortest axis."""
         return GridShape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
 
-    def can_be_sheet(self, positions: Positions) -> bool:
-        """Return whether a crowd at these positions (float32[n] mm) needs no separate cells along the shortest axis.
-
-        This holds if few agents, or few layers of cells, lie above each other, as on ground. In a widely scattered crowd,
-        several columns may share a number."""
+    def is_one_layer_enough(self, positions: Positions) -> bool:
+        """Return whether a crowd at these positions (float32[n] mm) needs no separate cells along the shortest axis, because
+        few agents, or few layers of cells, lie above each other, as on ground."""
         if not self.extent[2] > 0:
             return False  # there is already only one layer of cells
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
-        return bool(
-            _can_be_sheet(reorder_axes(self.axes, positions), tuple(self.low), self.cells_per_mm, tuple(self.size), occupied)
-        )
+        axis_positions = reorder_axes(self.axes, positions)
+        return bool(_is_one_layer_enough(axis_positions, tuple(self.low), self.cells_per_mm, tuple(self.size), occupied))
 
 
 def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -107,41 +104,41 @@ def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any
 def find_bounding_box(positions: Positions) -> tuple[list[float], list[float]]:
     """Return the corners of the bounding box of all finite positions (float32[n] mm); zeros if there are none."""
     ends = np.empty((2, 3))
-    _fill_box(*positions, np.empty((6, LANE_COUNT), np.float32), ends)
+    _write_bounding_box(*positions, np.empty((6, LANE_COUNT), np.float32), ends)
     low, high = ends.tolist()
     return low, high
 
 
 class CellOrder:
-    """Agents in the order of cells, with arrays that the next sort reuses. Agents without a finite position come last, in no
-    cell.
+    """Agents sorted by their cells, with arrays that the next sort reuses. Agents without a finite position come last, in no
+    cell. An agent's index in the sorted arrays is called its position in the order.
 
-    `columns`: x, y and z float32 in that order, with eight spare values at the end.
-    `packed_positions`: x, y, z and row of each agent, contiguous.
-    `rows` int32: the row of each agent in the order.
-    `at` int32[n + 8]: the position of each row in the order.
-    `starts` int32: the first agent of each cell, then the number of agents; empty if there are too many cells for a table.
-    `keys` int64: the cells of the agents in the order; used if `starts` is empty.
-    `tables`: the arrays that machine code reads, as a new mapping whenever one of them is replaced. Its entries are:
-    `places` [n + 8, 4]: x, y, z and row of each agent, the row as the bits of an int32.
-    `floats`: low corner, width and inverse width of cells along the fast, middle and slow axis.
-    `whole`: the three axes, the numbers of cells, the number of agents."""
+    `columns`: x, y and z of the sorted agents, float32[n + 8] each; the last eight values are spare.
+    `packed_positions`: x, y, z and row of each sorted agent, four entries per agent. `rows` int32[n]: only the rows.
+    `position_by_row` int32[n + 8]: the position in the order of each row.
+    `cell_starts` int32: the first sorted agent of each cell, then the number of agents; empty if there are too many cells.
+    `keys` int64[n]: the cell of each sorted agent; used if `cell_starts` is empty.
+    `tables`: the arrays that machine code reads, by name; a new mapping whenever one of them is replaced. Among them,
+    `places` [n + 8, 4] has x, y, z and row of each sorted agent, the row as the bits of an int32;
+    `floats` has the low corner, width and inverse width of cells along the fast, middle and slow axis;
+    `whole` has the three axes, the numbers of cells along them, and the number of agents."""
 
     def __init__(self, count: int, threads: int) -> None:
         self.count, self.threads = count, threads
         self._chunks = max(1, min(threads, count_available_cores())) if count >= _MIN_CHUNKED_AGENTS else 1
-        self._packed_rows, self.at = np.zeros((count + LANE_COUNT, 4), np.float32), np.zeros(count + LANE_COUNT, np.int32)
+        self._packed_rows = np.zeros((count + LANE_COUNT, 4), np.float32)
+        self.position_by_row = np.zeros(count + LANE_COUNT, np.int32)
         self.columns = tuple(np.zeros((3, count + LANE_COUNT), np.float32))
         self._shape_floats, self._shape_integers = np.zeros(9), np.zeros(7, np.int64)
         self._keys, self._table = np.empty(count, np.int64), np.empty((self._chunks, 0), np.int32)
-        self._counts, self.keys, self.starts = self._table, NO_ORDER, np.empty(0, np.int32)
+        self._counts, self.keys, self.cell_starts = self._table, NO_ORDER, np.empty(0, np.int32)
         self.shape: GridShape | None = None
         self._cell_numbering: tuple[Any, ...] = ()
         self.packed_positions = self._packed_rows.reshape(-1)
-        self._store_targets = (self.packed_positions, self.packed_positions.view(np.int32), self.at)
+        self._store_targets = (self.packed_positions, self.packed_positions.view(np.int32), self.position_by_row)
         self.tables: dict[str, NDArray[Any] | None] = {
             "places": self._packed_rows,
-            "at": self.at,
+            "at": self.position_by_row,
             "keys": self.keys,
             "starts": None,
         }
@@ -149,12 +146,11 @@ class CellOrder:
 
     @property
     def rows(self) -> NDArray[np.int32]:
-        """Return the row of each agent, in the order of cells."""
+        """Return the row of each sorted agent, int32[n]."""
         return self._packed_rows.view(np.int32)[: self.count, 3]
 
     def sort(self, shape: GridShape, positions: Positions, order: NDArray[np.int64] = NO_ORDER) -> None:
-        """Sort agents at positions (float32[n] mm) into cells. Within a cell, they are in row order, or in the given `order`
-        of all agents."""
+        """Sort agents at positions (float32[n] mm) by cell, then in the given `order` of all rows (empty: ascending)."""
         if shape is not self.shape:
             self._set_shape(shape)
         counts, keys = self._counts, self._keys
@@ -179,7 +175,7 @@ class CellOrder:
         )
 
     def _set_shape(self, shape: GridShape) -> None:
-        """Store the cell counts of a shape, and allocate a table of the cells."""
+        """Store a new shape, and allocate a table of its cells if they are few enough."""
         self.shape, self._cell_numbering = shape, (tuple(shape.low), shape.cells_per_mm, tuple(shape.size), 0)
         self._shape_floats[:] = *shape.low, *shape.width, *shape.cells_per_mm
         self._shape_integers[:] = *shape.axes, *shape.size, self.count
@@ -187,22 +183,22 @@ class CellOrder:
         if has_table and self._table.shape[1] < needed:
             self._table = np.empty((self._chunks, needed + (needed >> 3)), np.int32)
         self._counts = self._table if has_table else self._table[:, :0]
-        self.starts = self._counts[-1]
-        self.tables = {**self.tables, "starts": self.starts if has_table else None}
+        self.cell_starts = self._counts[-1]
+        self.tables = {**self.tables, "starts": self.cell_starts if has_table else None}
 
 
 def run_in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
-    """Call a kernel for a number of chunks, in threads. A thread takes at least one chunk.
+    """Call the kernel `work` for all `chunks` in parallel. A thread processes at least one chunk.
 
-    The last two arguments of the kernel are its range, in sixteenths of a chunk."""
-    parallel.run_in_parts(work, SHARES_PER_CHUNK * chunks, threads, SHARES_PER_CHUNK)
+    The kernel's last arguments `begin` and `end` are a range of chunks in units of 1 / `RANGE_UNITS_PER_CHUNK`."""
+    parallel.run_in_parts(work, RANGE_UNITS_PER_CHUNK * chunks, threads, RANGE_UNITS_PER_CHUNK)
 
 
 @kernel
-def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], corners: Array2[F64]) -> None:
-    """Write the least and the greatest x, y and z of all finite positions to `corners` (2, 3); 0 if there are none.
+def _write_bounding_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], corners: Array2[F64]) -> None:
+    """Write the bounding box of all finite positions to `corners` (2, 3): least x, y, z, then greatest; 0 if there are none.
 
-    `lanes` (6, 8): a buffer for the extremes of each lane."""
+    `lanes` (6, 8): a buffer for the extremes of each SIMD lane."""
     even = x.size & -8
     for lane in simd_range(0, 8):
         low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
@@ -210,11 +206,15 @@ def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32]
         for first in range(0, even, 8):
             a, b, c = x[first + lane], y[first + lane], z[first + lane]
             is_finite = np.isfinite(a) & np.isfinite(b) & np.isfinite(c)
-            low_x, low_y, low_z = _minimum(low_x, a, is_finite), _minimum(low_y, b, is_finite), _minimum(low_z, c, is_finite)
+            low_x, low_y, low_z = (
+                _min_if_valid(low_x, a, is_finite),
+                _min_if_valid(low_y, b, is_finite),
+                _min_if_valid(low_z, c, is_finite),
+            )
             high_x, high_y, high_z = (
-                _maximum(high_x, a, is_finite),
-                _maximum(high_y, b, is_finite),
-                _maximum(high_z, c, is_finite),
+                _max_if_valid(high_x, a, is_finite),
+                _max_if_valid(high_y, b, is_finite),
+                _max_if_valid(high_z, c, is_finite),
             )
         lanes[0, lane], lanes[1, lane], lanes[2, lane] = low_x, low_y, low_z
         lanes[3, lane], lanes[4, lane], lanes[5, lane] = high_x, high_y, high_z
@@ -225,27 +225,29 @@ def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32]
         for k in range(even, x.size):
             place = x[k] if axis == 0 else (y[k] if axis == 1 else z[k])
             is_finite = np.isfinite(x[k]) & np.isfinite(y[k]) & np.isfinite(z[k])
-            low, high = _minimum(low, place, is_finite), _maximum(high, place, is_finite)
+            low, high = _min_if_valid(low, place, is_finite), _max_if_valid(high, place, is_finite)
         corners[0, axis], corners[1, axis] = (np.float64(low), np.float64(high)) if low <= high else (0.0, 0.0)
 
 
 @inlined
-def _minimum(low: F32, place: F32, is_valid: BOOL) -> F32:
-    """Return the lesser of two numbers if `is_valid`, else `low`."""
+def _min_if_valid(low: F32, place: F32, is_valid: BOOL) -> F32:
+    """Return the lesser of `low` and `place` if `is_valid`, else `low`."""
     return place if is_valid & (place < low) else low
 
 
 @inlined
-def _maximum(high: F32, place: F32, is_valid: BOOL) -> F32:
-    """Return the greater of two numbers if `is_valid`, else `high`."""
+def _max_if_valid(high: F32, place: F32, is_valid: BOOL) -> F32:
+    """Return the greater of `high` and `place` if `is_valid`, else `high`."""
     return place if is_valid & (place > high) else high
 
 
 @kernel
-def _can_be_sheet(axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, occupied: Array2[BOOL]) -> BOOL:
-    """Return whether the columns of cells contain few agents or few layers.
+def _is_one_layer_enough(
+    axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, occupied: Array2[BOOL]
+) -> BOOL:
+    """Return whether columns of cells contain few agents or few layers. Of very many columns, several share a number.
 
-    `occupied` (2, k): buffers that mark the columns and the cells with agents."""
+    `occupied` (2, k): buffers for flags of the columns and of the cells that contain agents."""
     agents, columns, cells = 0, 0, 0
     for row in range(axis_positions[0].size):
         a, b, c = axis_positions[0][row], axis_positions[1][row], axis_positions[2][row]
@@ -260,7 +262,7 @@ def _can_be_sheet(axis_positions: Columns, low: FloatTriple, inverse: FloatTripl
         columns += not occupied[0, column]
         cells += not occupied[1, cell]
         occupied[0, column], occupied[1, cell] = True, True
-    return agents <= _AGENTS_PER_COLUMN * columns or cells <= _LAYERS_PER_COLUMN * columns
+    return agents <= _MAX_AGENTS_PER_COLUMN * columns or cells <= _MAX_LAYERS_PER_COLUMN * columns
 
 
 @inlined
@@ -271,7 +273,7 @@ def _compute_cell_index(place: Any, low: F64, inverse: F64, size: I64) -> F64:
 
 @inlined
 def compute_cell_number(axis_positions: AnyColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: Sizes) -> I64:
-    """Return the index of an agent's cell. Agents without a finite position get the index after the last cell."""
+    """Return the number of the cell of the agent at row `row`. Agents without a finite position get the number of cells."""
     fast, middle, slow = axis_positions[0][row], axis_positions[1][row], axis_positions[2][row]
     line = _compute_cell_index(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _compute_cell_index(
         middle, low[1], inverse[1], size[1]
@@ -283,7 +285,7 @@ def compute_cell_number(axis_positions: AnyColumns, row: I64, low: FloatTriple, 
 
 @inlined
 def _compute_chunk_range(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
-    """Return where a chunk of `count` agents begins and ends."""
+    """Return the first agent of chunk `chunk`, and the agent after its last, if `count` agents are divided into `chunks`."""
     length = -(-count // (8 * chunks)) * 8
     return min(chunk * length, count), min((chunk + 1) * length, count)
 
@@ -293,12 +295,12 @@ def count_cells(
     axis_positions: AnyColumns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64],
     keys: Array1[I64], counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
-    """Store the cell of each agent, `compute_cell_number` plus `shift`, and count the agents of each cell at index cell + 2.
+    """Write each agent's cell number plus `shift` to `keys`, and the number of agents of each cell to `counts`.
 
-    `order`: rows of the agents, empty for all rows.
-    Returns how many ordered pairs of agents in the same chunk share a cell. Each agent also counts as a pair with itself."""
-    mates = 0
-    for chunk in range(begin // SHARES_PER_CHUNK, end // SHARES_PER_CHUNK):
+    Returns how many ordered pairs of agents in the same chunk share a cell. Each agent also counts as a pair with itself.
+    `order`: the agents' rows, empty for all. `counts` [chunks, cells + 3]: a cell's count has index cell + 2; may be empty."""
+    shared_cell_pairs = 0
+    for chunk in range(begin // RANGE_UNITS_PER_CHUNK, end // RANGE_UNITS_PER_CHUNK):
         first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
         if order.size > 0:
             for k in simd_range(first, last):
@@ -311,9 +313,9 @@ def count_cells(
                 counts[chunk, k] = 0
             for k in range(first, last):
                 count = counts[chunk, keys[k] + 2]
-                mates += 2 * count + 1
+                shared_cell_pairs += 2 * count + 1
                 counts[chunk, keys[k] + 2] = count + 1
-    return mates
+    return shared_cell_pairs
 
 
 @kernel
@@ -321,15 +323,15 @@ def _count_cells(
     axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64],
     keys: Array1[I64], counts: Array2[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Store and count cells as `count_cells` does, without a result."""
+    """Write cell numbers and counts as `count_cells` does, without a result."""
     count_cells(axis_positions, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
 @kernel
 def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
-    """Convert the counts to the position of each chunk's first agent of each cell, stored at index cell + 1.
+    """Replace counts by the position in the order of each chunk's first agent of each cell, at index cell + 1.
 
-    After all agents are placed, the last chunk's row contains the first agent of each cell."""
+    After `take_next_position` was called for all agents, the last row of `counts` contains the first agent of each cell."""
     last, position = counts.shape[0] - 1, 0
     for chunk in range(last):
         for cell in range(cells + 2):
@@ -346,7 +348,7 @@ def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
 
 @inlined
 def take_next_position(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
-    """Return the position of the next agent of a cell. Without a cell table, agents are already in order."""
+    """Return the next position in the order of cell `key`, and advance it. If `counts` is empty, it is `k`, the agent's index."""
     position = k
     if counts.shape[1] > 0:
         position = counts[chunk, key + 1]
@@ -359,9 +361,10 @@ def _store_agents(
     positions: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered_agents: Array1[F32],
     rows: Array1[I32], position_by_row: Array1[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write x, y, z and row of each agent at its position. `ordered_agents` and `rows` are views of one array, with four entries
-    per agent."""
-    for chunk in range(begin // SHARES_PER_CHUNK, end // SHARES_PER_CHUNK):
+    """Write x, y, z and row of each agent at its position in the order, and that position to `position_by_row`.
+
+    `ordered_agents` and `rows` are views of one array with four entries per agent."""
+    for chunk in range(begin // RANGE_UNITS_PER_CHUNK, end // RANGE_UNITS_PER_CHUNK):
         first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
         for k in range(first, last):
             row = order[k] if order.size > 0 else k
@@ -373,14 +376,14 @@ def _store_agents(
 
 @kernel
 def _store_columns(ordered_agents: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
-    """Write the positions of agents, in the order of the cells, to one array per axis."""
+    """Copy the positions of the sorted agents to one array per axis. `ordered_agents`: x, y, z and row of each agent."""
     for n in simd_range(begin, end):
         x[n], y[n], z[n], _ = load_consecutive(ordered_agents, 4 * n, 4)
 
 
 @kernel
-def store_registers(position_by_row: Array1[I32], registers: FourColumns, table: Array1[F32], begin: I64, end: I64) -> None:
-    """Write four registers of each agent at its position, four contiguous entries per agent."""
+def pack_by_position(position_by_row: Array1[I32], registers: FourColumns, table: Array1[F32], begin: I64, end: I64) -> None:
+    """Write four values of each agent to `table`: four entries per agent, in the order of cells. `registers`: values by row."""
     for row in range(begin, end):
         first = 4 * position_by_row[row]
         table[first], table[first + 1] = registers[0][row], registers[1][row]
@@ -388,10 +391,10 @@ def store_registers(position_by_row: Array1[I32], registers: FourColumns, table:
 
 
 @inlined
-def count_agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
-    """Return how many sorted agents are in cells before `key`. Without a cell table, bisect the agents' cells."""
-    if starts.size > 0:
-        count = starts[key]
+def count_agents_before(cell_starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
+    """Return how many sorted agents are in cells below `key`. Without `cell_starts`, the agents' cells `keys` are bisected."""
+    if cell_starts.size > 0:
+        count = cell_starts[key]
     else:
         count = find_lower_bound(keys, key, 0, keys.size)
     return count

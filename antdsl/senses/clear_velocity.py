@@ -51,11 +51,11 @@ _MAX_SPEED = 1e9  # mm/s, upper limit of speeds
 
 
 class VelocityWishes(NamedTuple):
-    """The wishes of the requesting agents.
+    """The velocities that the requesting agents wish for.
 
-    `velocity`: the requested velocity in space (mm/s).
-    `horizon`: for how many seconds they avoid hits.
-    `max_speed`: the greatest speed (mm/s) of all rows of their species."""
+    `velocity`: x, y, z of each requester's wish (mm/s).
+    `horizon`: for how many seconds each requester avoids collisions.
+    `max_speed`: the greatest speed (mm/s) of each row of the requesters' species."""
 
     velocity: tuple[Column, Column, Column]
     horizon: Column
@@ -66,10 +66,10 @@ class VelocityWishes(NamedTuple):
 def fill_clear_velocities(
     crowd: CrowdTables, requesters: Requesters, wishes: VelocityWishes, dt: F64, velocities: Array2[F32], begin: I64, end: I64
 ) -> None:
-    """Write velocities in space (3, n; mm/s) for requesters from the `begin`-th to before the `end`-th.
+    """Write the velocities that avoid collisions to `velocities` (3, n; mm/s), for requesters from `begin` to before `end`.
 
-    Each is along the ground, no faster than `max_speed`, and the nearest to the wish that avoids all hits within the horizon.
-    This requires that the others do their half. Agents that overlap separate within `dt` s."""
+    Each velocity is along the ground and no faster than `max_speed`. It is the one nearest to the wish that avoids all
+    collisions within the horizon, if the others make half of the change. Agents that overlap separate within `dt` s."""
     memory = SearchMemory(
         allocate_scratch(SEARCH_CAPACITY, I64),
         allocate_scratch(SEARCH_CAPACITY, I64),
@@ -94,8 +94,8 @@ def fill_clear_velocities(
     others.reset_candidates(memory)
     for k in range(begin, end):
         plane, agent = others.compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
-        count = others.find_nearest(crowd, requesters, k, plane.up, memory)
-        velocity, (a, b, c) = others.load_vector(crowd.motion, agent), wishes.velocity
+        count = others.find_nearest_others(crowd, requesters, k, plane.up, memory)
+        velocity, (a, b, c) = others.load_vector(crowd.packed_motion, agent), wishes.velocity
         wish, speed = replace_non_finite_vector(a[k], b[k], c[k]), np.float64(wishes.max_speed[requesters.rows[k]])
         own_x, own_y = dot(velocity, plane.ahead), dot(velocity, plane.left)
         horizon = min(wishes.horizon[k], _MAX_HORIZON_SECONDS) if wishes.horizon[k] > 0.0 else _MAX_HORIZON_SECONDS
@@ -113,11 +113,12 @@ def fill_clear_velocities(
 def set_velocity_border(
     other: RelativeAgent, side: F64, index: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: BorderColumns
 ) -> None:
-    """Set the half-plane that neighbour c of an agent allows. A half-plane that is not finite gets no direction and allows
-    everything.
+    """Write the half-plane of velocities that the neighbour `other` allows to entry `index` of `borders`.
 
-    `side`: the direction to use if both agents have the same position and velocity."""
-    px, py, dx, dy, is_sound = borders
+    A half-plane that is not finite gets no direction and allows every velocity.
+    `side`: the direction to use if both agents have the same position and velocity. `own_x`, `own_y`: the agent's velocity.
+    `horizon`, `dt`: the times (s) within which separate agents avoid a collision, and overlapping agents separate."""
+    px, py, dx, dy, is_valid = borders
     x, y, r = other.x, other.y, other.radius_sum
     square, square_radius = x * x + y * y, r * r
     is_separate = square > square_radius
@@ -139,15 +140,16 @@ def set_velocity_border(
     border_y = own_y + 0.5 * (change * ahead if is_round else reach * side_y - other.vy)
     is_finite = math.isfinite(border_x) and math.isfinite(border_y) and math.isfinite(ahead) and math.isfinite(side_y)
     px[index], py[index] = border_x if is_finite else 0.0, border_y if is_finite else 0.0
-    dx[index], dy[index], is_sound[index] = ahead if is_finite else 0.0, side_y if is_finite else 0.0, is_finite
+    dx[index], dy[index], is_valid[index] = ahead if is_finite else 0.0, side_y if is_finite else 0.0, is_finite
 
 
 @kernel_helper
 def find_nearest_velocity(
     borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, wx: F64, wy: F64
 ) -> tuple[F64, F64]:
-    """Return the velocity nearest to the wish that the first `border_count` borders allow. If there is none, return the one with
-    the least violation."""
+    """Return x and y of the velocity nearest to the wish (`wx`, `wy`) that the first `border_count` borders allow.
+
+    If the borders allow none, return the velocity that violates them least. `line_buffers`: work memory."""
     size = math.sqrt(wx * wx + wy * wy)
     part = 1.0
     if size > max_speed:
@@ -160,7 +162,7 @@ def find_nearest_velocity(
 
 @inlined
 def _compute_violation(borders: BorderColumns, k: I64, x: F64, y: F64) -> F64:
-    """Return how far (mm/s) a velocity violates border k; above 0 it is not allowed."""
+    """Return by how much (mm/s) the velocity (`x`, `y`) violates border `k`; it is above 0 if the border forbids the velocity."""
     px, py, dx, dy, _ = borders
     violation: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
     return violation
@@ -170,10 +172,10 @@ def _compute_violation(borders: BorderColumns, k: I64, x: F64, y: F64) -> F64:
 def _find_nearest_allowed(
     borders: BorderColumns, border_count: I64, max_speed: F64, wx: F64, wy: F64, x: F64, y: F64, seek_farthest: BOOL
 ) -> tuple[F64, F64, I64]:
-    """Return the allowed point nearest to the wish, starting from (x, y) in the circle.
+    """Return x and y of the allowed velocity nearest to the wish (`wx`, `wy`), and the index of the border that left no velocity.
 
-    With `seek_farthest`, return the allowed point that is farthest in the wish's direction. Also return the index of the border
-    that left no allowed point."""
+    The index is `border_count` if a velocity is allowed. The search starts from (`x`, `y`) in the circle of `max_speed`.
+    With `seek_farthest`, return the allowed velocity that is farthest in the wish's direction."""
     px, py, dx, dy, _ = borders
     best_x, best_y = x, y
     for k in range(border_count):
@@ -212,13 +214,14 @@ def _find_nearest_allowed(
 def _find_least_violation(
     borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, x: F64, y: F64, failed_border: I64
 ) -> tuple[F64, F64]:
-    """Return the point that violates the borders least. It starts from the point that the borders before `failed_border`
-    allow."""
-    px, py, dx, dy, is_sound = borders
+    """Return x and y of the velocity that violates the borders least.
+
+    The search starts from (`x`, `y`), which the borders before `failed_border` allow. `line_buffers`: work memory."""
+    px, py, dx, dy, is_valid = borders
     qx, qy, ex, ey, _ = line_buffers
     best_x, best_y, deepest = x, y, 0.0
     for k in range(failed_border, border_count):
-        if is_sound[k] == 0 or not _compute_violation(borders, k, best_x, best_y) > deepest:
+        if is_valid[k] == 0 or not _compute_violation(borders, k, best_x, best_y) > deepest:
             continue
         for q in simd_range(0, (k + 7) & -8):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
@@ -229,7 +232,7 @@ def _find_least_violation(
             wx, wy = dx[q] - dx[k], dy[q] - dy[k]
             size = math.sqrt(wx * wx + wy * wy)
             opposed = not (level and dx[k] * dx[q] + dy[k] * dy[q] > 0.0)
-            usable = is_sound[q] != 0 and size > _MIN_LENGTH and opposed
+            usable = is_valid[q] != 0 and size > _MIN_LENGTH and opposed
             divisor = size if size > _MIN_LENGTH else 1.0
             ex[q], ey[q] = wx / divisor if usable else 0.0, wy / divisor if usable else 0.0
         nx, ny, failed_line = _find_nearest_allowed(
@@ -242,10 +245,10 @@ def _find_least_violation(
 
 
 def find_widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return unit directions (ahead, left; float64[n] each) into the middle of the widest gap between the bearings of
-    neighbours.
+    """Return the direction into the middle of the widest gap between the bearings of an agent's neighbours.
 
-    `x`, `y` float64[n,m]: positions of neighbours, ahead and to the left. `is_present`: which of them exist.
+    The results are its components ahead and to the left, float64[n] each, of length 1.
+    `x`, `y` float64[n,m]: positions of neighbours, ahead and to the left. `is_present` [n,m]: which of them exist.
     A single neighbour leaves a gap all round, with its middle opposite to that neighbour. Of equally wide gaps, the one
     nearest to straight ahead is chosen, then the one to the left. Without neighbours, the result is 0."""
     n, width = x.shape

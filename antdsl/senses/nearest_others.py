@@ -56,25 +56,25 @@ _ZERO_BITS_MASK = (1 << 29) - 1  # mask of the last bits of a float64, which are
 class CrowdTables(NamedTuple):
     """All agents of a grid, in the order of cells. Values that are not finite are 0.
 
-    `up`: four entries per agent: up x, y, z, and the agent's number in the order of species and ids.
-    `motion`: four entries per agent: velocity x, y, z, and radius.
-    `name_ranks`: for each of these numbers, the number in the order of species names and ids. Empty if there is only one
-    species."""
+    `packed_up`: four entries per agent: its up direction x, y, z, and its rank in the order of species and ids.
+    `packed_motion`: four entries per agent: its velocity x, y, z (mm/s), and its radius (mm).
+    `name_ranks`: for each rank of `packed_up`, the agent's rank in the order of species names and ids. It is empty if there is
+    only one species."""
 
     grid: CellGridTables
-    up: Array1[F32]
-    motion: Array1[F32]
+    packed_up: Array1[F32]
+    packed_motion: Array1[F32]
     name_ranks: Array1[I32]
 
 
 class Requesters(NamedTuple):
-    """Agents that search for others.
+    """Agents of one species that search for others.
 
-    `positions`: their positions in the order of cells.
-    `rows`: their rows in the population of their species.
+    `positions`: the position of each requester in the order of cells.
+    `rows`: the row of each requester in the population of the species.
     `radius`: the radius (mm) of each search.
-    `max_others`: the largest number of others.
-    `heading`: headings of all rows of the species."""
+    `max_others`: how many others each search may return.
+    `heading`: x, y, z of the heading of each row of the species."""
 
     positions: Array1[I32]
     rows: Array1[I64]
@@ -92,11 +92,11 @@ class TangentPlane(NamedTuple):
 
 
 class SearchMemory(NamedTuple):
-    """Scratch memory of a search, `SEARCH_CAPACITY` numbers each.
+    """Scratch memory of a search. Each array has `SEARCH_CAPACITY` numbers.
 
-    `candidates`: agents, as positions in the order of cells.
-    `candidate_keys`, `distance_ranks`: their sort keys, and their ranks by distance.
-    `nearest_rows`, `nearest_keys`: the nearest agents in order, and their keys."""
+    `candidates`: agents within the radius, as positions in the order of cells.
+    `candidate_keys`, `distance_ranks`: the sort key of each candidate, and its rank by distance.
+    `nearest_rows`, `nearest_keys`: the result, sorted: the nearest agents as positions in the order of cells, and their keys."""
 
     candidates: Array1[I64]
     candidate_keys: Array1[I64]
@@ -109,7 +109,7 @@ class RelativeAgent(NamedTuple):
     """Another agent in the tangent plane of a requester; x is ahead and y is to the left.
 
     `x`, `y`: relative position (mm).
-    `vx`, `vy`: own velocity minus the other's (mm/s).
+    `vx`, `vy`: the requester's velocity minus the other agent's (mm/s).
     `radius_sum`: the sum of both radii (mm)."""
 
     x: F64
@@ -121,32 +121,32 @@ class RelativeAgent(NamedTuple):
 
 @inlined
 def compute_tangent_plane(crowd: CrowdTables, requesters: Requesters, k: I64) -> TangentPlane:
-    """Return the tangent plane of requester k at the start of the step."""
+    """Return the tangent plane of the `k`-th requester's ground at the start of the step."""
     x, y, z = requesters.heading
-    row, up = requesters.rows[k], load_vector(crowd.up, requesters.positions[k])
+    row, up = requesters.rows[k], load_vector(crowd.packed_up, requesters.positions[k])
     ahead = normalise_or_perpendicular(project_to_plane(replace_non_finite_vector(x[row], y[row], z[row]), up), up)
     return TangentPlane(up, ahead, cross(up, ahead))
 
 
 @inlined
 def load_vector(packed_vectors: Array1[F32], position: I64) -> Vec3:
-    """Return the vector of the agent at position `position` from an array of `CrowdTables` with four entries per agent."""
+    """Return the first three of the four entries that `packed_vectors` has for the agent at `position` in the order of cells."""
     x, y, z, _ = load_consecutive(packed_vectors, 4 * position, 4)
     return np.float64(x), np.float64(y), np.float64(z)
 
 
 @inlined
 def reset_candidates(memory: SearchMemory) -> None:
-    """Fill the list of candidates with a valid position of an agent."""
+    """Set all entries of `memory.candidates` to 0, so that each is a valid position of an agent."""
     for p in range(SEARCH_CAPACITY):
         memory.candidates[p], memory.nearest_rows[p], memory.nearest_keys[p] = 0, 0, 0
 
 
 @kernel_helper
-def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, memory: SearchMemory) -> I64:
-    """Write the nearest others of requester k to `memory.nearest`, ordered by distance, species and id; return their number.
+def find_nearest_others(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, memory: SearchMemory) -> I64:
+    """Write the nearest others of the `k`-th requester to `memory.nearest_rows`. Return their number.
 
-    Only others on the side of the ground that `up` points to count."""
+    They are sorted by distance, species and id. Only others on the side of the ground that `up` points to count."""
     grid, agent = crowd.grid, requesters.positions[k]
     low, inverse, size = grid.low, grid.cells_per_mm, grid.size
     x, y, z = grid.positions[0][agent], grid.positions[1][agent], grid.positions[2][agent]
@@ -172,8 +172,8 @@ def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, m
     for cz in range(c0, c1 + 1):
         for cy in range(b0, b1 + 1):
             line = (cz * size[1] + cy) * size[0]
-            first = count_agents_before(grid.starts, grid.keys, line + a0)
-            last = count_agents_before(grid.starts, grid.keys, line + max(a0, a1 + 1))
+            first = count_agents_before(grid.cell_starts, grid.keys, line + a0)
+            last = count_agents_before(grid.cell_starts, grid.keys, line + max(a0, a1 + 1))
             while first < last:
                 end = min(last, first + capacity - count)
                 for p in range(first, end):  # always written, to avoid an unpredictable branch
@@ -182,27 +182,28 @@ def find_nearest(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, m
                     count += (dx * dx + dy * dy) + dz * dz <= square_limit
                 first = end
                 if count + 8 > capacity:
-                    count = _select_nearest(crowd, agent, reach, up, count, max_count, memory)
+                    count = _select_nearest_others(crowd, agent, reach, up, count, max_count, memory)
                     for p in range(count):
                         memory.candidates[p] = memory.nearest_rows[p]
                     if count == max_count:
                         farthest = np.float32(bits_to_float(memory.nearest_keys[max_count - 1] & ~_ZERO_BITS_MASK))
                         square_limit = farthest * farthest * SQUARED_RADIUS_SLACK + np.float32(1e-30)
-    return _select_nearest(crowd, agent, reach, up, count, max_count, memory)
+    return _select_nearest_others(crowd, agent, reach, up, count, max_count, memory)
 
 
 @kernel_helper
-def _select_nearest(
+def _select_nearest_others(
     crowd: CrowdTables, position: I64, reach: F32, up: Vec3, count: I64, max_others: I64, memory: SearchMemory
 ) -> I64:
-    """Write the nearest of the first `count` candidates of the agent at position `position` to `memory.nearest`; return how
-    many."""
+    """Write the nearest of the first `count` candidates to `memory.nearest_rows`, sorted. Return their number.
+
+    `position`: the searching agent, as a position in the order of cells. `reach`: the radius (mm) of the search."""
     x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * position, 4)
     padded, good_count = max(count, (count + 5) & -8), 0
     for p in simd_range(0, padded):
         q: I64 = memory.candidates[p]
         u, v, w, _ = load_consecutive(crowd.grid.packed_positions, 4 * q, 4)
-        ux, uy, uz, number = load_consecutive(crowd.up, 4 * q, 4)
+        ux, uy, uz, number = load_consecutive(crowd.packed_up, 4 * q, 4)
         dx, dy, dz = u - x, v - y, w - z
         length = np.sqrt((dx * dx + dy * dy) + dz * dz)
         side = dot(up, (np.float64(ux), np.float64(uy), np.float64(uz)))
@@ -224,25 +225,24 @@ def _select_nearest(
 
 @inlined
 def compute_relative_agent(crowd: CrowdTables, plane: TangentPlane, own_position: I64, other_position: I64) -> RelativeAgent:
-    """Return the agent at position q in the order of cells, relative to the agent at position `own_position`."""
+    """Return the agent at `other_position`, relative to the agent at `own_position`, both in the order of cells."""
     x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * own_position, 4)
     u, v, w, _ = load_consecutive(crowd.grid.packed_positions, 4 * other_position, 4)
     displacement = np.float64(u - x), np.float64(v - y), np.float64(w - z)
-    relative = minus(load_vector(crowd.motion, own_position), load_vector(crowd.motion, other_position))
+    relative = minus(load_vector(crowd.packed_motion, own_position), load_vector(crowd.packed_motion, other_position))
     return RelativeAgent(
         dot(displacement, plane.ahead),
         dot(displacement, plane.left),
         dot(relative, plane.ahead),
         dot(relative, plane.left),
-        np.float64(crowd.motion[4 * own_position + 3]) + np.float64(crowd.motion[4 * other_position + 3]),
+        np.float64(crowd.packed_motion[4 * own_position + 3]) + np.float64(crowd.packed_motion[4 * other_position + 3]),
     )
 
 
 @inlined
 def compare_names(crowd: CrowdTables, position: I64, key: I64) -> F64:
-    """Return -1 if the agent at position `position` comes before the agent with `key` in the order of species names and ids, else
-    1."""
-    own_name, other = np.int64(crowd.up[4 * position + 3]), key & _ZERO_BITS_MASK
+    """Return -1 if the agent at `position` comes before the agent with `key` in the order of species names and ids, else 1."""
+    own_name, other = np.int64(crowd.packed_up[4 * position + 3]), key & _ZERO_BITS_MASK
     if crowd.name_ranks.size > 0:
         own_name, other = crowd.name_ranks[own_name], crowd.name_ranks[other]
     return -1.0 if own_name < other else 1.0
@@ -253,7 +253,9 @@ def store_up_and_motion(
     position_by_row: Array1[I32], up: VectorColumns, velocity: VectorColumns, radius: Array1[F32], numbers: Array1[I32],
     table: Array1[F32], motion: Array1[F32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write `up` and `motion` of a `CrowdTables`, for rows from `begin` to before `end`."""
+    """Write the columns of agents to `packed_up` and `packed_motion` of a `CrowdTables`, for rows from `begin` to before `end`.
+
+    `numbers`: the rank of each row in the order of species and ids. `table`: the array for `packed_up`."""
     for row in range(begin, end):
         first, wide = 4 * position_by_row[row], np.isfinite(radius[row]) & (radius[row] > np.float32(0.0))
         u = replace_non_finite_vector(up[0][row], up[1][row], up[2][row])
@@ -268,10 +270,10 @@ def fill_nearest_offsets(
     crowd: CrowdTables, requesters: Requesters, x: Array2[F64], y: Array2[F64], is_present: Array2[BOOL], axes: Array2[F64],
     begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write the nearest others of requesters from the `begin`-th to before the `end`-th.
+    """Write the relative positions of the nearest others of requesters from `begin` to before `end`.
 
-    `x`, `y`: rows of relative positions (mm), ahead and to the left. `is_present`: which entries are used.
-    `axes` (6, n): the directions ahead and left."""
+    `x`, `y` (n, m): the distances ahead and to the left (mm). `is_present` (n, m): which entries of both are used.
+    `axes` (6, n): the unit vectors ahead and left of each requester, x, y, z each; written too."""
     memory = SearchMemory(
         allocate_scratch(SEARCH_CAPACITY, I64),
         allocate_scratch(SEARCH_CAPACITY, I64),
@@ -284,6 +286,6 @@ def fill_nearest_offsets(
         plane, agent = compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
         axes[0, k], axes[1, k], axes[2, k] = plane.ahead
         axes[3, k], axes[4, k], axes[5, k] = plane.left
-        for c in range(find_nearest(crowd, requesters, k, plane.up, memory)):
+        for c in range(find_nearest_others(crowd, requesters, k, plane.up, memory)):
             other = compute_relative_agent(crowd, plane, agent, memory.nearest_rows[c])
             x[k, c], y[k, c], is_present[k, c] = other.x, other.y, True

@@ -30,7 +30,7 @@ from antdsl.senses.cell_order import (
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]  # an index of another type is converted at every use
 
-View = tuple[Floats, Floats, Floats, Floats]
+FieldOfView = tuple[Floats, Floats, Floats, Floats]  # heading x, y, z of each query, and the cosine of half its field of view
 
 RADIUS_SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
 _DISTANCE_SLACK = 1.0 - 1e-6
@@ -40,15 +40,16 @@ MAX_INT64 = np.int64((1 << 63) - 1)
 _FLOAT32_ZERO_BITS = 29  # number of last bits of a float64 that are 0 for a float32 value
 
 # Positions x, y, z and along the fast, middle and slow axis; ids; radius; heading; cosine of half the field of view
-Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
+QueryColumns = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
 PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
 class CellGridTables(NamedTuple):
     """A `CellGrid` as kernels read it. Agents are in the order of cells.
 
-    `positions`: x, y, z. `axis_positions`: the same along the fast, middle and slow axis. `packed_positions`: four entries per
-    agent. `rows`, `ids`, `keys`: row, id and cell of each agent. `starts`: the first agent of each cell.
+    `positions`: x, y, z of each agent (mm). `axis_positions`: the same arrays in the order of the fast, middle and slow axis.
+    `packed_positions`: x, y, z and row of each agent, four entries per agent.
+    `rows`, `ids`, `keys`: row, id and cell of each agent. `cell_starts`: the first agent of each cell.
     `low`, `cells_per_mm`, `width`, `size`: low corner (mm), cells per mm, cell width (mm) and number of cells along each axis."""
 
     positions: Columns
@@ -57,7 +58,7 @@ class CellGridTables(NamedTuple):
     rows: Array1[I32]
     ids: Array1[I64]
     keys: Array1[I64]
-    starts: Array1[I32]
+    cell_starts: Array1[I32]
     low: FloatTriple
     cells_per_mm: FloatTriple
     width: FloatTriple
@@ -65,11 +66,11 @@ class CellGridTables(NamedTuple):
 
 
 class SearchProgress(NamedTuple):
-    """Progress of a search when it stops.
+    """The progress of a search for pairs when its kernel stops.
 
-    `query`: the next query. `pair_count`: the number of pairs so far.
-    `needed_spans`, `needed_candidates`: the lengths that these buffers need to continue. `needed_candidates` is -1 if a query has
-    more others within its radius than allowed."""
+    `query`: the next query. `pair_count`: the number of pairs that are written.
+    `needed_spans`, `needed_candidates`: the lengths of the buffers `spans` and `candidates` that the search needs to continue.
+    `needed_candidates` is -1 if a query has more others within its radius than allowed."""
 
     query: I64
     pair_count: I64
@@ -83,12 +84,12 @@ class TooManyNeighbours(Exception):
 
 @dataclass(frozen=True, slots=True)
 class NeighbourPairs:
-    """Pairs within the radius, sorted by `i`, then by the neighbour's cell, then by its id. All arrays have one length.
+    """Pairs of a query and a neighbour within its radius. They are sorted by query, then by the neighbour's cell, then by its id.
 
     `i`: index of the query, from 0. `j`: row of the neighbour in the grid.
-    `dx`, `dy`, `dz`: neighbour minus query, float32 mm. `distance`: the length of that vector.
+    `dx`, `dy`, `dz`: the neighbour's position minus the query's, float32 mm. `distance`: the length of that vector (mm).
 
-    Pairs do not depend on the order of rows. The order within one `i` may change with the extent of the crowd."""
+    Pairs do not depend on the order of rows. The order of one query's pairs may change with the extent of the crowd."""
 
     i: Rows
     j: Rows
@@ -99,18 +100,17 @@ class NeighbourPairs:
 
 
 class CellGrid:
-    """Agents sorted into cells. Cells form rows along the crowd's longest axis and are four times shorter along it than
-    across.
+    """Agents sorted into the cells of a grid. Along the crowd's longest axis, cells are a quarter as long as along the others.
 
-    `x y z`: float32[n] in millimetres. `ids`: int64[n], unique.
-    `cell`: the usual radius (mm) of a query. Queries with any radius work; this radius is the fastest.
+    `x`, `y`, `z`: float32[n] mm. `ids`: int64[n], unique.
+    `cell`: the usual radius (mm) of a query. Queries can have any radius, and are fastest with this one.
     An agent with a position that is not finite is never a neighbour."""
 
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float, threads: int = 1) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
         x, y, z = parallel.make_contiguous(x, y, z)
         shape = GridShape.from_bounds(*find_bounding_box((x, y, z)), cell)
-        self.shape = shape.to_sheet() if shape.can_be_sheet((x, y, z)) else shape
+        self.shape = shape.flatten_to_one_layer() if shape.is_one_layer_enough((x, y, z)) else shape
         self.order = CellOrder(x.size, threads)
         self.order.sort(self.shape, (x, y, z), NO_ORDER if (ids[1:] >= ids[:-1]).all() else sort_stably(ids))
 
@@ -123,7 +123,7 @@ class CellGrid:
         qy: Floats | None = None,
         qz: Floats | None = None,
         qid: NDArray[np.int64] | None = None,
-        view: View | None = None,
+        view: FieldOfView | None = None,
         threads: int = 1,
         limit: int | None = None,
     ) -> NeighbourPairs:
@@ -147,11 +147,11 @@ class CellGrid:
         return self._search((qx, qy, qz), reach, qid, view, threads, 1 << 62 if limit is None else limit)
 
     def table(self) -> CellGridTables:
-        """Return the cells and the agents in them as kernels read them."""
+        """Return the grid in the form that kernels read."""
         order, shape, rows = self.order, self.shape, np.ascontiguousarray(self.order.rows)
         columns: Any = order.columns
         cells: Any = tuple(shape.low), shape.cells_per_mm, tuple(shape.width), tuple(shape.size)
-        agents = order.packed_positions, rows, self.ids.take(rows), order.keys, order.starts
+        agents = order.packed_positions, rows, self.ids.take(rows), order.keys, order.cell_starts
         return CellGridTables(columns, reorder_axes(shape.axes, columns), *agents, *cells)
 
     def _search(
@@ -159,11 +159,11 @@ class CellGrid:
         query: tuple[Floats, Floats, Floats],
         reach: Floats,
         qid: NDArray[np.int64] | None,
-        view: View | None,
+        view: FieldOfView | None,
         threads: int,
         limit: int,
     ) -> NeighbourPairs:
-        """Return the pairs of all queries, searched in parallel chunks. Arguments as for `find_pairs`."""
+        """Return the pairs of queries at `query` (x, y, z) with radii `reach` (mm). Other arguments as for `find_pairs`."""
         none, grid, axes = np.empty(0, np.float32), self.table(), self.shape.axes
         ids = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, ids, reach, *(view or (none,) * 4))
@@ -188,9 +188,7 @@ class CellGrid:
 def _find_pairs(
     grid: CellGridTables, axes: tuple[int, ...], query: list[NDArray[Any]], limit: int
 ) -> tuple[NDArray[Any], ...] | None:
-    """Return the pairs of all queries [m] as columns of `NeighbourPairs`; None if a query has more than `limit` others within its
-    radius.
-
+    """Return the columns of `NeighbourPairs` for all queries [m]; None if one has more than `limit` others within its radius.
     `query`: x, y, z, ids (empty if they are not the grid's own), radius; then heading x, y, z and cosine of half the view,
         empty for all-round queries."""
     positions, (ids, radius, hx, hy, hz, cosine) = query[:3], query[3:]
@@ -213,13 +211,15 @@ def _find_pairs(
 
 @inlined
 def find_first_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the cell of the lower end of a span, at least 0 and at most `size`."""
+    """Return the first cell of a range along an axis that begins at coordinate `q` (mm): from 0 to `size`.
+
+    `low`: the lowest coordinate of the grid (mm). `inverse`: cells per mm. `size`: the number of cells."""
     return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
 
 
 @inlined
 def find_last_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the cell of the upper end of a span, at least -1 and below `size`."""
+    """Return the last cell of a range along an axis that ends at coordinate `q` (mm): from -1 to `size` - 1."""
     return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
 
 
@@ -237,17 +237,18 @@ def _find_spans(
     c: F64,
     radius: F64,
     keys: Array1[I64],
-    starts: Array1[I32],
+    cell_starts: Array1[I32],
     low: FloatTriple,
     inverse: FloatTriple,
     width: FloatTriple,
     size: Sizes,
     spans: Array1[I64],
 ) -> tuple[I64, I64]:
-    """Find the agents in cells within the radius of a position, as spans (first, one past the last) of the sorted agents.
+    """Write to `spans` where the agents of all cells within the radius of a position are among the sorted agents.
 
-    `a`, `b`, `c`: the position along the fast, middle and slow axis of the grid.
-    Returns the number of spans and of agents in them; or -1 and the required length of `spans`."""
+    Returns the number of spans, and the number of agents in all spans. If `spans` is too short, returns -1 and the required
+    length. A span has two entries: its first agent, and the agent after its last.
+    `a`, `b`, `c`: the position along the fast, middle and slow axis of the grid (mm)."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
     r = radius * RADIUS_SLACK + tiny
     b0, b1 = find_first_cell(b - r, low[1], inverse[1], size[1]), find_last_cell(b + r, low[1], inverse[1], size[1])
@@ -277,7 +278,7 @@ def _find_spans(
             if a0 > a1:
                 continue
             line = (cz * size[1] + cy) * size[0]
-            first, last = count_agents_before(starts, keys, line + a0), count_agents_before(starts, keys, line + a1 + 1)
+            first, last = count_agents_before(cell_starts, keys, line + a0), count_agents_before(cell_starts, keys, line + a1 + 1)
             if last > first:
                 spans[2 * number], spans[2 * number + 1] = first, last
                 number, total = number + 1, total + last - first
@@ -285,15 +286,15 @@ def _find_spans(
 
 
 @kernel_helper
-def _find_nearest_bound(
+def _find_last_neighbour(
     sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], ids: Array1[I64], candidates: Array1[I64], candidate_count: I64,
     x: F32, y: F32, z: F32,
     reach: F32, own_id: I64,
 ) -> tuple[F32, I64]:  # fmt: skip
-    """Return distance and id of the last of the `MAX_QUERY_NEIGHBOURS` agents nearest to a position.
+    """Return the distance and the id of the last of the `MAX_QUERY_NEIGHBOURS` agents nearest to a position.
 
-    Only the first `candidate_count` agents of `candidates` count, without the agent with id `own_id`. The search bisects the bits
-    of the distance, then the ids at that distance."""
+    The agents are the first `candidate_count` entries of `candidates`, except the agent with id `own_id`. The search bisects the
+    bits of the distance, then the ids at that distance."""
     low, high = 0, float_to_bits(np.float64(reach)) >> _FLOAT32_ZERO_BITS
     nearer_count, closer_count = 0, 0
     while low < high:
@@ -329,7 +330,7 @@ def _find_nearest_bound(
 @kernel
 def _fill_pairs(
     grid: CellGridTables,
-    query: Query,
+    query: QueryColumns,
     limit: I64,
     spans: Array1[I64],
     candidates: Array1[I64],
@@ -337,10 +338,11 @@ def _fill_pairs(
     first_query: I64,
     pair_count: I64,
 ) -> SearchProgress:
-    """Write pairs from query k on, after `pair_count` earlier pairs, until all queries are done or an array is full.
+    """Write the pairs of queries from `first_query` on, after `pair_count` earlier pairs. Return the progress.
 
+    The search stops when all queries are done, or when an array is too short.
     If a query has more than `MAX_QUERY_NEIGHBOURS` others, the nearest by distance and id are used."""
-    (sx, sy, sz), _, _, rows, names, keys, starts, low, inverse, width, size = grid
+    (sx, sy, sz), _, _, rows, names, keys, cell_starts, low, inverse, width, size = grid
     (qx, qy, qz), (fast, middle, slow), query_ids, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs
     has_ids, limited = query_ids.size > 0, cosine.size > 0
@@ -354,7 +356,7 @@ def _fill_pairs(
             gx, gy, gz, min_cosine = hx[first_query], hy[first_query], hz[first_query], cosine[first_query]
         number, total = _find_spans(
             float(fast[first_query]), float(middle[first_query]), float(slow[first_query]), float(reach),
-            keys, starts, low, inverse, width, size, spans,
+            keys, cell_starts, low, inverse, width, size, spans,
         )  # fmt: skip
         if number < 0:
             return SearchProgress(first_query, pair_count, total, candidates.size)
@@ -378,7 +380,7 @@ def _fill_pairs(
             if count > limit:
                 return SearchProgress(first_query, pair_count, spans.size, -1)
             if count > MAX_QUERY_NEIGHBOURS:
-                farthest, last = _find_nearest_bound(sx, sy, sz, names, candidates, candidate_count, x, y, z, reach, name)
+                farthest, last = _find_last_neighbour(sx, sy, sz, names, candidates, candidate_count, x, y, z, reach, name)
         if pair_count + candidate_count > i.size:
             return SearchProgress(first_query, pair_count, spans.size, candidates.size)
         for p in range(candidate_count):

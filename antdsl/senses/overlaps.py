@@ -1,4 +1,4 @@
-"""Measures how far bodies overlap. Its time does not increase if many bodies are at one position."""
+"""The overlap of agents' bodies. The time of the measurement does not increase if many bodies are at one position."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ Floats = NDArray[np.float32]
 
 _REACH_SLACK, _MIN_REACH_MM = 1 + 1e-6, 1e-9  # factor for rounded distances; mm, reach of bodies without a radius
 _MAX_PAIRS_PER_AGENT = 640  # mean number of pairs per agent; above it, a nearest-neighbour tree is faster
-_FIRST_QUERY_NEIGHBOURS = 8  # neighbours of the first query; each further query doubles the number until the result is certain
+_FIRST_QUERY_COUNT = 8  # neighbours of the first query; each further query doubles the number until the result is certain
 
 
 def measure_worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
-    """Return how far each agent overlaps its worst neighbour, float32[n]: 0 without overlap, 1 at one position. Lengths are in
-    mm.
+    """Return each agent's greatest overlap with another agent, float32[n]: 0 without overlap, 1 if both have one position.
 
-    The value is the greatest of 1 - distance / (sum of both radii), exact for any crowd. In dense crowds, a list of all pairs
-    would grow with the square of the number of agents. Therefore nearest neighbours are queried until no agent farther away
-    can overlap more."""
+    `x`, `y`, `z`, `radius`: float32[n] mm. The overlap of a pair is 1 - distance / (sum of both radii), at least 0.
+    In dense crowds, a list of all pairs would grow with the square of the number of agents. Therefore nearest neighbours are
+    queried there, until no agent farther away can overlap more."""
     x, y, z, radius = make_contiguous(x, y, z, radius)
     overlap, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
     budget = _MAX_PAIRS_PER_AGENT * len(x)
@@ -35,19 +34,19 @@ def measure_worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> F
         return overlap
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & np.isfinite(radius))
     place = np.stack([x[rows], y[rows], z[rows]], axis=1)
-    overlap[rows] = _measure_by_nearest(place, radius[rows])
+    overlap[rows] = _measure_overlaps_by_nearest(place, radius[rows])
     return overlap
 
 
 def _compute_overlap_share(distance: Floats, first: Floats, second: Floats) -> Floats:
-    """Return 1 - distance / (sum of both radii), limited to 0 .. 1."""
+    """Return 1 - distance / (sum of both radii), limited to 0 to 1. `first`, `second`: the radii of the two agents (mm)."""
     radius_sum = np.maximum(first + second, np.float32(1e-9))
     part: Floats = np.clip(1 - distance / radius_sum, 0, 1)
     return part
 
 
-def _measure_by_nearest(place: Floats, radius: Floats) -> Floats:
-    """Return overlaps as `measure_worst_overlaps` does, for positions [n,3] of a dense crowd."""
+def _measure_overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
+    """Return the result of `measure_worst_overlaps` for agents at `place` [n,3], by queries of nearest neighbours."""
     from scipy.spatial import cKDTree
 
     # A tree cannot separate agents at one position. The widest represents them all, and all overlap completely.
@@ -62,7 +61,7 @@ def _measure_by_nearest(place: Floats, radius: Floats) -> Floats:
     for size in np.unique(classes)[::-1]:  # a large agent has many small neighbours, of which only near ones matter
         others = single[classes == size]
         tree, widest = cKDTree(place[others].astype(np.float64)), float(radius[others].max())
-        pending_rows, count = np.flatnonzero(is_single), _FIRST_QUERY_NEIGHBOURS
+        pending_rows, count = np.flatnonzero(is_single), _FIRST_QUERY_COUNT
         while len(pending_rows):
             count = min(count, len(others))
             rows = single[pending_rows]
@@ -82,20 +81,21 @@ def _measure_by_nearest(place: Floats, radius: Floats) -> Floats:
 
 @kernel
 def fill_worst_overlaps(
-    searching_agents: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], is_self_search: BOOL,
+    searching_agents: Agents, agents: Agents, cell_starts: Array1[I32], cells: I64, shifts: Array1[I64], is_self_search: BOOL,
     position: Columns, radius: Array1[F32], budget: I64, overlap: Array1[F32],
 ) -> I64:  # fmt: skip
-    """Raise `overlap` of each agent to its greatest overlap in the pairs of a search.
+    """Raise each agent's entry of `overlap` to its greatest overlap in the pairs of a search.
 
-    Returns how many pairs of `budget` are left. If negative, only a part of the pairs was measured."""
+    Returns `budget` minus the number of pairs. If it is negative, the measurement stopped before the last pair.
+    The arguments before `position` are the fields of a `PairSearch`."""
     (query_positions, query_rows, query_keys), (ordered, rows, _) = searching_agents, agents
     for agent in range(query_rows.size):
         (x, y, z, wide), a = load_consecutive(query_positions, 4 * agent, 4), query_rows[agent]
         for span in range(shifts.size):
             key = query_keys[agent] + shifts[span]
             first, last = (
-                find_span_start(agents, starts, cells, is_self_search, agent, span, key),
-                find_span_end(agents, starts, cells, key),
+                find_span_start(agents, cell_starts, cells, is_self_search, agent, span, key),
+                find_span_end(agents, cell_starts, cells, key),
             )
             budget -= max(last - first, 0)
             if budget < 0:

@@ -20,7 +20,7 @@ from antdsl.numerics.parallel import make_contiguous
 from antdsl.numerics.sorting import compact_indices, sort_stably
 from antdsl.senses.cell_order import (
     NO_ORDER,
-    SHARES_PER_CHUNK,
+    RANGE_UNITS_PER_CHUNK,
     SPARE_TABLE_ENTRIES,
     Sizes,
     accumulate_counts,
@@ -35,15 +35,16 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 PositionColumns = tuple[Floats, Floats, Floats]
 Columns = tuple[Array1[F64], Array1[F64], Array1[F64]]
-Bounds = list[tuple[float, float]]
+Bounds = list[tuple[float, float]]  # the least and the greatest x, y, z and reach
 # Position and reach (four entries per agent), row, and cell of each agent
 Agents = tuple[Array1[F64], Array1[I32], Array1[I64]]
+# For each candidate pair: the searching agent, the other agent, and whether both are in reach
 CandidateBuffers = tuple[Array1[I32], Array1[I32], Array1[I32]]
 
 _MAX_PARTNERS_PER_SPAN = 48  # maximum number of partners of an agent in a span of three cells; more than fit next to each other
 _MAX_CELLS_PER_AXIS = 1 << 20  # maximum number of cells along an axis
-_MAX_MATES_PER_AGENT = 8  # pairs per agent in the same cell; up to this number, layers are not separated
-_ONE_LAYER_CELLS = 3  # cells along the shortest axis for a single layer; one cell is free at either end
+_MAX_SHARED_CELL_PAIRS_PER_AGENT = 8  # pairs per agent in the same cell; up to this number, layers are not separated
+_PADDED_LAYER_CELLS = 3  # cells along the shortest axis for a single layer; one cell is free at either end
 _AGENTS_PER_BATCH = 64  # agents with candidates listed before distances are measured
 _PREFETCH_DISTANCE = 40  # agents between a prefetch and its use
 _MIN_WRITTEN_CANDIDATES = 4  # number of candidates of a span that are always written
@@ -51,7 +52,9 @@ _MIN_WRITTEN_CANDIDATES = 4  # number of candidates of a span that are always wr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchingPairs:
-    """Rows `i` and `j` of pairs, each pair once, in no order. `is_complete`: False if pairs were omitted in a dense cluster."""
+    """Pairs of agents, each pair once, in no order.
+
+    `i`, `j`: the rows of both agents. `is_complete`: False if pairs were omitted in a dense cluster."""
 
     i: Rows
     j: Rows
@@ -60,14 +63,14 @@ class TouchingPairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchingAgents:
-    """The agents of one species that each agent of a species touches, sorted by penetration depth, the deepest first, then by
-    id.
+    """For each agent of one species, the agents of another species that it touches, called partners.
 
-    `ids[starts[r]:starts[r + 1]]`: ids of the agents that row r touches.
-    `can_start_contact`: whether the pair is deep enough for a new contact."""
+    `partner_ids[partner_starts[r]:partner_starts[r + 1]]`: ids of the partners of row r. The deepest overlap is first; equal
+    overlaps are sorted by id.
+    `can_start_contact`: for each entry of `partner_ids`, whether the overlap is deep enough for a new contact."""
 
-    starts: Rows
-    ids: NDArray[np.int64]
+    partner_starts: Rows
+    partner_ids: NDArray[np.int64]
     can_start_contact: NDArray[np.bool_]
 
 
@@ -75,7 +78,7 @@ def find_touching(place: PositionColumns, reach: Floats, order: NDArray[np.int64
     """Return the pairs of agents at a distance of at most the sum of their reaches (float64[n], mm).
 
     `place`: x, y and z float64[n], mm. Agents without a finite position and reach are in no pair.
-    `order` int64[n], all different: which agents take precedence in a dense cluster, independent of rows.
+    `order` int64[n], all different: decides which pairs are omitted in a dense cluster, so that rows do not.
     `bounds`: the least and the greatest x, y, z and reach, if known. They are not finite if any value is not finite."""
     x, y, z, reach = make_contiguous(*place, reach)
     rows, bounds = _find_usable_rows((x, y, z), reach, bounds)
@@ -90,9 +93,9 @@ def find_touching(place: PositionColumns, reach: Floats, order: NDArray[np.int64
 
 
 def iterate_neighbour_searches(place: PositionColumns, reach: Floats) -> Iterator[PairSearch]:
-    """Yield searches that together meet each pair within the sum of both reaches exactly once. Arguments as for
-    `find_touching`.
+    """Yield searches that together visit each pair of agents within the sum of both reaches exactly once.
 
+    The arguments are those of `find_touching`.
     Sparse crowds get wider cells, so that a table of all cells stays small."""
     x, y, z, reach = make_contiguous(*place, reach)
     rows, bounds = _find_usable_rows((x, y, z), reach, None)
@@ -101,7 +104,9 @@ def iterate_neighbour_searches(place: PositionColumns, reach: Floats) -> Iterato
 
 
 def _find_usable_rows(place: PositionColumns, reach: Floats, bounds: Bounds | None) -> tuple[Rows, Bounds | None]:
-    """Return the rows with a finite position and reach (empty: all rows), and their bounds; None if there is no such row."""
+    """Return the rows with a finite position and a finite reach above 0 (empty: all rows), and the bounds of their values.
+
+    The bounds are None if there is no such row."""
     if bounds is None and len(reach):
         bounds = _find_bounds((*place, reach))
     if bounds is not None and all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0:
@@ -119,7 +124,9 @@ def _find_bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
 def _iterate_searches(
     place: PositionColumns, reach: Floats, rows: Rows, bounds: Bounds, widen_cells: bool
 ) -> Iterator[PairSearch]:
-    """Yield the searches for pairs among rows (empty: all) within bounds. `widen_cells`: whether sparse grids get wider cells."""
+    """Yield searches that together visit each near pair of `rows` (empty: all rows) once.
+
+    `bounds`: the bounds of the values of these rows. `widen_cells`: whether sparse grids get wider cells."""
     low, high = bounds[3]
     if 2 * low >= high:
         yield _TouchGrid.build(place, reach, rows, bounds, widen_cells).build_own_search()
@@ -151,16 +158,14 @@ def _find_pairs(search: PairSearch) -> TouchingPairs:
 class PairSearch(NamedTuple):
     """The input of a kernel that visits pairs of neighbours.
 
-    `searching_agents`, `agents`: the agents that search, and the agents that can be found. Each: position and reach (four entries
-    per
-        agent), row, cell.
-    `starts`: the first of `agents` in each cell. `cells`: the number of cells.
-    `span_offsets`: offsets from an agent's own cell to spans of three cells.
-    `is_self_search`: both are the same agents, and each pair is visited once."""
+    `searching_agents`, `agents`: the agents that search, and the agents that can be found, each sorted by cell.
+    `cell_starts`: the first of `agents` in each cell. `cells`: the number of cells.
+    `span_offsets`: from the cell of a searching agent to the middle cell of each span. A span is three consecutive cells.
+    `is_self_search`: whether the agents search among themselves; then each pair is visited once."""
 
     searching_agents: Agents
     agents: Agents
-    starts: Array1[I32]
+    cell_starts: Array1[I32]
     cells: I64
     span_offsets: Array1[I64]
     is_self_search: BOOL
@@ -169,22 +174,23 @@ class PairSearch(NamedTuple):
 class _TouchGrid(NamedTuple):
     """Agents of similar size in the order of their cells. At either end of each axis, one row of cells is free.
 
-    `axes`: from the longest to the shortest; the following values are in this order.
+    `axes`: the axes from the longest to the shortest. `low` and `size` are in this order.
     `low`: low corner (mm). `cells_per_mm`: cells per mm. `size`: numbers of cells, 1 if layers are not separated.
-    `agents`: position and reach, row, and cell of each agent, as kernels read them.
-    `starts`: the first agent of each cell, empty if there are too many cells for a table."""
+    `agents`: position and reach (four entries per agent), row, and cell of each agent.
+    `cell_starts`: the first agent of each cell, empty if there are too many cells for a table."""
 
     axes: tuple[int, ...]
     low: tuple[float, ...]
     cells_per_mm: float
     size: tuple[int, int, int]
     agents: tuple[Floats, NDArray[np.int32], NDArray[np.int64]]
-    starts: NDArray[np.int32]
+    cell_starts: NDArray[np.int32]
 
     @staticmethod
     def build(place: PositionColumns, reach: Floats, rows: Rows, bounds: Bounds, widen_cells: bool) -> _TouchGrid:
-        """Return the grid of rows (empty: all) within bounds. `widen_cells`: whether cells become wider until a table can hold
-        all of them."""
+        """Return the grid of agents `rows` (empty: all rows), with positions and reaches within `bounds`.
+
+        `widen_cells`: whether cells become wider until a table can hold all of them."""
         low, extent = [low for low, _ in bounds[:3]], [high - low for low, high in bounds[:3]]
         axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))
         cell = max(2 * bounds[3][1], extent[axes[0]] / _MAX_CELLS_PER_AXIS, 1e-9)
@@ -195,9 +201,9 @@ class _TouchGrid(NamedTuple):
         agents = np.empty(4 * count), np.empty(count, np.int32), np.empty(count, np.int64)
         start = tuple(low[axis] for axis in axes)
         grid = _TouchGrid(axes, start, 1 / cell, (width, broad, 1), agents, np.empty(0, np.int32))
-        max_cells, flat, keys = max(1 << 16, 16 * count), depth == _ONE_LAYER_CELLS, np.empty(count, np.int64)
-        counts, mates = grid._count_agents(place, rows, keys, max_cells)
-        if not (flat or (counts.size and mates <= _MAX_MATES_PER_AGENT * count)):
+        max_cells, flat, keys = max(1 << 16, 16 * count), depth == _PADDED_LAYER_CELLS, np.empty(count, np.int64)
+        counts, shared_cell_pairs = grid._count_agents(place, rows, keys, max_cells)
+        if not (flat or (counts.size and shared_cell_pairs <= _MAX_SHARED_CELL_PAIRS_PER_AGENT * count)):
             grid = grid._replace(size=(width, broad, depth))
             counts, _ = grid._count_agents(place, rows, keys, max_cells)
         if counts.size:
@@ -206,7 +212,7 @@ class _TouchGrid(NamedTuple):
             order = sort_stably(keys)
             keys, rows = keys.take(order), rows.take(order) if rows.size else order
         _store_agents(place, reach, rows, keys, counts, *agents)
-        return grid._replace(starts=counts[0])
+        return grid._replace(cell_starts=counts[0])
 
     @property
     def cell_count(self) -> int:
@@ -214,8 +220,9 @@ class _TouchGrid(NamedTuple):
         return self.size[0] * self.size[1] * self.size[2]
 
     def _get_cell_numbering(self) -> tuple[Any, ...]:
-        """Return the inputs of kernels that number cells: low corners, cells per mm, sizes, and the index of the first cell in
-        use."""
+        """Return the arguments `low`, `inverse`, `size` and `shift` of kernels that number cells.
+
+        They are the low corner (mm), cells per mm, numbers of cells, and the number of the first cell that can have agents."""
         width, broad, depth = self.size
         first, rate = (broad + 1) * width + 1 if depth > 1 else width + 1, self.cells_per_mm
         return self.low, (rate, rate, rate if depth > 1 else 0.0), self.size, first
@@ -223,13 +230,12 @@ class _TouchGrid(NamedTuple):
     def _count_agents(
         self, place: PositionColumns, rows: Rows, keys: NDArray[np.int64], max_cells: int
     ) -> tuple[NDArray[np.int32], int]:
-        """Store the cell of each row in `keys`. Return the number of rows per cell as a table, and the number of pairs that
-        share a cell.
+        """Write the cell of each row to `keys`. Return the counts of all cells, and the number of pairs in one cell.
 
-        The table is empty if there are more than `max_cells` cells."""
+        The counts are a table as `cell_order.count_cells` writes it, empty if there are more than `max_cells` cells."""
         counts = np.empty((1, self.cell_count + SPARE_TABLE_ENTRIES if self.cell_count <= max_cells else 0), np.int32)
         return counts, _count_cells(
-            reorder_axes(self.axes, place), *self._get_cell_numbering(), rows, keys, counts, 0, SHARES_PER_CHUNK
+            reorder_axes(self.axes, place), *self._get_cell_numbering(), rows, keys, counts, 0, RANGE_UNITS_PER_CHUNK
         )
 
     def build_own_search(self) -> PairSearch:
@@ -238,11 +244,12 @@ class _TouchGrid(NamedTuple):
         Each agent is paired with later agents of its cell, and with all agents in the later half of the neighbour cells."""
         width, layer = self.size[0], self.size[0] * self.size[1]
         shifts = [0, width, layer - width, layer, layer + width][: 2 if self.size[2] == 1 else 5]
-        return PairSearch(self.agents, self.agents, self.starts, self.cell_count, np.array(shifts), True)
+        return PairSearch(self.agents, self.agents, self.cell_starts, self.cell_count, np.array(shifts), True)
 
     def build_query_search(self, place: PositionColumns, reach: Floats, rows: Rows) -> PairSearch:
-        """Return the search for pairs of other rows with the grid's agents. Each row is paired with all agents in and around
-        its cell."""
+        """Return the search for pairs of the agents `rows`, which are not in the grid, with the grid's agents.
+
+        Each row is paired with all agents in its cell and in the neighbour cells."""
         width, layer = self.size[0], self.size[0] * self.size[1]
         shifts = [depth * layer + row_offset * width for depth in (0, -1, 1) for row_offset in (-1, 0, 1)][
             : 3 if self.size[2] == 1 else 9
@@ -252,7 +259,7 @@ class _TouchGrid(NamedTuple):
             place, reorder_axes(self.axes, place), reach, *self._get_cell_numbering(), rows, positions, query_rows, keys
         )
         return PairSearch(
-            (positions, query_rows[:query_count], keys), self.agents, self.starts, self.cell_count, np.array(shifts), False
+            (positions, query_rows[:query_count], keys), self.agents, self.cell_starts, self.cell_count, np.array(shifts), False
         )
 
 
@@ -261,7 +268,7 @@ def _count_cells(
     axis_positions: Columns, low: Corner, inverse: Corner, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
-    """Store and count cells as `cell_order.count_cells` does, with float64 positions."""
+    """Write cell numbers and counts as `cell_order.count_cells` does, for float64 positions."""
     return count_cells(axis_positions, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
@@ -270,7 +277,9 @@ def _store_agents(
     positions: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32],
     ordered_agents: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> None:  # fmt: skip
-    """Write position and reach (four entries per agent), row and cell of each agent at its position in the order."""
+    """Write each agent at its position in the order: x, y, z and reach to `ordered_agents`, its row and its cell.
+
+    `order`: the agents' rows, empty for all rows. `keys`: the cell of each agent. `counts`: see `accumulate_counts`."""
     for k in range(keys.size):
         if counts.shape[1] > 0:
             prefetch(ordered_agents, 4 * counts[0, keys[min(k + _PREFETCH_DISTANCE, keys.size - 1)] + 1])
@@ -286,7 +295,9 @@ def _store_queries(
     positions: Columns, axis_positions: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
     order: Array1[I64], searching_agents: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> I64:  # fmt: skip
-    """Write the rows that are at most one cell away from used cells; return their number."""
+    """Write the agents that are at most one cell away from cells with agents of the grid. Return their number.
+
+    `order`: the rows to test. `searching_agents`, `rows`, `cells`: the results, as in `Agents`."""
     count = 0
     for k in range(order.size):
         row = order[k]
@@ -308,28 +319,32 @@ def _store_queries(
 
 @inlined
 def find_span_start(
-    agents: Agents, starts: Array1[I32], cells: I64, is_self_search: BOOL, position: I64, span: I64, key: I64
+    agents: Agents, cell_starts: Array1[I32], cells: I64, is_self_search: BOOL, position: I64, span: I64, key: I64
 ) -> I64:
-    """Return the position of the first agent in the three cells around cell `key`, for the agent at position `position`."""
-    return position + 1 if is_self_search and span == 0 else count_agents_before(starts, agents[2], min(max(key - 1, 0), cells))
+    """Return the position of the first agent in the three cells around cell `key`.
+
+    `position`: the position of the searching agent. If it searches its own grid and cell, only later agents count."""
+    return (
+        position + 1 if is_self_search and span == 0 else count_agents_before(cell_starts, agents[2], min(max(key - 1, 0), cells))
+    )
 
 
 @inlined
-def find_span_end(agents: Agents, starts: Array1[I32], cells: I64, key: I64) -> I64:
+def find_span_end(agents: Agents, cell_starts: Array1[I32], cells: I64, key: I64) -> I64:
     """Return the position after the last agent in the three cells around cell `key`."""
-    return count_agents_before(starts, agents[2], min(max(key + 2, 0), cells))
+    return count_agents_before(cell_starts, agents[2], min(max(key + 2, 0), cells))
 
 
 @kernel
 def _fill_pairs(
-    searching_agents: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], is_self_search: BOOL,
+    searching_agents: Agents, agents: Agents, cell_starts: Array1[I32], cells: I64, shifts: Array1[I64], is_self_search: BOOL,
     max_partners: I64, buffers: CandidateBuffers, i: Array1[I64], j: Array1[I64],
 ) -> tuple[I64, I64]:  # fmt: skip
-    """Write pairs into `i` and `j`. Return their number (-1 if the arrays are too short), and how many spans have omitted
-    pairs.
+    """Write the rows of pairs to `i` and `j`. Return the number of pairs, and the number of spans of which pairs were omitted.
 
-    An agent is paired with at most `max_partners` agents of a span. `buffers`: work memory for candidates and for those in
-    reach."""
+    The number of pairs is -1 if the arrays are too short. A span is three consecutive cells near an agent. The agent is paired
+    with at most `max_partners` agents of each span. `shifts`: from the agent's cell to the middle cell of each span.
+    `buffers`: work memory."""
     (query_positions, query_rows, query_keys), (ordered, rows, _), (one, other, near) = searching_agents, agents, buffers
     pair_count, count, left_out = 0, query_rows.size, 0
     for begin in range(0, count, _AGENTS_PER_BATCH):
@@ -337,8 +352,8 @@ def _fill_pairs(
         for agent in range(begin, min(begin + _AGENTS_PER_BATCH, count)):
             for span in range(shifts.size):
                 key = query_keys[agent] + shifts[span]
-                last = find_span_end(agents, starts, cells, key)
-                first = find_span_start(agents, starts, cells, is_self_search, agent, span, key)
+                last = find_span_end(agents, cell_starts, cells, key)
+                first = find_span_start(agents, cell_starts, cells, is_self_search, agent, span, key)
                 if last - first > max_partners:
                     left_out += 1
                     rotation = (agent * max_partners) % (last - first)

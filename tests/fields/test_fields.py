@@ -92,7 +92,7 @@ def test_table_and_search_find_equal_cells(monkeypatch):
     two = SurfaceCells([mesh], 4.0)
     assert two._start_table is None and one._start_table is not None
     assert np.array_equal(one.find_cells(points, normals), two.find_cells(points, normals))
-    assert np.array_equal(one.nearest_block, two.nearest_block)
+    assert np.array_equal(one.nearest_block_cells, two.nearest_block_cells)
 
 
 def test_cells_are_searched_again_only_in_another_voxel(monkeypatch):
@@ -127,7 +127,7 @@ def test_nearest_cells_equal_a_plain_search():
         gap = ((cells.position[near] - cells.position[a]) ** 2).sum(axis=1)
         expected = np.sort(near[np.lexsort((near, gap))][:16])
         crowded += len(near) > 16
-        assert np.array_equal(cells.nearest_block[a], np.pad(expected, (0, 16 - len(expected)), constant_values=most))
+        assert np.array_equal(cells.nearest_block_cells[a], np.pad(expected, (0, 16 - len(expected)), constant_values=most))
     assert crowded > 100 and crowded < most
 
 

@@ -130,12 +130,12 @@ def test_fields_lie_on_the_walls_that_were_dug(watched):
     away = np.abs(world.solids["hill"].sample(cells.position[new]))
     assert np.quantile(away, 0.5) < 1.0
     assert (cells.find_cells(cells.position[new], cells.normal[new]) >= 0).all()
-    table, none = cells.nearest_block[new], len(cells)
+    table, none = cells.nearest_block_cells[new], len(cells)
     assert ((table == np.arange(cells.initial_count, cells.used_count)[:, None]).any(axis=1)).all() and (table < none).sum(
         axis=1
     ).min() > 2
     again = cells._compute_nearest_cells(np.arange(cells.used_count), 16)
-    assert np.array_equal(again, cells.nearest_block[: cells.used_count]), "rows kept up to date are those made anew"
+    assert np.array_equal(again, cells.nearest_block_cells[: cells.used_count]), "rows kept up to date are those made anew"
 
 
 @pytest.mark.parametrize(

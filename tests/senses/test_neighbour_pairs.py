@@ -12,7 +12,7 @@ from antdsl.numerics.sorting import sort_stably
 from antdsl.runtime import Options, state_hash, step
 from antdsl.runtime.sensing import item_pairs
 from antdsl.senses import cell_order, neighbours
-from antdsl.senses.cell_order import NO_ORDER, CellOrder, GridShape, find_bounding_box, store_registers
+from antdsl.senses.cell_order import NO_ORDER, CellOrder, GridShape, find_bounding_box, pack_by_position
 from antdsl.senses.neighbours import CellGrid, NeighbourPairs, TooManyNeighbours
 
 EXTENTS = ((400, 10, 400), (100, 100, 100), (3000, 0, 0), (0, 900, 0), (9e6, 4e4, 9e6), (60, 1, 60))
@@ -109,7 +109,7 @@ def test_agents_are_sorted_by_cells(monkeypatch: pytest.MonkeyPatch, extent, thr
         order = CellOrder(count, threads)
         for cell in (6.0, 80.0, 0.0, 5e4, 2.0, np.inf):  # arrays serve again
             shape = GridShape.from_bounds(low, high, cell)
-            for each in (shape, shape.to_sheet() if shape.extent[2] > 0 else shape):
+            for each in (shape, shape.flatten_to_one_layer() if shape.extent[2] > 0 else shape):
                 key = cells_of(each, columns)
                 for names in (NO_ORDER, sort_stably(ids[:count])):
                     order.sort(each, columns, names)
@@ -145,11 +145,11 @@ def test_a_crowd_of_few_layers_is_a_sheet(layers: int, agents: int, sheet: bool)
     y = (rng.integers(0, layers, agents) * 20 + rng.uniform(0, 1, agents)).astype(np.float32)
     x[::50] = np.nan
     shape = GridShape.from_bounds(*find_bounding_box((x, y, z)), 20.0)
-    assert shape.can_be_sheet((x, y, z)) == sheet
-    assert not GridShape.from_bounds([0, 0, 0], [300, 0, 300], 20.0).can_be_sheet((x, y, z))
+    assert shape.is_one_layer_enough((x, y, z)) == sheet
+    assert not GridShape.from_bounds([0, 0, 0], [300, 0, 300], 20.0).is_one_layer_enough((x, y, z))
     x[1:3], z[1:3] = (-1e6, 1e6), (-1e6, 1e6)
     shape = GridShape.from_bounds(*find_bounding_box((x, y, z)), 20.0)
-    assert not shape.has_cell_table(agents) and shape.can_be_sheet((x, y, z)) == sheet
+    assert not shape.has_cell_table(agents) and shape.is_one_layer_enough((x, y, z)) == sheet
 
 
 @pytest.mark.parametrize("count", [1, 3, 16, 2500])
@@ -159,7 +159,7 @@ def test_registers_are_sorted_by_cells(count: int) -> None:
     expected, ordered = np.zeros((count, 4), np.float32), np.zeros((count, 4), np.float32)
     expected[at] = four.T
     for first in range(0, count, 1000):
-        store_registers(at, tuple(four), ordered.reshape(-1), first, min(first + 1000, count))
+        pack_by_position(at, tuple(four), ordered.reshape(-1), first, min(first + 1000, count))
     assert np.array_equal(ordered, expected)
 
 

@@ -103,7 +103,7 @@ def _recompute_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlowData 
         known = bound_flow.crossable_ground
         bound_flow.crossable_ground = ground = _make_crossable_ground(world, bound_flow.lattice, known.faces, known.slot_points)
         bound_flow.cost = _triangle_costs(world, flow, ground)
-        bound_flow.start, bound_flow.first, bound_flow.target_gap = _find_goal_points(world, flow, ground)
+        bound_flow.start_points, bound_flow.start_costs, bound_flow.target_gap = _find_goal_points(world, flow, ground)
         return
     now = _make_flow(world, flow)
     bound_flow.lattice, bound_flow.c, bound_flow.s, bound_flow.source = now.lattice, now.c, now.s, now.source

@@ -21,7 +21,7 @@ from antdsl.runtime.sensing.item_pairs import find_items_within
 from antdsl.runtime.sensing.nearest_pairs import find_nearest_agents
 from antdsl.runtime.sensing.neighbourhood import find_species_grid
 from antdsl.runtime.world import AXES, Items, Population, World
-from antdsl.senses.neighbours import TooManyNeighbours, View
+from antdsl.senses.neighbours import FieldOfView, TooManyNeighbours
 from antdsl.source import Span
 
 Floats = NDArray[np.float32]
@@ -161,7 +161,7 @@ def _is_own_text(span: Span | None) -> bool:
     return span is not None and not span.source.path.startswith("<")
 
 
-def _read_view_cones(population: Population, rows: Any, cosine: Any, count: int) -> View:
+def _read_view_cones(population: Population, rows: Any, cosine: Any, count: int) -> FieldOfView:
     """Return the heading of each requesting row, and the cosine of half its field of view."""
     hx, hy, hz = (population.start[f"heading.{axis}"][rows] for axis in AXES)
     return hx, hy, hz, np.full(count, cosine) if np.ndim(cosine) == 0 else cosine
@@ -173,7 +173,7 @@ def _find_pairs_within(
     own_positions: tuple[Floats, ...],
     ids: NDArray[np.int64] | None,
     radius: Any,
-    view: View | None,
+    view: FieldOfView | None,
     threads: int,
 ) -> PairRows:
     """Return the pairs within a radius (mm) and in view, found with a cell grid."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.cell_order import CellOrder, GridShape, Positions, find_bounding_box, store_registers
+from antdsl.senses.cell_order import CellOrder, GridShape, Positions, find_bounding_box, pack_by_position
 
 _RETEST_STEPS = 64  # steps after which a crowd gets new cells and the sheet test is repeated
 _BOX_MARGIN_SHARE = 1 / 32  # margin of a box around a crowd, as a share of the extent
@@ -68,7 +68,7 @@ class _CrowdGrid(CellOrder):
             self._sorted_in_step[names], laid = step, self.tables[names]
             assert laid is not None
             four = parallel.make_contiguous(*columns, *(columns[:1] * (4 - len(columns))))
-            work = partial(store_registers, self.at, four, laid.reshape(-1))
+            work = partial(pack_by_position, self.position_by_row, four, laid.reshape(-1))
             parallel.run_in_parts(work, self.count, self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
 
 
@@ -129,14 +129,14 @@ class SearchGrids:
             return GridShape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
         shape = GridShape.from_bounds(box.low, box.high, 2.0 ** (size / 4))
         if self._is_sheet(other, positions, shape):
-            shape = shape.to_sheet()
+            shape = shape.flatten_to_one_layer()
         return _coarsen_shape(shape, _MAX_CELLS_PER_AGENT * len(other))
 
     def _is_sheet(self, other: Population, positions: Positions, shape: GridShape) -> bool:
         """Return whether a crowd lies in one layer. The result only affects speed, so it is not computed in every step."""
         count, until, known = self._sheet_tests.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
-            known, until = shape.can_be_sheet(positions), self._step + _RETEST_STEPS
+            known, until = shape.is_one_layer_enough(positions), self._step + _RETEST_STEPS
         self._sheet_tests[other.name] = (len(other), until, known)
         return known and shape.extent[2] > 0
 
