@@ -77,7 +77,9 @@ def scratched(world: World) -> None:
     for population in world.populations.values():
         for entry in population.effects.take_requests("scratch"):
             if entry.request.register is not None:
-                population.now[entry.request.register][entry.rows] += entry.required_operand(0) * entry.required_operand(1)
+                population.now[entry.request.register][entry.rows] += entry.get_required_operand(0) * entry.get_required_operand(
+                    1
+                )
 
 
 phases.SETTLER_BY_EFFECT["scratch"] = scratched

@@ -145,7 +145,7 @@ def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
 
 def _describe_request(row: Effect, entry: RequestEntry) -> str:
     """Return one request in the words of its row; empty if it has no effect."""
-    if row.hides_zero_in_trace and not float(entry.required_operand(0)[0]):
+    if row.hides_zero_in_trace and not float(entry.get_required_operand(0)[0]):
         return ""
     args = dict(zip(row.operand_names, entry.args, strict=True))
     if any(arg is not None and arg[0] < 0 for name, arg in args.items() if name in row.agent_operands):

@@ -73,7 +73,7 @@ class TracedAgent(AgentRun):
             if note.state.index == int(self.trace.start[f"{note.machine}.state"]):
                 for node in list_change_nodes(note):
                     if node not in self.trace.values:
-                        self.trace.values[node] = self.value(self.replacement_by_node.get(node, node))
+                        self.trace.values[node] = self.compute_value(self.replacement_by_node.get(node, node))
 
     def _store(self, s: ir.Store) -> None:
         super()._store(s)
@@ -83,7 +83,7 @@ class TracedAgent(AgentRun):
             for note in self.notes.changes:
                 if note.machine == machine and note.state.index == state:
                     for node in list_change_nodes(note):
-                        self.trace.values[node] = self.value(self.replacement_by_node[node])
+                        self.trace.values[node] = self.compute_value(self.replacement_by_node[node])
 
     def _find_members(self, node: ir.PlanNode) -> list[SetMember]:
         self.trace.set_members[node] = super()._find_members(node)
@@ -108,7 +108,7 @@ class TracedAgent(AgentRun):
             if current_node in self.values:
                 self.trace.values[node] = self.values[current_node]
             elif current_node.rate <= ir.UpdateRate.STEP:
-                self.trace.values[node] = self.value(current_node)
+                self.trace.values[node] = self.compute_value(current_node)
 
 
 def trace_agent(

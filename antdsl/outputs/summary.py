@@ -39,7 +39,7 @@ def summarise_run(recording: Recording) -> dict[str, Any]:
         "faults": world.faults.count,
         "max_surface_error": recording.surface_error,
         "motion": world.motion.summary(),
-        **({} if world.detail is None else {"lod": world.detail.summary(world)}),
+        **({} if world.detail_levels is None else {"lod": world.detail_levels.summary(world)}),
         "state_hash": recording.last_state_hash,
         "peak_memory": measure_peak_memory(),
     }

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.program.tables.columns import AGENT_COLUMNS, Column
 from antdsl.runtime import Population
-from antdsl.runtime.body_positions import body_positions
+from antdsl.runtime.body_positions import compute_body_positions
 from antdsl.runtime.world import AXES
 
 Arrays = dict[str, NDArray[Any]]
@@ -48,7 +48,7 @@ def _make_column_array(population: Population, column: Column, rows: NDArray[np.
     if column.kind == "derived":
         return VALUE_FUNCTIONS[column.name](population)[rows]
     if column.kind == "fixed":
-        values = body_positions(population) if column.name == "position" else population.columns[column.name]
+        values = compute_body_positions(population) if column.name == "position" else population.columns[column.name]
         return values[rows].astype(kind)
     values = np.stack([population.now[name][rows] for name in column.registers], axis=-1).reshape(-1, *column.shape)
     return np.rint(values * np.float32(127)).astype(kind) if kind == "i1" else values.astype(kind)

@@ -87,7 +87,7 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
     lasting = (register for register, each in population.plan.registers.items() if each.role != "temp")
     if not len(population) or all(register in values for register in lasting):
         return
-    for crowd, line in zip(world.setting.crowds, world.lines, strict=True):
+    for crowd, line in zip(world.setting.crowds, world.crowd_lines, strict=True):
         if crowd.species == name and (crowd.place.values or crowd.initial_values):
             write_initial_values(world, population, np.flatnonzero(line.find_numbers(population.ids) >= 0), crowd)
     initialise_newborn(world, {name: np.arange(len(population))})

@@ -104,7 +104,7 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
         lines.append(line.resize(total, population.next_id))
         population.next_id += max(0, total - len(line))
         created_ids.append(lines[-1].take(released, released + joining_count - 1) if joining_count > 0 else _NO_IDS)
-    world.lines = tuple(lines)
+    world.crowd_lines = tuple(lines)
     for name, known in values.items():
         fill_registers(world, name, known)
     for name in old_world.populations:
@@ -255,8 +255,8 @@ def _migrate_counts(old_world: World, world: World) -> None:
         world.notes.restore_memory(old_world.notes.memory)
     world.dug_balls = None if old_world.dug_balls is None else {}
     world.emissions = None if old_world.emissions is None else []
-    if world.detail is not None and old_world.detail is not None:
-        world.detail.counts = old_world.detail.counts.copy()
+    if world.detail_levels is not None and old_world.detail is not None:
+        world.detail_levels.counts = old_world.detail.counts.copy()
 
 
 def describe_migration(migration: Migration) -> str:

@@ -1,4 +1,4 @@
-"""Turns a plan and a setting into a world, and advances the world step by step.
+"""A world made from a plan and a setting, and the steps that advance it.
 
 `bind` (in `binding`) makes the world at its first frame. `step` runs all functions in `phases.PHASES` once. In a step, senses
     read the world as it was at the start of the step. Blocks of the plan run on a backend (`backends`) and write requests into
@@ -12,7 +12,7 @@ from antdsl.runtime.checkpoints import CheckpointError, restore_checkpoint, stat
 from antdsl.runtime.digging import take_dug_balls
 from antdsl.runtime.faults import Fault, FaultStop, LimitStop
 from antdsl.runtime.feet.feet_state import feet_hash
-from antdsl.runtime.lifecycle import collect_emissions, event_names
+from antdsl.runtime.lifecycle import collect_emissions, list_event_names
 from antdsl.runtime.phases import step
 from antdsl.runtime.world import Items, Options, Population, World
 from antdsl.scene.setting import CrowdData, FieldStartData, ItemData, MeshData, PlacementData, WorldSetting
@@ -36,8 +36,8 @@ __all__ = [
     "WorldSetting",
     "bind",
     "collect_emissions",
-    "event_names",
     "feet_hash",
+    "list_event_names",
     "restore_checkpoint",
     "set_flow",
     "set_param",

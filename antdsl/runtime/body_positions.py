@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 LIFT_REGISTERS = ("~lift.x", "~lift.y", "~lift.z")  # mm; for species with bodies that stay outside their ground
 
 
-def body_positions(population: Wearers) -> NDArray[np.float64]:
-    """Return the positions (n, 3) at which bodies are drawn (mm). Each component is contiguous.
+def compute_body_positions(population: Wearers) -> NDArray[np.float64]:
+    """Return the positions (n, 3; mm) at which bodies are drawn. Each component is contiguous.
 
-    They are the positions of the feet, plus the shift of bodies that stay outside their ground."""
+    They are the agents' positions on the ground, plus the shift of bodies that stay outside their ground."""
     if LIFT_REGISTERS[0] not in population.now:
         return population.position
     shifted = np.empty((3, len(population)))

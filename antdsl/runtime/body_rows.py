@@ -10,19 +10,20 @@ from antdsl.scene.crowds.body_choice import choose_body_numbers
 from antdsl.scene.setting import WorldSetting
 
 
-def numbers_by_row(population: Population, setting: WorldSetting) -> NDArray[np.uint8]:
-    """Return the index of each row's body among the bodies of the species, uint8[n]. Callers must not write to the array."""
+def find_body_numbers(population: Population, setting: WorldSetting) -> NDArray[np.uint8]:
+    """Return the number of each agent's body among the bodies of the species, uint8[n]. Callers must not change the array."""
     if population.bodies is None or population.bodies[0] != population.version or len(population.bodies[1]) != len(population):
         weights = setting.body_weights.get(population.name, ())
         population.bodies = population.version, choose_body_numbers(weights, setting.seed, population.name, population.ids)
     return population.bodies[1]
 
 
-def rows_by_body(population: Population, setting: WorldSetting) -> tuple[tuple[str, NDArray[np.intp] | None], ...]:
-    """Return the key of each body of a species, with the ascending rows of its agents. For a single body, the rows are None:
-    all."""
+def group_rows_by_body(population: Population, setting: WorldSetting) -> tuple[tuple[str, NDArray[np.intp] | None], ...]:
+    """Return the key of each body of a species, with the ascending rows of the agents that have it.
+
+    For a single body, the rows are None, which stands for all."""
     keys = setting.list_body_keys(population.name)
     if len(keys) < 2:
         return ((population.name, None),)
-    numbers = numbers_by_row(population, setting)
+    numbers = find_body_numbers(population, setting)
     return tuple((key, np.flatnonzero(numbers == k)) for k, key in enumerate(keys))

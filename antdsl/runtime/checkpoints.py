@@ -17,7 +17,7 @@ from antdsl.numerics.row_hash import describe_columns
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.feet.feet_state import feet_from_arrays
-from antdsl.runtime.feet.wearers import sorted_ids_of
+from antdsl.runtime.feet.wearers import find_sorted_ids
 from antdsl.runtime.line_tables import collect_line_arrays, restore_lines
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
@@ -35,11 +35,11 @@ class CheckpointError(ValueError):
 
 
 def take_checkpoint(world: World) -> Arrays:
-    """Return copies of the arrays, by name, that form the state between two steps."""
+    """Return copies of the arrays that form the state of a world between two steps, by name."""
     arrays: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
     arrays |= {f"param.{name}": np.array(value) for name, value in world.params.items()}
     for name, population in world.populations.items():
-        arrays |= {f"species.{name}.{key}": array for key, array in _population_arrays(population).items()}
+        arrays |= {f"species.{name}.{key}": array for key, array in _collect_population_arrays(population).items()}
         arrays[f"species.{name}.next_id"] = np.array(population.next_id, np.int64)
     for name, items in world.items.items():
         arrays |= {f"items.{name}.{attribute}": amounts for attribute, amounts in items.amounts.items()}
@@ -55,8 +55,8 @@ def take_checkpoint(world: World) -> Arrays:
     names = sorted(world.transitions)
     arrays["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
     arrays["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
-    if world.detail is not None:
-        arrays["lod.counts"] = world.detail.counts
+    if world.detail_levels is not None:
+        arrays["lod.counts"] = world.detail_levels.counts
     arrays |= collect_line_arrays(world)
     arrays |= {} if world.notes is None else {f"{NOTE_PREFIX}{name}": array for name, array in world.notes.memory.items()}
     arrays |= {f"motion.{name}": array for name, array in world.motion.checkpoint_arrays().items()}
@@ -81,24 +81,24 @@ def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None
 
 def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore a state. Arrays that do not match raise various errors."""
-    world.frame = int(_read_checked_array(arrays, "frame"))
-    world.faults.count = int(_read_checked_array(arrays, "faults"))
+    world.frame = int(_read_array_of_shape(arrays, "frame"))
+    world.faults.count = int(_read_array_of_shape(arrays, "faults"))
     for name in world.params:
-        world.params[name] = np.float32(_read_checked_array(arrays, f"param.{name}"))
+        world.params[name] = np.float32(_read_array_of_shape(arrays, f"param.{name}"))
     for name, population in world.populations.items():
         _restore_population(population, arrays, f"species.{name}.")
     for name, items in world.items.items():
         for attribute, amounts in items.amounts.items():
-            amounts[:] = _read_checked_array(arrays, f"items.{name}.{attribute}", amounts.shape)
+            amounts[:] = _read_array_of_shape(arrays, f"items.{name}.{attribute}", amounts.shape)
         items.publish_amounts()
     for name, field in world.fields.items():
         if field.added_cells:
             field.restore_added_cells(
-                _read_checked_array(arrays, f"field.{name}.keys"), _read_checked_array(arrays, f"field.{name}.places")
+                _read_array_of_shape(arrays, f"field.{name}.keys"), _read_array_of_shape(arrays, f"field.{name}.places")
             )
-        field.values[:] = _read_checked_array(arrays, f"field.{name}", field.values.shape)
+        field.values[:] = _read_array_of_shape(arrays, f"field.{name}", field.values.shape)
     for name, volume in world.solids.items():
-        solid_state = {key: _read_checked_array(arrays, f"solid.{name}.{key}") for key in volume.state()}
+        solid_state = {key: _read_array_of_shape(arrays, f"solid.{name}.{key}") for key in volume.state()}
         try:
             volume.restore_changes(solid_state)
         except ValueError as error:
@@ -107,17 +107,17 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         state = flow.state()
         if state:
             flow.restore(
-                {key: _read_checked_array(arrays, f"flow.{name}.{key}", like.shape).copy() for key, like in state.items()}
+                {key: _read_array_of_shape(arrays, f"flow.{name}.{key}", like.shape).copy() for key, like in state.items()}
             )
-    text = _read_checked_array(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
-    counts = _read_checked_array(arrays, "transitions.counts")
+    text = _read_array_of_shape(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
+    counts = _read_array_of_shape(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))
     restore_lines(world, arrays)
     if world.notes is not None:
         world.notes.restore_memory(select_by_prefix(arrays, NOTE_PREFIX))
     world.motion = MotionMeasures.from_arrays(select_by_prefix(arrays, "motion."))
-    if world.detail is not None:
-        world.detail.counts = _read_checked_array(arrays, "lod.counts", world.detail.counts.shape).copy()
+    if world.detail_levels is not None:
+        world.detail_levels.counts = _read_array_of_shape(arrays, "lod.counts", world.detail_levels.counts.shape).copy()
     world.grids.clear()
     world.trees.clear()
     world.clearances.clear()
@@ -137,13 +137,13 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             feet_step.place_initial_feet(world)
             return
         try:
-            restored_feet[name] = feet_from_arrays(foot_arrays, feet.legs, sorted_ids_of(world, name))
+            restored_feet[name] = feet_from_arrays(foot_arrays, feet.legs, find_sorted_ids(world, name))
         except ValueError as error:
             raise CheckpointError(f"`feet.{name}`: {error}") from None
     world.feet = restored_feet
 
 
-def _population_arrays(population: Population) -> Arrays:
+def _collect_population_arrays(population: Population) -> Arrays:
     """Return the arrays of a species that form its state, by name."""
     arrays: Arrays = {name: population.columns[name] for name in _STORED_COLUMNS}
     arrays |= {f"footing.{name}": array for name, array in population.footing.columns.items()}
@@ -154,11 +154,11 @@ def _population_arrays(population: Population) -> Arrays:
 
 def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any]], prefix: str) -> None:
     """Restore the agents of a species from arrays with names that begin with `prefix`."""
-    count = len(_read_checked_array(arrays, f"{prefix}ids"))
-    now = _population_arrays(population)
+    count = len(_read_array_of_shape(arrays, f"{prefix}ids"))
+    now = _collect_population_arrays(population)
     taken = {}
     for key, like in now.items():
-        array = _read_checked_array(arrays, prefix + key, (count, *like.shape[1:]))
+        array = _read_array_of_shape(arrays, prefix + key, (count, *like.shape[1:]))
         if array.dtype != like.dtype:
             raise CheckpointError(f"`{prefix}{key}` holds {array.dtype}, not {like.dtype}")
         taken[key] = array.copy()
@@ -174,11 +174,11 @@ def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any
         )
         population.start[name] = population.now[name] if shared else population.now[name].copy()
     population.cells.clear()
-    population.next_id = int(_read_checked_array(arrays, f"{prefix}next_id"))
+    population.next_id = int(_read_array_of_shape(arrays, f"{prefix}next_id"))
     population.version += 1
 
 
-def _read_checked_array(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+def _read_array_of_shape(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
     """Return a named array. Raises CheckpointError if it is missing or has another shape."""
     if name not in arrays:
         raise CheckpointError(f"`{name}` is missing")

@@ -21,7 +21,7 @@ ClaimEntries = list[tuple[Population, ClaimEntry]]
 
 
 def settle_claims(world: World) -> None:
-    """Serve the claims on each amount in the order of (draw, id) until the remainder does not suffice."""
+    """Resolve all claims: serve those on each amount in the order of (random draw, id) until the remainder does not suffice."""
     item_claims: dict[tuple[str, str], ClaimEntries] = {}
     of_fields: dict[str, ClaimEntries] = {}
     for population in world.populations.values():
@@ -79,10 +79,10 @@ def _settle_amount(
     unit: float,
     entries: ClaimEntries,
 ) -> None:
-    """Settle the claims in `entries` on amounts `rest`.
+    """Resolve the claims in `entries` on the amounts `rest`, and subtract what agents get.
 
     `item`: the index in `rest` of each claim, -1 for none. `amount`: the claimed amount; inf claims all that is left, in
-        multiples of `unit`."""
+    multiples of `unit`."""
     draw = _join_arrays([_draw_claim_order(world, p, e) for p, e in entries])
     ids = _join_arrays([p.ids[e.rows] for p, e in entries])
     row = _join_arrays([e.rows for _, e in entries])
@@ -166,7 +166,7 @@ def _add_winnings(
     amount: NDArray[np.float32],
     granted_amounts: NDArray[np.float64],
 ) -> None:
-    """Add the amounts that agents obtained to their own registers. `granted_amounts`: the exact amount that each agent adds."""
+    """Add the amounts that agents get to their own registers. `granted_amounts`: the exact amount of each agent."""
     assert entry.statement.register is not None
     own = population.now[entry.statement.register]
     if entry.statement.amount is not None:
@@ -180,9 +180,9 @@ def _add_winnings(
 class _ServedClaims:
     """Claims in the order in which they are served.
 
-    `changes` float64: the exact amount by which a served claim raises the agent's own register, or the amount if there is no
-    register. `claims_all`: marks claims for all that is left.
-    `register_values`: the current value of the register. `has_register`: whether there is one."""
+    `changes` float64: the exact amount by which the claim raises a register of the agent, or its amount if it has no register.
+    `claims_all`: whether the claim is for all that is left. `has_register`: whether the claim has a register.
+    `register_values`: the current value of the register."""
 
     def __init__(
         self,
@@ -217,9 +217,12 @@ class _ServedClaims:
             self.changes[positions] = (had + amount).astype(np.float64) - had.astype(np.float64)
         self.register_values[positions], self.has_register[positions] = had, True
 
-    def amounts_for_all(self, positions: NDArray[np.intp], remaining_amounts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the amounts of claims for everything, from the amounts `remaining_amounts`: whole units, and at most what the
-        register can represent."""
+    def compute_complete_amounts(
+        self, positions: NDArray[np.intp], remaining_amounts: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the amounts that claims for all that is left get, if `remaining_amounts` are left.
+
+        They are multiples of the unit that the agent's register can represent exactly."""
         had = self.register_values[positions].astype(np.float64)
         with np.errstate(all="ignore"):
             rounded_amount = np.floor(remaining_amounts / self.unit) * self.unit if self.unit else remaining_amounts
@@ -263,7 +266,7 @@ def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer],
     _serve_in_order(rest, item[simple_rows], claims.changes[simple_rows], part)
     got[simple_rows] = part
     alone = starts[every & (ends - starts == 1)]
-    part = claims.amounts_for_all(alone, rest[item[alone]])
+    part = claims.compute_complete_amounts(alone, rest[item[alone]])
     winners, part = alone[part > 0], part[part > 0]
     got[winners] = part
     rest[item[winners]] -= part
@@ -278,13 +281,13 @@ def _serve_mixed(
 ) -> None:
     """Serve the claims on one item, from index `begin` on, in order, until the remainder does not suffice.
 
-    Some of these claims are for the complete remainder."""
+    Some of these claims are for all that is left. `obtained_amounts`: receives the amount that each claim gets."""
     first, change = 0, claims.changes[begin : begin + len(item)]
     for stop in (*np.flatnonzero(claims.claims_all[begin : begin + len(item)]).tolist(), len(item)):
         _serve_in_order(rest, item[first:stop], change[first:stop], obtained_amounts[first:stop])
         if stop == len(item) or (obtained_amounts[first:stop] < 0).any():
             return
-        part = float(claims.amounts_for_all(np.array([begin + stop]), rest[item[:1]])[0])
+        part = float(claims.compute_complete_amounts(np.array([begin + stop]), rest[item[:1]])[0])
         if not part > 0:
             return
         obtained_amounts[stop] = part

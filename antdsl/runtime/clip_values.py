@@ -1,4 +1,4 @@
-"""Properties of the clips that a species plays. They come from its bodies and from the clip names of its states."""
+"""Properties of the animation clips that a species plays. They come from its bodies and from the clip names of its states."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.body_rows import numbers_by_row
+from antdsl.runtime.body_rows import find_body_numbers
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import ClipData
 
 _UNKNOWN_CLIP = ClipData()
 
 
-def clip_table(world: World, population: Population, property_name: str) -> NDArray[np.float32]:
-    """Return a property of each clip of the species' plan. The last entry is for an unknown clip.
+def make_clip_table(world: World, population: Population, property_name: str) -> NDArray[np.float32]:
+    """Return a table of a property: its value for each clip of the species' plan, then its value for an unknown clip.
 
     A species with several bodies has these entries for each body in turn. `property_name`: `seconds`, `stride`, `loop` or `mark
     NAME`."""
@@ -26,23 +26,23 @@ def clip_table(world: World, population: Population, property_name: str) -> NDAr
     return np.array([_read_clip_property(each, property_name) for each in every], np.float32)
 
 
-def table_starts(world: World, population: Population) -> NDArray[np.int32]:
-    """Return the index in `clip_table` at which the entries of each agent's body begin, int32[n]."""
-    return numbers_by_row(population, world.setting).astype(np.int32) * np.int32(len(population.plan.clips) + 1)
+def find_table_starts(world: World, population: Population) -> NDArray[np.int32]:
+    """Return the index in `make_clip_table` at which the entries of each agent's body begin, int32[n]."""
+    return find_body_numbers(population, world.setting).astype(np.int32) * np.int32(len(population.plan.clips) + 1)
 
 
-def clip_value(
+def read_clip_value(
     world: World, population: Population, property_name: str, clip: Any, rows: Any = slice(None)
 ) -> NDArray[np.float32]:
     """Return a property of clips, given by their numbers in the species' plan. Without a clip, the value is that of an unknown
     clip.
 
     `rows`: the rows of the agents with these clips."""
-    values = clip_table(world, population, property_name)
+    values = make_clip_table(world, population, property_name)
     number, last = np.asarray(clip), len(population.plan.clips)
     place = np.where((number >= 0) & (number < last), number, last)
     if len(values) > last + 1:
-        place = place + table_starts(world, population)[rows]
+        place = place + find_table_starts(world, population)[rows]
     chosen_values: NDArray[np.float32] = values[place]
     return chosen_values
 

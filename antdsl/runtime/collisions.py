@@ -24,11 +24,11 @@ _CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above t
 
 
 def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched_ids: Ids) -> tuple[Ids, Ids]:
-    """Return the new contact of each of the given agents, and the ids of all agents that it touches from now on.
+    """Return the new contact (n) of each of the given agents, and the ids (n, k) of all agents that it now touches.
 
-    The new contact is the id of an agent of species `other_species` that it starts to touch: the one with the deepest overlap, -1
-    for none.
-    `touched_ids` (n, k): the ids touched so far, -1 for none. If all k are in use, new contacts are ignored."""
+    The new contact is the id of the agent of `other_species` that it starts to touch, -1 for none. Of several, it is the one with
+    the deepest overlap. `touched_ids` (n, k): the ids that it touched until now, -1 for none. If all k are in use, new contacts
+    are ignored."""
     contact_ids = np.full(len(rows), -1, np.int64)
     known = _get_touching_agents(world).get((population.name, other_species))
     if known is None:

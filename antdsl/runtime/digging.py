@@ -36,15 +36,15 @@ def dig_solids(world: World) -> None:
 
 
 def _carve_solid(world: World, solid: str, entries: list[tuple[Population, RequestEntry]]) -> None:
-    """Remove balls from one solid. Digging agents are ordered by (species, id, position in the source), independent of rows."""
+    """Remove balls from one solid, in the order of (species, id, position in the source), which does not depend on rows."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])
     place = np.concatenate([np.full(len(e.rows), e.order) for _, e in entries])
-    middle = np.concatenate([np.column_stack([e.required_operand(1 + k) for k in range(3)]) for _, e in entries]).astype(
+    middle = np.concatenate([np.column_stack([e.get_required_operand(1 + k) for k in range(3)]) for _, e in entries]).astype(
         np.float64
     )
-    radius = np.concatenate([e.required_operand(0) for _, e in entries]).astype(np.float64)
+    radius = np.concatenate([e.get_required_operand(0) for _, e in entries]).astype(np.float64)
     order = np.lexsort((place, ids, species))
     owner = np.empty(len(order), np.int64)
     owner[order] = np.arange(len(order))
@@ -69,8 +69,9 @@ def _add_dug_amount(population: Population, entry: RequestEntry, removed: NDArra
 
 
 def take_dug_balls(world: World) -> dict[str, NDArray[np.float64]]:
-    """Return the balls dug since the last call, by solid: float64[k, 4], centre and radius (mm). Solids without any have no
-    entry."""
+    """Return the balls that were dug since the last call, by solid: float64[k, 4], centre and radius (mm).
+
+    A solid without new balls has no entry."""
     balls_by_solid, world.dug_balls = world.dug_balls or {}, None if world.dug_balls is None else {}
     return {name: np.concatenate(balls) for name, balls in balls_by_solid.items() if sum(map(len, balls))}
 
@@ -99,7 +100,7 @@ def sample_wall_points(volume: Volume, centres: Floats, radius: Floats, spacing:
     found = [(np.empty((0, 3)), np.empty((0, 3)))]
     lines = np.minimum(np.ceil(4 * radius / spacing).astype(np.int64), _MAX_POINTS_PER_EDGE)
     for number in np.unique(lines):
-        rows, directions = np.flatnonzero(lines == number), _sphere_directions(max(int(number), 1))
+        rows, directions = np.flatnonzero(lines == number), _make_sphere_directions(max(int(number), 1))
         points = (centres[rows, None, :] + radius[rows, None, None] * directions).reshape(-1, 3)
         near = np.flatnonzero(np.abs(volume.sample(points)) < _SURFACE_DISTANCE_VOXELS * volume.voxel)
         found.append((points[near], -np.broadcast_to(directions, (len(rows), *directions.shape)).reshape(-1, 3)[near]))
@@ -108,7 +109,7 @@ def sample_wall_points(volume: Volume, centres: Floats, radius: Floats, spacing:
 
 
 @cache
-def _sphere_directions(lines: int) -> Floats:
+def _make_sphere_directions(lines: int) -> Floats:
     """Return unit vectors [6 lines², 3], spread over a sphere: the centres of a grid of squares on each side of a cube."""
     at = (np.arange(lines) + 0.5) / lines * 2 - 1
     u, v = (w.ravel() for w in np.meshgrid(at, at, indexing="ij"))

@@ -54,7 +54,9 @@ class Fault:
 
 @dataclass(slots=True)
 class FaultLog:
-    """All faults of a run: their number, and details of the first ones."""
+    """The faults of a run: their number `count`, and details of the first ones.
+
+    `rejected_births`: the number of births that were not possible. `fault_of_step`: the first fault of the current step."""
 
     count: int = 0
     rejected_births: int = 0  # births rejected because of `limits.AGENTS`
@@ -83,7 +85,7 @@ def collect_faults(world: World) -> None:
         groups: dict[tuple[int, str, str], list[FaultEntry]] = {}
         for entry in population.effects.faults:
             place = -1 if entry.span is None else entry.span.start
-            groups.setdefault((place, entry.block, _register_display_name(entry.register)), []).append(entry)
+            groups.setdefault((place, entry.block, _find_register_display_name(entry.register)), []).append(entry)
         population.effects.faults = []
         for (_, _, word), entries in sorted(groups.items(), key=lambda pair: pair[0]):
             # a vector has three components but counts as one fault
@@ -100,8 +102,8 @@ def collect_faults(world: World) -> None:
                 population.quarantined[rows] = True
 
 
-def _register_display_name(register: str) -> str:
-    """Return the author's name for a register: the vector's name without axis, or the purpose of a temporary register."""
+def _find_register_display_name(register: str) -> str:
+    """Return the name of a register in messages: the vector's name without axis, or the purpose of a temporary register."""
     name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
     return {"~steer": "steer", "~gaze": "face", "~face": "face", "~left": "push", "~held": "the vector"}.get(name, name)
 

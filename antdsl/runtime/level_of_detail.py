@@ -1,4 +1,4 @@
-"""Level of detail: agents far from the camera sense obstacles as bounding boxes of their connected pieces, or not at all.
+"""Levels of detail: agents far from the camera sense obstacles as bounding boxes of their connected pieces, or not at all.
 
 The level depends only on the agent's position at the start of its step. No agent can pass through obstacles at any level."""
 
@@ -32,7 +32,8 @@ _BOX_TRIANGLES = np.array(
 class DetailLevels:
     """The levels of detail of one world.
 
-    `counts` int64: the number of steps so far, then the number of agents at each of LEVELS, summed over these steps."""
+    `counts` int64[4]: the number of steps so far, then the number of agents at each of `DETAIL_LEVELS`, summed over these
+    steps."""
 
     def __init__(self, data: DetailData, origin: NDArray[np.float64], obstacles: Mapping[str, MeshData]) -> None:
         self._camera = np.asarray(data.camera, np.float64).reshape(-1, 3) - origin
@@ -50,7 +51,7 @@ class DetailLevels:
 
     def move_boxes(self, name: str, vertices: NDArray[np.float64]) -> None:
         """Move an obstacle's boxes to its current vertices."""
-        self._boxes[name] = self._pieces[name].bounding_boxes(vertices)
+        self._boxes[name] = self._pieces[name].compute_bounding_boxes(vertices)
         self._scenes[name] = _make_box_scene(*self._boxes[name])
 
     def count_step(self, world: World) -> None:
@@ -60,7 +61,10 @@ class DetailLevels:
 
     def count_agents(self, world: World) -> NDArray[np.int64]:
         """Return the current number of agents at each of the levels, int64[3]."""
-        each = [np.bincount(self._cached_levels(world, p)[1], minlength=len(DETAIL_LEVELS)) for p in world.populations.values()]
+        each = [
+            np.bincount(self._get_positions_and_levels(world, p)[1], minlength=len(DETAIL_LEVELS))
+            for p in world.populations.values()
+        ]
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(DETAIL_LEVELS), np.int64)
 
     def summary(self, world: World) -> dict[str, dict[str, float]]:
@@ -72,8 +76,9 @@ class DetailLevels:
         }
 
     def find_levels(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
-        """Return the level at which each agent senses an obstacle (index into LEVELS, int8[n]), or None for other things.
+        """Return the level at which each agent senses an obstacle, int8[n], as an index of `DETAIL_LEVELS`.
 
+        The result is None for things without levels of detail.
         The result is cached for the step. An agent inside the box of a piece, for example within the walls of a house, senses the
         triangles."""
         if name not in self._boxes:
@@ -81,19 +86,19 @@ class DetailLevels:
         key = (population.name, f"~level of {name}", population.version)
         felt_levels: NDArray[np.int8] | None = world.clearances.get(key)
         if felt_levels is None:
-            place, levels = self._cached_levels(world, population)
+            place, levels = self._get_positions_and_levels(world, population)
             felt_levels = levels.copy()
             middle = np.flatnonzero(felt_levels == 1)
             felt_levels[middle[is_in_boxes(place[middle], *self._boxes[name])]] = 0
             world.clearances[key] = felt_levels
         return felt_levels
 
-    def box_scene(self, name: str) -> RayScene:
+    def get_box_scene(self, name: str) -> RayScene:
         """Return the boxes of an obstacle's pieces as a ray scene, which feelers hit instead of the obstacle."""
         return self._scenes[name]
 
-    def box_clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) within which an agent touches none of the obstacle's boxes. Cached for the step."""
+    def get_box_clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
+        """Return a distance (mm, float32[n]) from each agent within which no box of the obstacle is; cached for the step."""
         key = (population.name, f"~boxes of {name}", population.version)
         distances: NDArray[np.float32] | None = world.clearances.get(key)
         if distances is None:
@@ -103,7 +108,7 @@ class DetailLevels:
             world.clearances[key] = distances
         return distances
 
-    def _cached_levels(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+    def _get_positions_and_levels(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
         """Return the agents' positions, float32[n,3], and the level of each. Cached for the step."""
         place = _read_positions(population)
         key = (population.name, "~level", population.version)
@@ -130,7 +135,7 @@ class MeshPieces:
         self._piece_numbers = _number_pieces(mesh, self._used_vertices)
         self._piece_count = int(self._piece_numbers.max(initial=-1)) + 1
 
-    def bounding_boxes(self, vertices: NDArray[np.float64]) -> BoxArrays:
+    def compute_bounding_boxes(self, vertices: NDArray[np.float64]) -> BoxArrays:
         """Return the least and greatest corner of each piece, float32[m,3], at the mesh's current vertices."""
         low, high = np.full((self._piece_count, 3), np.inf), np.full((self._piece_count, 3), -np.inf)
         np.minimum.at(low, self._piece_numbers, vertices[self._used_vertices])

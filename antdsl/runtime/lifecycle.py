@@ -48,11 +48,11 @@ def apply_deposits(world: World) -> None:
     for population in world.populations.values():
         for entry in population.effects.take_requests("deposit"):
             name = entry.request.target
-            world.fields[name].deposit(population.cells[name][entry.rows], entry.required_operand(0))
+            world.fields[name].deposit(population.cells[name][entry.rows], entry.get_required_operand(0))
 
 
 def settle_newborn(world: World) -> None:
-    """Apply the requests that agents make at birth, before the next step. So no request remains between two steps."""
+    """Apply the requests that newborn agents have made, so that no request remains between two steps."""
     if not any([population.effects.has_pending for population in world.populations.values()]):
         return
     raise_events(world)
@@ -88,22 +88,22 @@ def raise_events(world: World) -> None:
 
 
 def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
-    """Flag the receiver that each emitter names, if that agent exists and is in reach."""
+    """Flag the agent to which each emitter sends an event, if that agent exists and is in reach."""
     other = world.populations.get(entry.request.target_species or "")
     if other is None or not len(other) or entry.request.target not in other.raised_events:
         return
-    rows, receivers = entry.rows, other.find_rows(entry.required_operand(1))
+    rows, receivers = entry.rows, other.find_rows(entry.get_required_operand(1))
     is_reached = receivers >= 0
     if entry.args[0] is not None:
         at = np.where(is_reached, receivers, 0)
         dx, dy, dz = (other.start[f"position.{a}"][at] - population.start[f"position.{a}"][rows] for a in AXES)
-        is_reached &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.required_operand(0)
+        is_reached &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.get_required_operand(0)
     other.raised_events[entry.request.target][receivers[is_reached]] = True
 
 
 def _flag_in_reach(population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]) -> None:
-    """Flag the agents within the distance of any emitter, by positions at the start of the step. Emitters are included."""
-    within = entry.required_operand(0)
+    """Set `flags` of the agents within the distance of any emitter, emitters included, at the start of the step."""
+    within = entry.get_required_operand(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
     step = max(1, _PAIRS_PER_BLOCK // len(other))
@@ -179,8 +179,9 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
 
 
 def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
-    """Run the block `born` to fill the registers of new rows, by species. Position, up, heading and velocity are already set.
+    """Run the block `born`, which sets the registers of newborn agents. Their position, up, heading and velocity are already set.
 
+    `newborn`: their rows, by species.
     Agents born together sense each other's position and movement. Their other values read as 0 or none, in any order of
     computation."""
     world.grids.clear()  # rows have changed
@@ -230,9 +231,8 @@ def clear_dead_references(world: World, population: Population, *, clears_start:
                     held[is_dead] = -1
 
 
-def event_names(world: World) -> tuple[str, ...]:
-    """Return the sorted names of events that a species may handle or emit. The `event` column of emissions is an index into
-    these."""
+def list_event_names(world: World) -> tuple[str, ...]:
+    """Return the sorted names of all events that agents may handle or emit. The `event` column of emissions has indices of it."""
     plans = [population.plan for population in world.populations.values()]
     names = {name for plan in plans for name in plan.event_names}
     for plan in plans:
@@ -247,7 +247,7 @@ def record_emission(world: World, population: Population, rows: NDArray[np.intp]
     """Record which agents emitted an event, and their positions."""
     if world.emissions is None:
         return
-    events, species = event_names(world), sorted(world.populations)
+    events, species = list_event_names(world), sorted(world.populations)
     numbers = {"species": species.index(population.name), "event": events.index(event)}
     agents: Arrays = {"id": population.ids, "P": population.position, "N": population.normal}
     emission = {name: array[rows] for name, array in agents.items()}

@@ -34,14 +34,16 @@ def reserve_ids(setting: WorldSetting) -> tuple[LineIds, ...]:
 
 
 def count_released(crowd: CrowdData, line: LineIds, frame: int) -> int:
-    """Return how many agents of a line's table were created up to a frame.
+    """Return how many of the ids in a line's table belong to agents that were created up to a frame.
 
-    The last ones of the table are still to be created. The first ones may be of another scene that this one continues."""
+    The last ids are for agents still to be created. The first ids may be of another scene that this one continues."""
     return len(line) - crowd.count + crowd.count_created(frame)
 
 
 def take_created_ids(crowd: CrowdData, line: LineIds, previous_frame: int | None, frame: int) -> NDArray[np.int64]:
-    """Return the ids of the agents of a line that are created after the frame `previous_frame` (None: ever) up to a frame."""
+    """Return the ids of the agents of a line that are created after `previous_frame` and up to `frame`.
+
+    Without a previous frame, they are those created in any frame up to `frame`."""
     first = 0 if previous_frame is None else count_released(crowd, line, previous_frame)
     return line.take(first, count_released(crowd, line, frame) - 1)
 
@@ -64,8 +66,8 @@ def collect_line_arrays(world: World) -> dict[str, NDArray[Any]]:
     agents of each line were created."""
     crowds = world.setting.crowds
     text = "\n".join(" ".join(line) for line in list_line_names(world.setting))
-    rows = [(number, *each) for number, line in enumerate(world.lines) for each in line.ranges]
-    created = [count_released(*each, world.frame) for each in zip(crowds, world.lines, strict=True)]
+    rows = [(number, *each) for number, line in enumerate(world.crowd_lines) for each in line.ranges]
+    created = [count_released(*each, world.frame) for each in zip(crowds, world.crowd_lines, strict=True)]
     return {
         _NAMES: np.frombuffer(text.encode(), np.uint8),
         _RANGES: np.array(rows, np.int64).reshape(-1, 3),
@@ -90,7 +92,7 @@ def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]], *, as_start:
         ranges[number].append((first, count))
     lines = []
     matches = match_lines(old, list_line_names(world.setting))
-    for crowd, number, line in zip(world.setting.crowds, matches, world.lines, strict=True):
+    for crowd, number, line in zip(world.setting.crowds, matches, world.crowd_lines, strict=True):
         stored = LineIds(crowd.species, tuple(ranges[number])) if number >= 0 else LineIds(crowd.species)
         if as_start:
             population = world.populations[crowd.species]
@@ -100,4 +102,4 @@ def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]], *, as_start:
             population.next_id += due
         else:
             lines.append(stored if number >= 0 else line)
-    world.lines = tuple(lines)
+    world.crowd_lines = tuple(lines)

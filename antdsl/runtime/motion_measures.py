@@ -50,7 +50,7 @@ _BIN_LOOKUP_CELLS = 4096  # cells of half chords; each has the first bin that it
 
 @dataclass(slots=True, eq=False)
 class PathWindow:
-    """Paths of agents since a time: ids, `start` (n, 3) mm, length `path` (mm), `age` (steps), straightness (0 to 1)."""
+    """Current paths of agents: ids, `start` (n, 3) mm, length `path` (mm), `age` (steps), and straightness (0 to 1)."""
 
     ids: Counts
     start: Floats
@@ -64,7 +64,7 @@ class PathWindow:
 
 @dataclass(slots=True, eq=False)
 class MotionMeasures:
-    """Measures of a run so far: histograms of turns, tilts and overlaps; counts of agents and paths; and maxima."""
+    """Measures of motion in a run: histograms of turns, tilts and overlaps; counts of agents and paths (`ways`); and maxima."""
 
     turns: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
     tilts: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
@@ -125,7 +125,7 @@ class MotionMeasures:
         return motion
 
     def record_step(self, world: World) -> None:
-        """Count one step. Call this after the phase `move`, before the ground moves."""
+        """Add one step to all measures. Call this after the phase `move`, before the ground moves."""
         second = max(1, round(1.0 / world.dt))
         every = second if world.setting.contacts == "off" else 1 + len(world) // _MAX_AGENTS_MEASURED_EACH_STEP
         crowds = [population for population in world.populations.values() if len(population)]
@@ -163,19 +163,19 @@ class MotionMeasures:
         for _, _, standing, half, share in counts:
             if half > self.max_half_chord:
                 self.max_half_chord = half
-                self.tilt_max = max(self.tilt_max, float(_chord_degrees(np.array([half], np.float32))[0]))
+                self.tilt_max = max(self.tilt_max, float(_compute_degrees(np.array([half], np.float32))[0]))
             self.step_max = max(self.step_max, share)
             self.standing += standing
         return parallel.join_parts(counts, window.straightness)[0]
 
     def _add_part_counts(self) -> None:
-        """Add the turns and tilts that the chunks of a kernel have counted in separate rows to the totals."""
+        """Add the turns and tilts that each chunk of a kernel has counted in its own row to the histograms."""
         for total, rows in zip((self.turns, self.tilts), self.part_counts, strict=True):
             total += rows.sum(axis=0)
         self.part_counts.fill(0)
 
     def _update_window(self, population: Population) -> PathWindow:
-        """Return the window of a species, with its rows reordered to those of the agents."""
+        """Return the current paths of a species, with one row for each of its agents, in their order."""
         known, ids = self.windows.get(population.name), population.ids
         if known is not None and (known.ids is ids or np.array_equal(known.ids, ids)):
             known.ids = ids  # the same array, so that the next comparison is fast
@@ -221,8 +221,8 @@ class MotionMeasures:
             self.heads_inside, self.bodies_inside = self.heads_inside + int(heads.sum()), self.bodies_inside + int(bodies.sum())
 
     def summary(self) -> dict[str, float]:
-        """Return the measures by name: degrees per step for turns and tilts, a share of the longest allowed step for `step_max`,
-        else 0 to 1."""
+        """Return the measures by name. Turns and tilts are in degrees per step, and `step_max` is a share of the longest allowed
+        step. All others are from 0 to 1."""
         self._add_part_counts()
         return {
             "turn_p99": _percentile_99(self.turns) * 180.0,
@@ -244,8 +244,8 @@ _CHECKPOINT_FIELDS = tuple(each.name for each in fields(MotionMeasures))[:-3]  #
 _WINDOW_COLUMNS = tuple(each.name for each in fields(PathWindow) if each.init)
 
 
-def _chord_degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the angle (degrees) of half a chord of the unit circle."""
+def _compute_degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the angle (degrees) between two unit vectors, from half the length of the chord between them."""
     return np.asarray(np.degrees(2 * np.arcsin(half)))
 
 
@@ -261,10 +261,10 @@ def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
     low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats have the same order as their bits
         middle = (low + high) >> 1
-        is_reached = _find_bins(_chord_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
+        is_reached = _find_bins(_compute_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
         low, high = np.where(is_reached, low, np.minimum(middle + 1, high)), np.where(is_reached, middle, high)
     least = np.concatenate([[0.0], low.astype(np.int32).view(np.float32), [np.inf]]).astype(np.float32)
-    return least, _find_bins(_chord_degrees(np.arange(_BIN_LOOKUP_CELLS + 1, dtype=np.float32) / np.float32(_BIN_LOOKUP_CELLS)))
+    return least, _find_bins(_compute_degrees(np.arange(_BIN_LOOKUP_CELLS + 1, dtype=np.float32) / np.float32(_BIN_LOOKUP_CELLS)))
 
 
 def _percentile_99(counts: NDArray[Any]) -> float:
@@ -274,18 +274,18 @@ def _percentile_99(counts: NDArray[Any]) -> float:
 
 
 @inlined
-def _vector_length(x: Any, y: Any, z: Any) -> Any:
+def _compute_vector_length(x: Any, y: Any, z: Any) -> Any:
     return np.sqrt((x * x + y * y) + z * z)
 
 
 @inlined
 def _compute_half_chord(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
-    return _vector_length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
+    return _compute_vector_length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
 
 
 @inlined
 def _count_bin(half: F32, bin_starts: Array1[F32], search_starts: Array1[I64], bins: Array2[I64], part: I64) -> None:
-    """Count in the last bin with a least half chord of at most `half`. `search_starts`: where the search starts, by cell."""
+    """Add 1 to the bin that contains `half`, in row `part` of `bins`. `search_starts`: the bin at which to start, by cell."""
     k = search_starts[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= bin_starts[k + 1] else 0  # rarely more, so the branch is well predicted
     while half >= bin_starts[k + 1]:
@@ -294,13 +294,13 @@ def _count_bin(half: F32, bin_starts: Array1[F32], search_starts: Array1[I64], b
 
 
 class AgentColumns(NamedTuple):
-    """Poses of agents now and before the step, their velocity and push, `max_speed`: speed limit (mm/s), and `size` (mm)."""
+    """The current and the previous poses of agents, their velocity, push, speed limit `max_speed` (mm/s) and `size` (mm)."""
 
     position: VectorColumns
     heading: VectorColumns
     up: VectorColumns
-    position_before: VectorColumns
-    heading_before: VectorColumns
+    previous_position: VectorColumns
+    previous_heading: VectorColumns
     previous_up: VectorColumns
     velocity: VectorColumns
     push: VectorColumns
@@ -309,7 +309,7 @@ class AgentColumns(NamedTuple):
 
 
 class PathColumns(NamedTuple):
-    """Paths of agents: position `position` and start `start` (n, 3) mm, length (mm), age (steps), straightness of ended paths."""
+    """Paths of agents: current `position` and `start` (n, 3) mm, `length` (mm), `age` (steps), straightness of ended paths."""
 
     position: Strided2[F64]
     start: Strided2[F64]
@@ -319,14 +319,14 @@ class PathColumns(NamedTuple):
 
 
 class HistogramBins(NamedTuple):
-    """Histograms with `part_count` rows. `bin_starts`: the least half chord of each bin. `first`: where a search starts."""
+    """Histograms with `part_count` rows. `bin_starts`: the least half chord of each bin. `search_starts`: first bin to try."""
 
     turns: Array2[I64]
     tilts: Array2[I64]
     part_count: I64
     count: I64
     bin_starts: Array1[F32]
-    first: Array1[I64]
+    search_starts: Array1[I64]
 
 
 class MotionLimits(NamedTuple):
@@ -357,7 +357,7 @@ def _count_step(
     agents: AgentColumns, paths: PathColumns, bins: HistogramBins, thresholds: MotionLimits, begin: I64, end: I64
 ) -> StepCounts:
     """Add one step of the agents from `begin` to before `end` to the measures."""
-    position, heading, up, position_before, heading_before, up_before, velocity, push, fastest, size = agents
+    position, heading, up, previous_position, previous_heading, up_before, velocity, push, fastest, size = agents
     place, began, path, age, straight = paths
     turns, tilts, several, count, least, first = bins
     dt, wish, still, far, steps = thresholds
@@ -369,15 +369,15 @@ def _count_step(
     for low in range(begin, end, _AGENTS_PER_PART):
         high = min(low + _AGENTS_PER_PART, end)
         for i in simd_range(low, high):
-            turn[i - low] = _compute_half_chord(heading, heading_before, i) * np.float32(0.5)
+            turn[i - low] = _compute_half_chord(heading, previous_heading, i) * np.float32(0.5)
         for i in simd_range(low, high):
             tilt[i - low] = _compute_half_chord(up, up_before, i) * np.float32(0.5)
         for i in simd_range(low, high):
-            share[i - low] = _compute_half_chord(position, position_before, i) / (fastest[i] * dt)
+            share[i - low] = _compute_half_chord(position, previous_position, i) / (fastest[i] * dt)
         for i in simd_range(low, high):
-            speed[i - low] = _vector_length(velocity[0][i], velocity[1][i], velocity[2][i])
+            speed[i - low] = _compute_vector_length(velocity[0][i], velocity[1][i], velocity[2][i])
         for i in simd_range(low, high):
-            push_lengths[i - low] = _vector_length(push[0][i], push[1][i], push[2][i])
+            push_lengths[i - low] = _compute_vector_length(push[0][i], push[1][i], push[2][i])
         for i in range(low, high):
             at = i - low
             _count_bin(min(turn[at], np.float32(1.0)), least, first, turns, part)
@@ -391,7 +391,7 @@ def _count_step(
             age[i] += 1
             if age[i] >= steps:
                 if path[i] > np.float64(far * size[i]):
-                    net = _vector_length(place[i, 0] - began[i, 0], place[i, 1] - began[i, 1], place[i, 2] - began[i, 2])
+                    net = _compute_vector_length(place[i, 0] - began[i, 0], place[i, 1] - began[i, 1], place[i, 2] - began[i, 2])
                     straight[begin + ended] = min(net / path[i], 1.0)
                     ended += 1
                 for k in range(3):

@@ -30,7 +30,7 @@ _SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
 
 
 def prepare_senses(world: World) -> None:
-    """Prepare the senses of a step: clear cached values, show the items' amounts, solve due flows, and find each agent's cells.
+    """Prepare the senses of a step: clear cached values, publish the items' amounts, update flows, and find the agents' cells.
 
     Senses are computed on first use. From this phase on, `time` and `frame` belong to the new frame."""
     world.is_stepping = True
@@ -47,8 +47,8 @@ def prepare_senses(world: World) -> None:
         lifecycle.find_own_cells(world, population)
         tilting.level_headings(population, world.options.threads)
         population.clear_temps(world.options.threads)
-    if world.detail is not None:
-        world.detail.count_step(world)
+    if world.detail_levels is not None:
+        world.detail_levels.count_step(world)
     if world.notes is not None:
         world.notes.begin_step(world)
     world.backend.begin(world)
@@ -114,7 +114,7 @@ def advance_fields(world: World) -> None:
         field.step(float(keep), diffusion, world.dt, world.options.threads)
 
 
-def move_all(world: World) -> None:
+def move_all_agents(world: World) -> None:
     """Move all agents along their surfaces, substep by substep. Overlapping bodies are then separated."""
     with np.errstate(all="ignore"):
         if world.notes is not None:
@@ -167,8 +167,7 @@ def commit_step(world: World) -> None:
 
 
 def _order_by_position(population: Population, threads: int) -> NDArray[np.intp]:
-    """Return rows sorted by position, along the curve of G. Morton (1966), so that neighbours in space are neighbours in
-    memory.
+    """Return the rows sorted along the space-filling curve of G. Morton (1966): neighbours in space become neighbours in memory.
 
     No result depends on this order."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
@@ -210,7 +209,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("effects", apply_effects),  # after all reads of this step
     ("fields", advance_fields),  # spread and evaporate, then add deposits: a deposit at t is complete at t+1
     ("solids", partial(_settle_requests, "solids")),  # before moving: a digging agent moves into the hole that it dug
-    ("move", move_all),
+    ("move", move_all_agents),
     ("motion", record_measures),  # before the ground moves: being carried is not a step
     ("strides", feet_step.record_ground_covered),  # before the ground moves: feet step over it, then move with it
     ("carry", moving_geometry.move_world),  # after walking: agents move with the ground that they reached

@@ -1,4 +1,4 @@
-"""Measures the time of a run by phase, by layer of each species and by program line.
+"""The measured time of a run by phase, by layer of each species and by program line.
 
 It is off unless a caller uses a `StepMeter`. No result depends on it."""
 
@@ -23,7 +23,7 @@ _COMMENT_PATTERN = re.compile(r'("[^"]*")|#.*')
 
 @dataclass(frozen=True, slots=True)
 class LayerTime:
-    """The time of a layer in ms per frame. It includes everything computed for the layer, in any file."""
+    """The time of a layer of a species in ms per frame. It includes everything that is computed for the layer, in any file."""
 
     species: str
     span: Span
@@ -44,13 +44,12 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True)
 class StepProfile:
-    """Milliseconds per frame, over `frames` frames: wall time, and CPU time of the phases in `cpu_ms`.
+    """The mean times per frame (ms), over `frames` frames. All are wall times, except the CPU times of phases `cpu_ms`.
 
     `lines`: the most expensive line first. Their sum is less than that of the phases, because work for all agents together
-        belongs to no line. Examples are neighbour grids, claims and movement.
+    belongs to no line. Examples are neighbour grids, claims and movement.
     `frames_by_backend`: the number of frames of each backend that reports lines. It includes frames that NumPy ran before machine
-    code was
-        ready; the other values do not. The reference backend reports no lines."""
+    code was ready; the other values do not. The reference backend reports no lines."""
 
     frames: int = 0
     total_ms: float = 0.0
@@ -63,7 +62,9 @@ class StepProfile:
 
 @dataclass(slots=True)
 class _Measurement:
-    """Times (s) of `steps` steps that ended at `at`: wall and CPU time by phase, and the time of each call of each block."""
+    """The times (s) of `steps` steps, of which the last ended at the clock time `at` (s).
+
+    `phases`, `cpu_seconds`: wall time and CPU time by phase. `calls`: the time of each call, by block."""
 
     steps: int
     at: float
@@ -83,7 +84,7 @@ class _Measurement:
 
 
 class StepMeter:
-    """Averages the times over the frames of the last `seconds`, or over all frames (None).
+    """A meter of the mean times per frame, over the frames of the last `seconds`, or over all frames (None).
 
     Call `begin` before a step and `end` after it; each step may be of another world. Measurements of another program are dropped.
     Measurements of NumPy are dropped once machine code runs the steps."""
@@ -109,9 +110,9 @@ class StepMeter:
             self._plan = world.plan
             self._measurements.clear()
             self._frames_by_backend.clear()
-            self._instructions = {key: metered.instructions for key, metered in _metered_calls(world).items()}
+            self._instructions = {key: metered.instructions for key, metered in _list_metered_blocks(world).items()}
         self._times_before = dict(world.timings), dict(world.cpu_seconds)
-        for metered in _metered_calls(world).values():
+        for metered in _list_metered_blocks(world).values():
             metered.reset()
 
     def end(self, world: World) -> None:
@@ -122,7 +123,7 @@ class StepMeter:
             {name: seconds - previous_times.get(name, 0.0) for name, seconds in current_times.items()}
             for previous_times, current_times in zip(self._times_before, (world.timings, world.cpu_seconds), strict=True)
         )
-        calls = {key: metered.seconds for key, metered in _metered_calls(world).items()}
+        calls = {key: metered.seconds for key, metered in _list_metered_blocks(world).items()}
         now = _Measurement(1, self._clock(), phases, worked, calls)
         if isinstance(world.backend, NumpyBackend):
             by = world.backend.backend_name
@@ -152,16 +153,18 @@ class StepMeter:
         to_ms = 1000 / total.steps
         phases = {name: seconds * to_ms for name, seconds in total.phases.items()}
         worked = {name: seconds * to_ms for name, seconds in total.cpu_seconds.items()}
-        lines = sorted(_line_times(self._block_times(total), to_ms), key=lambda entry: (-entry.ms, entry.file, entry.line))
-        layers = self._layer_times(self._plan, total, to_ms)
+        lines = sorted(
+            _list_line_times(self._iterate_instruction_times(total), to_ms), key=lambda entry: (-entry.ms, entry.file, entry.line)
+        )
+        layers = self._list_layer_times(self._plan, total, to_ms)
         return StepProfile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._frames_by_backend))
 
-    def _block_times(self, total: _Measurement) -> Iterator[tuple[BlockInstruction, float]]:
+    def _iterate_instruction_times(self, total: _Measurement) -> Iterator[tuple[BlockInstruction, float]]:
         """Yield each instruction with its time (s)."""
         for key, times in total.calls.items():
             yield from zip(self._instructions[key], times, strict=True)
 
-    def _layer_times(self, plan: Plan, total: _Measurement, to_ms: float) -> tuple[LayerTime, ...]:
+    def _list_layer_times(self, plan: Plan, total: _Measurement, to_ms: float) -> tuple[LayerTime, ...]:
         """Return the times of all layers in order, also of layers that no agent reached."""
         layer_times: list[LayerTime] = []
         for name, species in plan.species.items():
@@ -176,7 +179,7 @@ class StepMeter:
         return tuple(layer_times)
 
 
-def _metered_calls(world: World) -> dict[BlockKey, MeteredBlock]:
+def _list_metered_blocks(world: World) -> dict[BlockKey, MeteredBlock]:
     return world.backend.metered_blocks if isinstance(world.backend, NumpyBackend) else {}
 
 
@@ -184,7 +187,7 @@ def _make_layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
     return LayerTime(species, layer.span, ms)
 
 
-def _line_times(seconds_by_instruction: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
+def _list_line_times(seconds_by_instruction: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
     """Return the times by program line; a call counts for the line in which its text begins.
 
     Files are identified by name, because parts of a file are read more than once."""

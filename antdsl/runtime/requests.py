@@ -18,7 +18,10 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClaimEntry:
-    """Claims of several agents on items or field cells, one per row."""
+    """The claims that one statement makes for several agents on items or field cells.
+
+    `rows`: the agents. `item`, `amount`: the item or cell of each claim, and the claimed amount. `order`: the position of the
+    statement in the text of its species."""
 
     statement: ir.Claim
     order: int  # place of the statement in the text of its species
@@ -29,7 +32,7 @@ class ClaimEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GiftEntry:
-    """Gifts of agents to items. `amount` float64: the amounts already subtracted from the agents' own registers."""
+    """The gifts of agents to items. `amount` float64: the amounts, which are already subtracted from the agents' registers."""
 
     statement: ir.Give
     item: NDArray[np.int32]
@@ -38,14 +41,14 @@ class GiftEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RequestEntry:
-    """One request of several agents. `args`: its operands, each with a value per row; None for an absent operand."""
+    """A request that one statement makes for several agents. `args`: its operands, each with a value per row; None if absent."""
 
     request: ir.Request
     order: int  # place of the statement in the text of its species
     rows: Rows
     args: tuple[NDArray[np.float32] | NDArray[np.int64] | None, ...]  # ids of agents are int64
 
-    def required_operand(self, index: int) -> NDArray[Any]:
+    def get_required_operand(self, index: int) -> NDArray[Any]:
         """Return operand number `index`, which must not be absent."""
         value = self.args[index]
         assert value is not None
@@ -54,7 +57,9 @@ class RequestEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultEntry:
-    """Rows with a value that is not finite, its location in the source, and the block, which the reference backend runs again."""
+    """Agents `rows` with a value for `register` that is not finite. `span`: the location of the statement in the source.
+
+    `block`: the block of the statement, which the reference backend runs again to explain the value."""
 
     block: str
     register: str

@@ -67,8 +67,8 @@ class Options:
 
 @dataclass(slots=True, eq=False)
 class Items:
-    """Items of one name.
-    `amounts` float64: conserved. `visible_values` float32: amounts at the start of the step, for senses."""
+    """The items that share a name. `names`: the name of each item.
+    `amounts` float64: the current amounts. `visible_values` float32: the amounts at the start of the step, for senses."""
 
     name: str
     names: tuple[str, ...]
@@ -86,7 +86,7 @@ class Items:
 
 
 class FixedColumn(Generic[Scalar]):
-    """A typed attribute of a population for one array of its `columns`, with the attribute's name in `FIXED_COLUMN_BY_NAME`."""
+    """A typed attribute of a population that reads and replaces the array of its own name in `columns`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -100,7 +100,8 @@ class FixedColumn(Generic[Scalar]):
 
 @dataclass(slots=True, eq=False)
 class Population:
-    """All living agents of one species, one row each. Programs cannot observe rows. `columns`: `FIXED_COLUMN_BY_NAME`."""
+    """All living agents of one species, one row each. `columns`: the arrays of `FIXED_COLUMN_BY_NAME`.
+    `start`, `now`: the registers at the start of the step, and their current values. `cells`: each agent's cell, by field."""
 
     ids = FixedColumn[np.int64]()
     born = FixedColumn[np.int64]()
@@ -182,7 +183,7 @@ class Population:
         return np.where(known[at] == ids, order[at], -1)
 
     def rows_by_id(self) -> NDArray[np.intp]:
-        """Return the rows sorted by id."""
+        """Return all rows, in the order of their ids."""
         return self.sorted_ids()[1]
 
     def id_ranks(self) -> NDArray[np.int32]:
@@ -244,7 +245,7 @@ class World:
     backend: StepBackend
     faults: FaultLog
     motion: MotionMeasures
-    lines: tuple[LineIds, ...]  # by the index of the crowd line
+    crowd_lines: tuple[LineIds, ...]  # by the index of the crowd line
     timings: dict[str, float] = field(default_factory=dict)  # wall time (s) by phase, over all steps
     cpu_seconds: dict[str, float] = field(default_factory=dict)  # CPU time (s) of all threads by phase, over all steps
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
@@ -256,7 +257,7 @@ class World:
     dug_balls: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
     emissions: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # aggregate values that a spec requests, by name
-    detail: DetailLevels | None = None
+    detail_levels: DetailLevels | None = None
     notes: NoteRun | None = None  # None: the scene has none
     overcrowded_lines: list[OvercrowdedLine] = field(default_factory=list)  # crowd lines without space for all agents
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step after the phase `act`
@@ -301,7 +302,7 @@ def shares_start_array(plan: ir.SpeciesPlan, register: str, stored_registers: fr
     return register not in stored_registers or plan.registers[register].role == "temp"
 
 
-def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
+def make_empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
     """Return a population without agents; `add_rows` adds agents."""
     now = {name: np.empty(0, DTYPE_BY_KIND[r.kind]) for name, r in plan.registers.items()}
     stored = stored_registers(plan)
@@ -321,13 +322,13 @@ def make_fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
 
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
-    """Keep only the given rows, in the given order."""
+    """Reduce a population to the given rows, in the given order."""
     _reorder_columns(population, rows)
     _replace_registers(population, lambda array, _: gather_padded(array, rows))
 
 
 def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
-    """Publish the written values: agents sense them from now on. With `rows`, a permutation, also reorder the agents.
+    """Make the written values those at the start of the next step, which agents sense. `rows`: a new order of the agents.
     Registers stay in their arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now
     if rows is not None:

@@ -125,7 +125,7 @@ def test_one_more_operation_is_one_more_instruction_of_machine_code(monkeypatch:
     from antdsl.runtime.backends.native import program_listing
 
     def counts() -> dict[str, int]:
-        return program_listing.instruction_counts(
+        return program_listing.count_instructions_by_function(
             program_listing.build_program(find_case("node").make_shot(60).plan, llvm_compiler.PORTABLE_TARGET)
         )
 
@@ -151,7 +151,9 @@ def test_one_more_operation_is_one_more_instruction_of_machine_code(monkeypatch:
 
 def test_a_backend_tells_its_own_counts(worlds: tuple[World, World], monkeypatch: pytest.MonkeyPatch) -> None:
     world, _ = worlds
-    monkeypatch.setattr(type(world.backend), "instruction_counts", lambda self: {"ir_instructions": 41}, raising=False)
+    monkeypatch.setattr(
+        type(world.backend), "count_instructions_by_function", lambda self: {"ir_instructions": 41}, raising=False
+    )
     assert count_step(world)["ir_instructions"] == 41
 
 

@@ -131,7 +131,7 @@ def count_step(world: World) -> StepCounts:
     counts: StepCounts = {}
     with _count_numpy(counts), _count_instructions(world, counts), _count_functions(counts):
         step(world)
-    own = getattr(world.backend, "instruction_counts", None)
+    own = getattr(world.backend, "count_instructions_by_function", None)
     if own is not None:
         counts |= {name: int(number) for name, number in own().items()}
     return dict(sorted(counts.items()))

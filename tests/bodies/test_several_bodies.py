@@ -20,7 +20,7 @@ from antdsl.preview.agent_columns import make_reduced_frame
 from antdsl.preview.viewing.action_arrays import gather_actions, make_action_arrays
 from antdsl.preview.viewing.body_packets import list_outfits
 from antdsl.runtime import Options, World, bind, feet_hash, restore_checkpoint, state_hash, step, take_checkpoint
-from antdsl.runtime.clip_values import clip_value
+from antdsl.runtime.clip_values import read_clip_value
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
 from antdsl.scene.crowds.body_choice import choose_body_numbers
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY
@@ -114,7 +114,7 @@ def test_each_body_has_its_own_size_clips_and_feet(tmp_path: Path) -> None:
     crowd, size = CapsuleCrowd(world), walkers.now["size"].astype(np.float64)
     assert crowd.radius == pytest.approx(size * np.array([CAPSULE_BY_BODY[word].width / 2 for word in WORDS])[numbers])
     walk = [clip.clip if hasattr(clip, "clip") else clip.name for clip in walkers.plan.clips].index("walk")
-    strides = clip_value(world, walkers, "stride", np.full(len(walkers), walk))
+    strides = read_clip_value(world, walkers, "stride", np.full(len(walkers), walk))
     own = [load_library_body(word) for word in WORDS]
     assert strides == pytest.approx(np.array([body.clips["walk"].stride / body.length for body in own])[numbers])
     for k, body in enumerate(own):

@@ -99,6 +99,6 @@ def test_comparisons_give_equal_agents(asks: str, bounded: int) -> None:
             states.append(world.populations["a"].now["main.state"].mean())
         if isinstance(world.backend, NativeBackend) and options is NATIVE:
             assert world.backend.ready_code is not None
-            assert len(world.backend.ready_code.block_codes["a", "decide"].scent_bounds) == bounded
+            assert len(world.backend.ready_code.block_codes["a", "decide"].scent_thresholds) == bounded
     assert all(each == hashes[0] for each in hashes)
     assert 0 < np.mean(states) < 1

@@ -134,7 +134,7 @@ def marked(world: World) -> None:
     """Add up what the ants ask to be marked, in their register `marks`."""
     for population in world.populations.values():
         for entry in population.effects.take_requests("mark"):
-            population.now["marks"][entry.rows] += entry.required_operand(0)
+            population.now["marks"][entry.rows] += entry.get_required_operand(0)
 
 
 def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> None:

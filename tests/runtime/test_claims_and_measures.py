@@ -20,7 +20,7 @@ def test_every_half_chord_near_a_bin_is_counted_where_numpy_counts_it():
     near = least[1:-1].view(np.int32).astype(np.int64)[:, None] + np.arange(-32, 33)
     half = np.clip(near, 0, np.float32(1).view(np.int32)).astype(np.int32).ravel().view(np.float32)
     half = np.concatenate([half, np.random.default_rng(1).random(100_000, np.float32), np.float32([0, 1])])
-    expected = motion_measures._find_bins(motion_measures._chord_degrees(half))
+    expected = motion_measures._find_bins(motion_measures._compute_degrees(half))
     assert np.array_equal(np.searchsorted(least[1:-1], half, side="right"), expected)
     assert (first[(half * np.float32(4096)).astype(np.int64)] <= expected).all()
 
@@ -31,7 +31,7 @@ def serve(rest, item, asks):
     for k, which in enumerate(item.tolist()):
         part = asks.changes[k]
         if asks.claims_all[k]:
-            part = float(asks.amounts_for_all(np.array([k]), rest[[which]])[0])
+            part = float(asks.compute_complete_amounts(np.array([k]), rest[[which]])[0])
         if which in closed or not part <= rest[which] or (asks.claims_all[k] and not part > 0):
             closed.add(which)
             continue
@@ -134,7 +134,7 @@ def observe(result, population, window, dt, steps):
         return np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2])
 
     for name, of in (("turns", "heading"), ("tilts", "up")):
-        angle = motion_measures._chord_degrees(np.minimum(length(now, of, start) * np.float32(0.5), np.float32(1)))
+        angle = motion_measures._compute_degrees(np.minimum(length(now, of, start) * np.float32(0.5), np.float32(1)))
         result[name] += np.bincount(motion_measures._find_bins(angle), minlength=1801)
     result["tilt_max"] = max(result["tilt_max"], float(angle.max()))
     longest = now["max_speed"] * dt

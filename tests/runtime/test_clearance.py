@@ -24,9 +24,9 @@ from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.passes import optimise
 from antdsl.pipeline import open_scene
 from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
-from antdsl.runtime.body_positions import LIFT_REGISTERS, body_positions
-from antdsl.runtime.body_rows import rows_by_body
-from antdsl.runtime.feet.wearers import wearers_of
+from antdsl.runtime.body_positions import LIFT_REGISTERS, compute_body_positions
+from antdsl.runtime.body_rows import group_rows_by_body
+from antdsl.runtime.feet.wearers import find_wearers
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
 from antdsl.runtime.moving.clearance import clearance_kernels as clearance
 from antdsl.runtime.moving.clearance.bodies_inside import find_bodies_inside
@@ -216,7 +216,7 @@ def test_bodies_on_wide_faces_rise_and_sink_steadily() -> None:
     for _ in range(frames):
         step(world)
         inside += int(find_bodies_inside(world, population, np.arange(60)).sum())
-        lifts.append(np.linalg.norm(body_positions(population) - population.position, axis=1)[np.argsort(population.ids)])
+        lifts.append(np.linalg.norm(compute_body_positions(population) - population.position, axis=1)[np.argsort(population.ids)])
     change = np.diff(np.array(lifts), axis=0) / 4.0
     returns = (np.abs(change) > 0.02) & (np.abs(np.roll(change, 1, axis=0)) > 0.02) & (change * np.roll(change, 1, axis=0) < 0)
     assert inside < 0.001 * frames * 60
@@ -268,7 +268,7 @@ def test_bodies_stay_outside_obstacles_and_as_fast() -> None:
             distance += float(np.linalg.norm(population.position - previous, axis=1).mean())
             up, heading = population.read_vector("up"), population.read_vector("heading")
             size = population.now["size"].astype(np.float64)[:, None]
-            middle = body_positions(population) + size * (up * height + heading * ahead)
+            middle = compute_body_positions(population) + size * (up * height + heading * ahead)
             nearest = np.full(len(population), np.inf)
             for part in np.linspace(-1, 1, 9):
                 center = np.repeat(middle + heading * size * half * part, len(corners), axis=0)
@@ -343,11 +343,11 @@ def test_feet_of_several_bodies_read_the_shift_of_each_body() -> None:
     for _ in range(8):
         step(world)
     population = world.populations["a"]
-    drawn = body_positions(population)
+    drawn = compute_body_positions(population)
     assert any(population.now[name].any() for name in LIFT_REGISTERS)
-    for key, rows in rows_by_body(population, world.setting):
+    for key, rows in group_rows_by_body(population, world.setting):
         assert rows is not None and len(rows) > 10
-        assert np.array_equal(body_positions(wearers_of(world, key)), drawn[rows])
+        assert np.array_equal(compute_body_positions(find_wearers(world, key)), drawn[rows])
 
 
 def test_each_agent_is_held_outside_by_the_capsule_of_its_own_body() -> None:
@@ -358,7 +358,7 @@ def test_each_agent_is_held_outside_by_the_capsule_of_its_own_body() -> None:
         for _ in range(12):
             step(worlds[-1])
     several, *single = (world.populations["a"] for world in worlds)
-    for (_, rows), population in zip(rows_by_body(several, worlds[0].setting), single, strict=True):
+    for (_, rows), population in zip(group_rows_by_body(several, worlds[0].setting), single, strict=True):
         assert rows is not None and len(rows) > 10
         for name in ("position", "up", "heading", "~lift"):
             assert np.array_equal(several.read_vector(name)[rows], population.read_vector(name)[rows])

@@ -38,7 +38,7 @@ def world_of(shot: Shot) -> World:
 
 
 def ranges(world: World) -> dict[str, tuple[tuple[int, int], ...]]:
-    return {crowd.name: line.ranges for crowd, line in zip(world.setting.crowds, world.lines, strict=True)}
+    return {crowd.name: line.ranges for crowd, line in zip(world.setting.crowds, world.crowd_lines, strict=True)}
 
 
 def test_a_name_selects_the_agents_of_its_line(folder: Path) -> None:  # noqa: F811

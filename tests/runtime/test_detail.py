@@ -50,7 +50,7 @@ def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
     corners = np.concatenate([v[f].reshape(-1, 3) for v, f in parts])  # no two faces share a corner's number
     lone = np.array([[99.0, 0, 0]])
     mesh = MeshData(np.concatenate([corners, lone]), np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
-    low, high = MeshPieces(mesh).bounding_boxes(mesh.vertices)
+    low, high = MeshPieces(mesh).compute_bounding_boxes(mesh.vertices)
     boxes = sorted(zip(low.round(3).tolist(), high.round(3).tolist(), strict=True))
     assert boxes[1] == ([10, 1, 2], [13, 4, 6]) and len(boxes) == 2  # boxes that touch in a corner are one piece
     assert boxes[0][1][1] == 5.0
@@ -101,7 +101,7 @@ def test_same_bits_for_all_options_and_no_agent_walks_through() -> None:
         AVOID, crowd(150, radius=50), steps=12, world=WORLD, obstacles=STONES, level_of_detail=data, option_sets=FAST, each=watch
     )
     assert min(deepest) > 8.0
-    counts = history.world.detail.counts
+    counts = history.world.detail_levels.counts
     assert counts[0] == 12 and counts[1:].sum() == 12 * 150 and counts[1:].min() > 0
     play(AVOID, crowd(14, radius=50), steps=6, world=WORLD, obstacles=STONES, level_of_detail=data, option_sets=OPTION_SETS)
 

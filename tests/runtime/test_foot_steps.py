@@ -10,7 +10,16 @@ from foot_frames import BodyFrames, Points, lean
 
 from antdsl.runtime.feet import stepping, trunk
 from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
-from antdsl.runtime.feet.gaits import FOOT_Y, LEG_LENGTH, LEG_REACH, MAX_SINK_SHARE, REST_OFFSET, REST_X, REST_Z, Gaits
+from antdsl.runtime.feet.gaits import (
+    FOOT_Y_ROW,
+    LEG_LENGTH_ROW,
+    LEG_REACH_ROW,
+    MAX_SINK_SHARE,
+    REST_OFFSET_ROW,
+    REST_X_ROW,
+    REST_Z_ROW,
+    Gaits,
+)
 from antdsl.scene.setting import GaitData, LegsData
 
 COUNT, LEGS, DT = 700, 6, np.float32(1 / 24)
@@ -46,7 +55,7 @@ class Crowd:
         self.covered = (np.stack([np.cos(turn), np.sin(turn)]) * pace * rng.uniform(0.8, 1.2, (LEGS, n))).astype(F32)
         spread = rng.choice([0.01, 0.03, 0.2], n, p=[0.3, 0.2, 0.5])
         ground = rng.normal(0, 1, (3, LEGS, n)) * [[[1.0]], [[0.4]], [[1.0]]] * spread
-        ground += np.stack([self.gaits.legs[REST_X], np.zeros(LEGS), self.gaits.legs[REST_Z]])[:, :, None]
+        ground += np.stack([self.gaits.legs[REST_X_ROW], np.zeros(LEGS), self.gaits.legs[REST_Z_ROW]])[:, :, None]
         self.place = self.world(ground)
         self.start = self.world(ground + rng.normal(0, 0.2, ground.shape))
         self.shown = np.zeros_like(self.place)
@@ -81,23 +90,23 @@ class Crowd:
 
     def rest(self) -> Points:
         """Rest positions [2, L, 1] of feet, ahead and aside."""
-        return self.gaits.legs[[REST_X, REST_Z], :, None].astype(float)
+        return self.gaits.legs[[REST_X_ROW, REST_Z_ROW], :, None].astype(float)
 
     def leg(self, row: int) -> Points:
         return self.gaits.legs[row, :, None].astype(float)
 
     def rest_distance(self, local: Points, hips: Points) -> Points:
         """The distance [L, n] to the rest position: along the ground, or from where the line of the leg crosses height 0."""
-        drop = np.maximum(hips[1] - local[1], 0.1 * self.leg(LEG_LENGTH))
+        drop = np.maximum(hips[1] - local[1], 0.1 * self.leg(LEG_LENGTH_ROW))
         crossing = hips[[0, 2]] + (local - hips)[[0, 2]] * (hips[1] / drop)
         straight, along = (np.linalg.norm(each - self.rest(), axis=0) for each in (crossing, local[[0, 2]]))
         return np.minimum(straight, along)
 
     def too_far(self, local: Points, hips: Points, most: float) -> Points:
         """Which feet [L, n] are farther from their hips than a share of the leg, with the trunk lowered."""
-        joint = local - hips + np.stack([np.zeros((LEGS, 1)), self.leg(FOOT_Y), np.zeros((LEGS, 1))])
-        sunk = np.where(joint[1] < 0, np.minimum(joint[1] + MAX_SINK_SHARE * self.leg(LEG_LENGTH), 0), joint[1])
-        return np.linalg.norm([joint[0], sunk, joint[2]], axis=0) > most * self.leg(LEG_LENGTH)
+        joint = local - hips + np.stack([np.zeros((LEGS, 1)), self.leg(FOOT_Y_ROW), np.zeros((LEGS, 1))])
+        sunk = np.where(joint[1] < 0, np.minimum(joint[1] + MAX_SINK_SHARE * self.leg(LEG_LENGTH_ROW), 0), joint[1])
+        return np.linalg.norm([joint[0], sunk, joint[2]], axis=0) > most * self.leg(LEG_LENGTH_ROW)
 
     def gait(self, speed: Points, distance: Points) -> tuple[Points, ...]:
         """Number, stride, duty factor and lift [n] of the gaits at speeds [n]."""
@@ -152,8 +161,8 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     still, ahead = distance / stride < 0.02, distance / stride
     local, hips = crowd.local(crowd.place), crowd.hips(crowd.slope, crowd.rise / crowd.frames.size)
     off, down, rest_offset = crowd.rest_distance(local, hips), crowd.swing < 0, crowd.found.astype(float)
-    restless = (~down | (off > crowd.leg(REST_OFFSET) + rest_offset)).any(axis=0)
-    stands = (down & (off <= crowd.leg(REST_OFFSET))).all(axis=0)
+    restless = (~down | (off > crowd.leg(REST_OFFSET_ROW) + rest_offset)).any(axis=0)
+    stands = (down & (off <= crowd.leg(REST_OFFSET_ROW))).all(axis=0)
     ahead = np.minimum(np.where(still & restless, np.maximum(ahead, float(times[1])), ahead), 1 / 3)
     leg_phase = (previous["phase"].astype(float) + gaits.phases[number].T) % 1
     gap = (-((leg_phase - duty) % -1)).min(axis=0)
@@ -164,9 +173,9 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     crosses = (to_turn > 0) & (advance >= to_turn) | (to_turn == 0) & (advance >= 1)
     behind = (local[[0, 2]] - crowd.rest()) * covered
     in_time = (leg_phase >= duty) & (leg_phase < duty + 0.6 * (1 - duty))
-    late = in_time & (behind.sum(axis=0) < 0) & (off > 0.3 * crowd.leg(LEG_REACH))
-    due = (crosses | late) & (~still | (off > 0.5 * crowd.leg(REST_OFFSET) + rest_offset))
-    lost = (off > 1.25 * crowd.leg(LEG_REACH)) | crowd.undermined | crowd.too_far(local, hips, 0.99)
+    late = in_time & (behind.sum(axis=0) < 0) & (off > 0.3 * crowd.leg(LEG_REACH_ROW))
+    due = (crosses | late) & (~still | (off > 0.5 * crowd.leg(REST_OFFSET_ROW) + rest_offset))
+    lost = (off > 1.25 * crowd.leg(LEG_REACH_ROW)) | crowd.undermined | crowd.too_far(local, hips, 0.99)
     lifts = down & (due | lost)
     flies = lifts | ~down
     first_share = np.where(lifts & crosses, (advance - to_turn) / (1 - duty), rate)
@@ -175,11 +184,11 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     frames = np.where(flies, (1 - progress) / rate, 0)
     lands = flies & (reached >= 1)
     half = covered * np.minimum(stance, 1e4) / 2
-    half *= np.minimum(1, crowd.leg(LEG_REACH) / np.maximum(np.linalg.norm(half, axis=0), 1e-9))
+    half *= np.minimum(1, crowd.leg(LEG_REACH_ROW) / np.maximum(np.linalg.norm(half, axis=0), 1e-9))
     past = np.where(lands, (reached - 1) / rate, 0)
     goal = crowd.rest() + covered * (frames - past) + half
     miss = np.linalg.norm(local[[0, 2]] - goal, axis=0)
-    again = (miss > np.where(still, crowd.leg(REST_OFFSET), 0.45 * crowd.leg(LEG_LENGTH))) | (crowd.on == NO_GROUND)
+    again = (miss > np.where(still, crowd.leg(REST_OFFSET_ROW), 0.45 * crowd.leg(LEG_LENGTH_ROW))) | (crowd.on == NO_GROUND)
     again |= crowd.too_far(local, hips, 0.97)
     does = np.select([lands & again, lands, lifts], [stepping.SEEKS_AGAIN, stepping.LANDS, stepping.LIFTS], stepping.STAYS)
 
@@ -242,8 +251,8 @@ def test_feet_swing_and_trunks_follow_the_ground_below_them() -> None:
     tilt = slope + (planes[1:] - slope) * float(slower)
     wished = raised + (height - raised) * np.where(height > raised, float(faster), float(slower))
     hips = crowd.hips(tilt, np.zeros(n))
-    square = (0.97 * crowd.leg(LEG_LENGTH)) ** 2 - ((local - hips)[[0, 2]] ** 2).sum(axis=0)
-    over = local[1] + crowd.leg(FOOT_Y) + np.sqrt(np.maximum(square, 0)) - hips[1]
+    square = (0.97 * crowd.leg(LEG_LENGTH_ROW)) ** 2 - ((local - hips)[[0, 2]] ** 2).sum(axis=0)
+    over = local[1] + crowd.leg(FOOT_Y_ROW) + np.sqrt(np.maximum(square, 0)) - hips[1]
     limit = np.where(stands & (square > 0), over, np.inf).min(axis=0)
     high = np.maximum(np.minimum(wished, limit), np.minimum(wished, -float(highest)))
     torn = (stands & crowd.too_far(local, crowd.hips(tilt, high), 0.99)).any(axis=0)
@@ -261,11 +270,11 @@ def test_feet_swing_and_trunks_follow_the_ground_below_them() -> None:
     )
     arc_points = start + (local - start) * progress**2 * (3 - 2 * progress)
     arc_points[1] += arc
-    shoulder = hips - np.stack([np.zeros((LEGS, 1)), crowd.leg(FOOT_Y), np.zeros((LEGS, 1))])
+    shoulder = hips - np.stack([np.zeros((LEGS, 1)), crowd.leg(FOOT_Y_ROW), np.zeros((LEGS, 1))])
     reach = np.linalg.norm(arc_points - shoulder, axis=0)
-    foot = shoulder + (arc_points - shoulder) * np.minimum(1, 0.97 * crowd.leg(LEG_LENGTH) / reach)
+    foot = shoulder + (arc_points - shoulder) * np.minimum(1, 0.97 * crowd.leg(LEG_LENGTH_ROW) / reach)
     flying = crowd.swing >= 0
-    assert (flying & (reach > 0.97 * crowd.leg(LEG_LENGTH))).sum() > 50
+    assert (flying & (reach > 0.97 * crowd.leg(LEG_LENGTH_ROW))).sum() > 50
     close(crowd.local(crowd.shown), np.where(flying, foot, local), 1e-4)
     assert np.array_equal(crowd.shown[:, ~flying], crowd.place[:, ~flying])
     assert np.array_equal(crowd.place, previous["place"]) and np.array_equal(crowd.start, previous["start"])

@@ -173,7 +173,7 @@ def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() ->
 
 def test_too_many_in_a_radius_are_reported_as_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "MAX_CANDIDATES_IN_RADIUS", 300)
-    monkeypatch.setattr(stored_blocks, "make_subject", lambda *plan: None)  # what is stored is for the limit of the sources
+    monkeypatch.setattr(stored_blocks, "number_plan", lambda *plan: None)  # what is stored is for the limit of the sources
     messages = []
     for options in (NUMPY, NATIVE):
         with pytest.raises(FaultStop) as stop:
@@ -334,7 +334,7 @@ def test_what_holds_some_agents_is_found_of_lines_sheets_and_clouds() -> None:
     for extents, expected in (((1000, 0, 0), 8.0), ((1000, 1000, 0), 89.4), ((1000, 1000, 1000), 200.0), ((0, 0, 0), 0.0)):
         positions = (rng.random((1000, 3)) * extents).astype(np.float32)
         population: Any = Crowd(positions)
-        assert native_backend._default_cell_size(population) == pytest.approx(expected, rel=0.01)
+        assert native_backend._choose_cell_size(population) == pytest.approx(expected, rel=0.01)
 
 
 def test_arrays_of_cells_that_are_no_longer_needed_are_released() -> None:
@@ -355,7 +355,7 @@ def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
         (300, 100, 2, 5),
         (100_000, 16_384, 2, 25),
     ):
-        size = block_runner._part_size(count, chunk, threads)
+        size = block_runner._choose_part_size(count, chunk, threads)
         assert size % LANE_COUNT == 0 and -(-count // size) == parts, (count, chunk, threads)
 
 
@@ -365,8 +365,10 @@ def test_what_is_machine_code_is_listed() -> None:
     plan_listing = program_listing.build_program(shot.plan, llvm_compiler.host_target())
     text = program_listing.format_listing(plan_listing)
     assert "then NumPy: ray(stones)" in text and "3 times" in text and "searches forager for 2 sets" in text
-    counts = program_listing.instruction_counts(plan_listing)
-    assert counts == program_listing.instruction_counts(program_listing.build_program(shot.plan, llvm_compiler.host_target()))
+    counts = program_listing.count_instructions_by_function(plan_listing)
+    assert counts == program_listing.count_instructions_by_function(
+        program_listing.build_program(shot.plan, llvm_compiler.host_target())
+    )
     assert f"stage 0: {counts['forager.decide.0']:,} instructions" in text and counts["forager.decide.0"] > 500
 
 

@@ -44,7 +44,7 @@ def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list
 
     def begin() -> list[str]:
         while compile_queue._pending_requests:  # by worlds of other tests, which did not wait
-            compile_queue._compile_thread().submit(int).result()
+            compile_queue._get_compile_thread().submit(int).result()
         compiled.clear()
         cache = object_cache.ObjectCache(tmp_path / "code")
         objects = functools.cache(lambda: cache)
@@ -133,7 +133,7 @@ def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pyt
         facts: compile_queue.WorldFacts = compile_queue.WorldFacts(False, False),
         target: llvm_compiler.Target = host,
     ) -> str:
-        subject = stored_blocks.make_subject(of.plan, of.backend.blocks, facts, target)  # type: ignore[attr-defined]
+        subject = stored_blocks.number_plan(of.plan, of.backend.blocks, facts, target)  # type: ignore[attr-defined]
         assert subject is not None
         return subject.key
 
@@ -157,7 +157,7 @@ def test_of_modules_without_sources_nothing_is_stored(monkeypatch: pytest.Monkey
     monkeypatch.setattr(antdsl, "__file__", str(tmp_path / "__init__.pyc"))
     world = edited()
     assert (
-        stored_blocks.make_subject(
+        stored_blocks.number_plan(
             world.plan, world.backend.blocks, compile_queue.WorldFacts(False, False), llvm_compiler.host_target()
         )
         is None
@@ -175,7 +175,7 @@ def programs_saved(count: int) -> list[World]:
 def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_compiled(afresh: Callable[[], list[str]]) -> None:
     compiled, go = afresh(), Event()
     worlds = programs_saved(7)
-    compile_queue._compile_thread().submit(go.wait)
+    compile_queue._get_compile_thread().submit(go.wait)
     coming = [
         compile_queue.start_building(each.plan, each.backend.blocks, compile_queue.WorldFacts(False, False)) for each in worlds
     ]  # type: ignore[attr-defined]
@@ -189,7 +189,7 @@ def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_co
         compile_queue.write_program(each.plan, each.backend.blocks, still, llvm_compiler.host_target()) for each in worlds[::2]
     ]  # type: ignore[attr-defined]
     assert blocks == [each.units["a.act.0"] for each in reversed(texts)] and len(blocks) == 4
-    compile_queue._compile_thread().submit(int).result()
+    compile_queue._get_compile_thread().submit(int).result()
     assert not compile_queue._pending_requests
 
 
@@ -207,7 +207,7 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
     monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
     worlds = [bind(each.plan, each.setting, Options(backend="native")) for each in programs_saved(7)]
     go = Event()
-    compile_queue._compile_thread().submit(go.wait)
+    compile_queue._get_compile_thread().submit(go.wait)
     for _ in range(3):
         for world in worlds:
             step(world)
@@ -224,7 +224,7 @@ def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], 
     monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
     (saved,) = programs_saved(1)
     world = bind(saved.plan, saved.setting, Options(backend="native"))
-    compile_queue._compile_thread().submit(go.wait)
+    compile_queue._get_compile_thread().submit(go.wait)
     for _ in range(2):
         step(world)
     assert len(compile_queue._pending_requests) == 1
@@ -232,7 +232,7 @@ def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], 
     gc.collect()
     go.set()
     while compile_queue._pending_requests:
-        compile_queue._compile_thread().submit(int).result()
+        compile_queue._get_compile_thread().submit(int).result()
     assert compiled == []
 
 

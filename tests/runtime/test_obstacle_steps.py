@@ -123,10 +123,10 @@ def test_only_agents_that_were_stopped_are_slowed_and_only_those_that_stay_count
     for axis in range(3):
         other = requested_steps.copy()
         other[axis, 20] = np.nan if axis else np.nextafter(other[axis, 20], np.float32(9))
-        assert not obstacles.is_unchanged(tuple(requested_steps), tuple(other), 0, 40) and obstacles.is_unchanged(
+        assert not obstacles.are_vectors_equal(tuple(requested_steps), tuple(other), 0, 40) and obstacles.are_vectors_equal(
             tuple(requested_steps), tuple(other), 21, 40
         )
-    assert not obstacles.is_unchanged(tuple(other), tuple(other), 0, 40) and obstacles.is_unchanged(
+    assert not obstacles.are_vectors_equal(tuple(other), tuple(other), 0, 40) and obstacles.are_vectors_equal(
         tuple(requested_steps), tuple(requested_steps.copy()), 0, 40
     )
     rows, at, (radius, distances) = np.array([3, 9, 30]), np.empty((3, 3), np.float32), np.empty((2, 3), np.float32)

@@ -332,13 +332,13 @@ def _square(wide: float, seed: int) -> PositionDrawer:
 @pytest.mark.parametrize("mixed", [False, True])
 def test_large_ones_do_not_look_through_all_small_ones_below_them(mixed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     n, compared = 3000, [0]
-    share = Occupancy._distance_share
+    share = Occupancy._compute_distance_share
 
     def counted(occupancy: Occupancy, place: np.ndarray, radius: np.ndarray, entry: np.ndarray) -> np.ndarray:
         compared[0] += entry.size
         return share(occupancy, place, radius, entry)
 
-    monkeypatch.setattr(Occupancy, "_distance_share", counted)
+    monkeypatch.setattr(Occupancy, "_compute_distance_share", counted)
     occupancy = Occupancy()
     small, large = np.full(n, 0.1), np.full(n, 200.0)
     first, then = (np.where(np.arange(n) % 2, large, small),) * 2 if mixed else (small, large)

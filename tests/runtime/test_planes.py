@@ -42,12 +42,19 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
     grid = CellGrid(*rng.normal(0, 9, (3, N)).astype(np.float32), np.arange(N), 1.0)
     fours, motion = np.empty((2, 4 * N + 32), np.float32)
     work = partial(
-        store_up_and_motion, grid.order.at, tuple(up), tuple(velocity), radius, np.arange(N, dtype=np.int32), fours, motion
+        store_up_and_motion,
+        grid.order.position_by_row,
+        tuple(up),
+        tuple(velocity),
+        radius,
+        np.arange(N, dtype=np.int32),
+        fours,
+        motion,
     )
     parallel.run_in_parts(work, N, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     crowd = CrowdTables(grid.table(), fours, motion, np.empty(0, np.int32))
     alone, one = np.zeros(n), np.ones(n)
-    requesters = Requesters(grid.order.at.take(rows), rows, alone, one, tuple(heading))
+    requesters = Requesters(grid.order.position_by_row.take(rows), rows, alone, one, tuple(heading))
     planes, velocities = np.empty((9, n)), np.empty((3, n), np.float32)
     fill_neighbours(crowd, requesters, Neighbours(*np.zeros((5, n, 1)), *np.zeros((2, n, 1), np.bool_)), planes)
     wishes = VelocityWishes(tuple(wish), one, max_speed)
@@ -74,5 +81,5 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
     assert np.allclose(planes[:, sure], expected[:, sure], rtol=1e-9, atol=1e-9, equal_nan=True)
     expected = ahead.T * (x * part) + left.T * (y * part)
     assert np.allclose(velocities[:, sure], expected[:, sure], rtol=1e-6, atol=1e-6, equal_nan=True)
-    assert np.array_equal(motion.reshape(-1, 4)[grid.order.at[rows], :3], own.astype(np.float32))
+    assert np.array_equal(motion.reshape(-1, 4)[grid.order.position_by_row[rows], :3], own.astype(np.float32))
     assert sure.mean() > 0.8 and (size == 0).sum() > 10

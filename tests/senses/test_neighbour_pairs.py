@@ -115,7 +115,7 @@ def test_agents_are_sorted_by_cells(monkeypatch: pytest.MonkeyPatch, extent, thr
                     order.sort(each, columns, names)
                     rows = names if names.size else np.arange(count)
                     rows = rows[np.argsort(key[rows], kind="stable")]
-                    assert np.array_equal(order.rows, rows) and np.array_equal(order.at[rows], np.arange(count))
+                    assert np.array_equal(order.rows, rows) and np.array_equal(order.position_by_row[rows], np.arange(count))
                     for own, column in zip(order.columns, columns, strict=True):
                         assert np.array_equal(own[:count], column[rows], equal_nan=True)
                     assert np.array_equal(
@@ -256,8 +256,8 @@ def test_all_searches_find_equal_items(monkeypatch: pytest.MonkeyPatch, many: in
         monkeypatch.setattr(item_pairs, "_MIN_ITEMS_TO_FILTER", 1000)
         with np.errstate(all="ignore"):
             expected = near_items(visited, positions, radius)
-            paths = [item_pairs.measure_all(items, tuple(positions), reach)]
-            paths += [item_pairs.measure_filtered(items, tuple(positions), reach)] if many else []
+            paths = [item_pairs.find_pairs_among_all_items(items, tuple(positions), reach)]
+            paths += [item_pairs.find_pairs_among_near_items(items, tuple(positions), reach)] if many else []
             paths.append(item_pairs.find_items_within(items, tuple(positions), radius))
         for columns in paths:
             assert [column.dtype.itemsize for column in columns] == [8, 8, 4, 4, 4, 4]

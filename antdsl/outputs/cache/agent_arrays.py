@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import parallel
 from antdsl.outputs.cache import frame_loops
 from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE, Column
-from antdsl.runtime.body_positions import body_positions
+from antdsl.runtime.body_positions import compute_body_positions
 from antdsl.runtime.world import AXES, Population, World
 
 Arrays = dict[str, NDArray[Any]]
@@ -66,7 +66,7 @@ def write_column(population: Population, column: Column, scale: float, out: NDAr
         work = partial(frame_loops.write_vectors, _find_vector_columns(population, column.name), ranks, factor, out)
         parallel.run_in_parts(work, len(ranks), threads)
     elif column.shape:
-        work = partial(frame_loops.write_positions, body_positions(population), ranks, factor, out)
+        work = partial(frame_loops.write_positions, compute_body_positions(population), ranks, factor, out)
         parallel.run_in_parts(work, len(ranks), threads)
     else:
         out[:] = population.columns[column.name].take(population.rows_by_id())

@@ -49,7 +49,7 @@ from antdsl.outputs.flow_arrows import make_flow_arrows
 from antdsl.plan.registers import find_pair_values
 from antdsl.program.model import Program, TypeKind
 from antdsl.runtime.checkpoints import STATE_HASH_VERSION
-from antdsl.runtime.lifecycle import event_names
+from antdsl.runtime.lifecycle import list_event_names
 from antdsl.runtime.moving.moving_geometry import compute_vertices, measure_ground_velocity
 from antdsl.runtime.world import Population, World
 from antdsl.scene.camera_models import DEFAULT_CAMERA
@@ -243,10 +243,10 @@ def make_manifest(
         ),
         lines=tuple(
             LineEntry(name=crowd.name, species=crowd.species, ranges=line.ranges)
-            for crowd, line in zip(setting.crowds, world.lines, strict=True)
+            for crowd, line in zip(setting.crowds, world.crowd_lines, strict=True)
             if crowd.name
         ),
-        events=event_names(world),
+        events=list_event_names(world),
         camera=None if isinstance(default := cameras.get(DEFAULT_CAMERA), FollowEntry) else default,
         cameras=dict(cameras),
     )

@@ -35,7 +35,7 @@ from antdsl.preview.session import Session
 from antdsl.preview.timeline import SpeciesPoses
 from antdsl.preview.viewing.body_packets import BodyOutfit, BodyTraits, build_posed_body, find_traits, list_outfits
 from antdsl.runtime import Population, World
-from antdsl.runtime.body_rows import numbers_by_row
+from antdsl.runtime.body_rows import find_body_numbers
 
 _STEPS_PER_BODY_LENGTH = 4096  # steps per body length
 _UNIT_INT16 = 32767
@@ -115,7 +115,7 @@ def gather_actions(world: World, shot: Shot, population: Population, displayed: 
         world.setting.seed,
         world.frame * world.dt,
         list_outfits(world, shot, population),
-        numbers_by_row(population, world.setting)[population.rows_by_id()],
+        find_body_numbers(population, world.setting)[population.rows_by_id()],
         stored,
         displayed,
     )

@@ -30,7 +30,7 @@ def make_verbs_message(live: Live) -> dict[str, Any]:
     names, world = _list_names(session), session.world
     lines = [
         {"name": line.name, "species": ids.species, "ranges": [list(each) for each in ids.ranges]}
-        for line, ids in zip(session.shot.scene.model.crowd, world.lines, strict=True)
+        for line, ids in zip(session.shot.scene.model.crowd, world.crowd_lines, strict=True)
         if line.name is not None
     ]
     return {"op": "verbs", **make_form_entries(names), "lines": lines, "origin": [float(x) for x in world.origin]}

@@ -44,7 +44,7 @@ class InstructionKind(Enum):
     REGION = "region"  # runs the inner scope for the rows where the condition holds
     CACHED_SENSE = "keep"  # runs the inner scope for rows without a stored value; the result is the stored values
     PAIRS = "pairs"  # the pairs of a set
-    SPREAD = "spread"  # an agent's value for each of its pairs
+    REPEAT_FOR_PAIRS = "spread"  # an agent's value for each of its pairs
     PAIR_LEAF = "of pair"  # a leaf of the pair's other agent, or a sense that depends on that agent
     PAIR_OPERATION = "by pair"  # an elementwise operation over pairs
     REDUCE = "reduce"
@@ -55,10 +55,12 @@ class InstructionKind(Enum):
 class BlockInstruction:
     """One instruction of a block; `subject` is its node or statement.
 
-    `slot`, `inputs`: slots of its result and operands.
-    `dtype`: type of the buffer for its result; None: it allocates an array.
-    `span`: the source text that it computes.
-    `layer`: number of the first layer that needs it, -1 for none."""
+    `slot`, `inputs`: the slot of its result, and the slots of its operands.
+    `dtype`: the type of the buffer for its result; None if it allocates an array.
+    `scope`: the rows for which it runs. `span`: the source text that it computes.
+    `layer`: the number of the first layer that needs it, -1 for none.
+    `inner`: the scope that it runs for some of its rows. `inner_result_slot`: the slot of that scope's result.
+    `order`: the position of a statement in the text of its species."""
 
     kind: InstructionKind
     subject: ir.PlanNode | ir.PlanStatement
@@ -69,18 +71,18 @@ class BlockInstruction:
     span: Span | None
     layer: int
     inner: RowScope | None = None
-    result: int = -1  # slot of the inner scope that is read after it
+    inner_result_slot: int = -1  # slot of the inner scope that is read after it
     block: str = ""
     order: int = -1  # position of a statement in the text of its species
 
 
 @dataclass(slots=True, eq=False)
 class RowScope:
-    """The rows of one region. `rows`, `parent_indices` and `row_count` are slots.
+    """The rows for which a region runs, and the region's instructions `code`. `parent`: the scope around it.
 
-    `rows`: row numbers in the species (slice or array). `parent_indices`: indices in the parent's rows (None: all). `row_count`:
-    the number
-        of rows."""
+    Three fields are slots. `rows`: the row numbers in the species (slice or array). `parent_indices`: the indices of these rows
+    in the parent's rows (None: all). `row_count`: the number of rows.
+    `slot_by_node`: the slots of values that this scope contains. `pairs`: the pairs of each set."""
 
     parent: RowScope | None
     rows: int
@@ -96,14 +98,14 @@ class RowScope:
 
 @dataclass(slots=True, eq=False)
 class PairScope:
-    """The pairs of one set in one scope: the slot of the pairs, and the slots of values over them by node."""
+    """The pairs of one set in one scope: the `slot` of the pairs, and for each node the slot of its values over the pairs."""
 
     slot: int
     slot_by_node: dict[ir.PlanNode, int] = field(default_factory=dict)
 
 
 class BlockCompiler:
-    """Converts one block of a plan to instructions over slots, in nested scopes of rows."""
+    """The conversion of one block of a plan to instructions over slots, in nested scopes of rows."""
 
     def __init__(
         self, species: ir.SpeciesPlan, block: str, order: dict[ir.PlanStatement, int], sets: dict[ir.PlanNode, int]
@@ -121,7 +123,7 @@ class BlockCompiler:
         self._layer_number = -1
 
     def allocate_slot(self) -> int:
-        """Return a new slot."""
+        """Return the number of a new slot."""
         self.slot_count += 1
         return self.slot_count - 1
 
@@ -138,7 +140,7 @@ class BlockCompiler:
         dtype: Any = None,
         *,
         inner: RowScope | None = None,
-        result: int = -1,
+        inner_result_slot: int = -1,
     ) -> None:
         order = -1 if isinstance(subject, ir.PlanNode) else self._order[subject]
         scope.code.append(
@@ -152,7 +154,7 @@ class BlockCompiler:
                 subject.span,
                 self._layer_number,
                 inner,
-                result,
+                inner_result_slot,
                 self.name,
                 order,
             )
@@ -169,12 +171,12 @@ class BlockCompiler:
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _compile_block(self, scope: RowScope, block: ir.Block, path: tuple[int, ...]) -> None:
-        """Emit the statements of a block or region; `path` is its position in the nested regions."""
+        """Emit the statements of a block or region. `path`: its position in the nested regions."""
         for k, (statement, layer) in enumerate(zip(block.statements, self._find_statement_layers(block), strict=True)):
             self._layer_number = layer
             for node in self.early.get((*path, k), ()):
-                self.value(scope, node)
-            inputs = tuple(self.value(scope, node) for node in list_operands(statement))
+                self.emit_value(scope, node)
+            inputs = tuple(self.emit_value(scope, node) for node in list_operands(statement))
             if isinstance(statement, ir.If):
                 inner = self._new_scope(scope)
                 self._compile_block(inner, statement.body, (*path, k))
@@ -202,11 +204,12 @@ class BlockCompiler:
 
     # --- values --------------------------------------------------------------------------------------------------------
 
-    def value(self, scope: RowScope, node: ir.PlanNode, recompute: bool = False) -> int:
-        """Return the slot of a node's value in a scope, after emitting missing instructions. `recompute`: compute a node again
-        even if it is stored."""
+    def emit_value(self, scope: RowScope, node: ir.PlanNode, recompute: bool = False) -> int:
+        """Return the slot of a node's value in a scope. Emit the instructions that compute it if they are missing.
+
+        `recompute`: whether to compute a value that is stored for the step."""
         if node.rate <= ir.UpdateRate.STEP:
-            return self._uniform_slot(node)
+            return self._find_uniform_slot(node)
         missing: set[ir.PlanNode] = set()
         pending = [node]
         while pending:
@@ -220,12 +223,12 @@ class BlockCompiler:
             pending.extend(top.args)
         for each in sorted(missing, key=lambda n: n.number):
             if each in self.lazy_nodes and not (recompute and each is node):
-                self._emit_lazy(scope, each)
+                self._emit_lazy_sense(scope, each)
             else:
                 self._emit_node(scope, each)
-        return self._known_slot(scope, node)
+        return self._find_stored_slot(scope, node)
 
-    def _uniform_slot(self, node: ir.PlanNode) -> int:
+    def _find_uniform_slot(self, node: ir.PlanNode) -> int:
         """Return the slot of a value that is equal for all agents."""
         if node not in self.uniform_slots:
             self.uniform_slots[node] = self.allocate_slot()
@@ -233,16 +236,17 @@ class BlockCompiler:
 
     @staticmethod
     def _find_holding_scope(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
-        """Return the innermost scope around `scope`, or itself, that has a value; None if none has it."""
+        """Return the innermost of `scope` and the scopes around it that has the value of a node; None if none has it."""
         while scope is not None and node not in scope.slot_by_node:
             scope = scope.parent
         return scope
 
-    def _known_slot(self, scope: RowScope, node: ir.PlanNode) -> int:
-        """Return the slot of a value that this scope or an outer scope contains. A value of an outer scope is gathered for
-        this scope."""
+    def _find_stored_slot(self, scope: RowScope, node: ir.PlanNode) -> int:
+        """Return the slot of a value that this scope or an outer scope contains.
+
+        For a value of an outer scope, emit an instruction that gathers it for the rows of this scope."""
         if node.rate <= ir.UpdateRate.STEP:
-            return self._uniform_slot(node)
+            return self._find_uniform_slot(node)
         holders = [scope]
         while node not in holders[-1].slot_by_node:
             outer = holders[-1].parent
@@ -259,53 +263,57 @@ class BlockCompiler:
         if node.op.startswith("reduce."):
             does, inputs = InstructionKind.REDUCE, self._emit_reduction(scope, node)
         else:
-            does, inputs = InstructionKind.VALUE, tuple(self._known_slot(scope, a) for a in node.args)
+            does, inputs = InstructionKind.VALUE, tuple(self._find_stored_slot(scope, a) for a in node.args)
         slot = self.allocate_slot()
         self._emit_instruction(scope, does, node, slot, inputs, DTYPE_BY_KIND[node.kind] if node.op in UFUNC_BY_NAME else None)
         scope.slot_by_node[node] = slot
 
-    def _emit_lazy(self, scope: RowScope, node: ir.PlanNode) -> None:
-        """Emit a lazy node: computed in an inner scope of the rows without a value, and stored for the step."""
+    def _emit_lazy_sense(self, scope: RowScope, node: ir.PlanNode) -> None:
+        """Emit a sense that is computed only for rows without a stored value, in an inner scope, and stored for the step."""
         inner = self._new_scope(scope)
-        result = self.value(inner, node, recompute=True)
+        result = self.emit_value(inner, node, recompute=True)
         slot = scope.slot_by_node[node] = self.allocate_slot()
-        self._emit_instruction(scope, InstructionKind.CACHED_SENSE, node, slot, (), inner=inner, result=result)
+        self._emit_instruction(scope, InstructionKind.CACHED_SENSE, node, slot, (), inner=inner, inner_result_slot=result)
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
     def _emit_reduction(self, scope: RowScope, node: ir.PlanNode) -> tuple[int, ...]:
-        """Emit the pairs and pair values of a reduction; return the slots of its inputs."""
-        pairs = self._pair_scope(scope, node.args[0])
+        """Emit the pairs of a reduction and the values over these pairs. Return the slots of its inputs."""
+        pairs = self._find_or_emit_pairs(scope, node.args[0])
         bodies = node.args[1:]
         for each in collect_required_nodes(bodies):
             if each.rate == ir.UpdateRate.PAIR and each not in pairs.slot_by_node:
                 self._emit_pair_value(scope, pairs, each)
-        return pairs.slot, *(self._pair_slot(scope, pairs, body) for body in bodies)
+        return pairs.slot, *(self._find_or_emit_pair_value(scope, pairs, body) for body in bodies)
 
-    def _pair_scope(self, scope: RowScope, node: ir.PlanNode) -> PairScope:
-        """Return the pairs of a set in a scope; emit them if they are missing."""
+    def _find_or_emit_pairs(self, scope: RowScope, node: ir.PlanNode) -> PairScope:
+        """Return the pairs of a set in a scope. Emit the instruction that finds them if it is missing."""
         if node not in scope.pairs:
             if node.op == "set.every" and not is_nearest_only(self._species, node):
                 self.complete_species.add(node.attrs[0])
-            inputs = tuple(self._known_slot(scope, a) for a in node.args)
+            inputs = tuple(self._find_stored_slot(scope, a) for a in node.args)
             pairs = scope.pairs[node] = PairScope(self.allocate_slot())
             if self.name != "born" and all(part.op != "load" for part in collect_required_nodes((node,))):
                 self.region_count_by_set[node] = self.region_count_by_set.get(node, 0) + 1
             self._emit_instruction(scope, InstructionKind.PAIRS, node, pairs.slot, inputs)
         return scope.pairs[node]
 
-    def _pair_slot(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> int:
-        """Return the slot of a value over pairs. A value of the agent itself is repeated for its pairs."""
+    def _find_or_emit_pair_value(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> int:
+        """Return the slot of a node's value over pairs. Emit its instructions if they are missing.
+
+        A value of the requesting agent is repeated for its pairs."""
         if node.rate <= ir.UpdateRate.STEP:
-            return self._uniform_slot(node)
+            return self._find_uniform_slot(node)
         if node in pairs.slot_by_node:
             return pairs.slot_by_node[node]
         slot = pairs.slot_by_node[node] = self.allocate_slot()
-        self._emit_instruction(scope, InstructionKind.SPREAD, node, slot, (self._known_slot(scope, node), pairs.slot))
+        self._emit_instruction(
+            scope, InstructionKind.REPEAT_FOR_PAIRS, node, slot, (self._find_stored_slot(scope, node), pairs.slot)
+        )
         return slot
 
     def _emit_pair_value(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> None:
-        inputs = tuple(self._pair_slot(scope, pairs, a) for a in node.args)
+        inputs = tuple(self._find_or_emit_pair_value(scope, pairs, a) for a in node.args)
         does = InstructionKind.PAIR_OPERATION if node.op in FUNCTION_BY_NAME else InstructionKind.PAIR_LEAF
         slot = pairs.slot_by_node[node] = self.allocate_slot()
         self._emit_instruction(
@@ -317,9 +325,9 @@ class BlockCompiler:
 
 
 def _flatten_instructions(scope: RowScope, order: list[tuple[BlockInstruction, bool]]) -> None:
-    """Append the instructions to `order` in execution order.
+    """Append the instructions of a scope to `order` in execution order, each with whether its inner scope has run.
 
-    An instruction with an inner scope appears before that scope with False, and again after it with True."""
+    An instruction with an inner scope is appended twice: before that scope with False, and after it with True."""
     for instruction in scope.code:
         order.append((instruction, False))
         if instruction.inner is not None:
@@ -328,15 +336,16 @@ def _flatten_instructions(scope: RowScope, order: list[tuple[BlockInstruction, b
 
 
 def bind_calls(compiler: BlockCompiler, find_maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
-    """Assign an output array to each elementwise result, reused after its last use, and make the calls.
+    """Assign buffers to elementwise results, and make the call of each instruction with the maker that `find_maker` returns.
 
+    A buffer is used again after the last use of its value.
     This is a linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). No region runs
     twice."""
     order: list[tuple[BlockInstruction, bool]] = []
     _flatten_instructions(compiler.root_scope, order)
     last: dict[int, int] = {}
     for position, (instruction, is_after) in enumerate(order):
-        for slot in (instruction.result,) if is_after else instruction.inputs:
+        for slot in (instruction.inner_result_slot,) if is_after else instruction.inputs:
             last[slot] = position
     for instruction, is_after in reversed(order):
         if instruction.kind is InstructionKind.GATHER and not is_after:  # the result may be the input itself

@@ -1,4 +1,4 @@
-"""Times the calls of a compiled block. The time of a call excludes the calls inside it."""
+"""The time of each call of a compiled block, without the time of the calls inside it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from antdsl.runtime.backends.block_compiler import (
 
 
 class MeteredBlock:
-    """A block with calls that are timed until `stop`.
+    """A compiled block with calls that are timed until `stop`.
 
-    `seconds`: the time of each of `instructions`. Where threads run in parallel, times are scaled so that their sum does not
-        exceed the elapsed time."""
+    `seconds`: the time of each of `instructions`. If threads run in parallel, times are scaled so that their sum does not exceed
+    the elapsed time."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.instructions: list[BlockInstruction] = []
@@ -36,12 +36,12 @@ class MeteredBlock:
         """Set all counters to 0."""
         self.seconds = [0.0] * len(self.instructions)
 
-    def new_counters(self) -> list[float]:
-        """Return new counters for one chunk. The last number is the time of all calls inside the current one."""
+    def make_counters(self) -> list[float]:
+        """Return zeros for one chunk: a time (s) for each instruction, then the time of the calls inside the current one."""
         return [0.0] * (len(self.instructions) + 1)
 
     def add_counters(self, counters: list[list[float]], elapsed: float) -> None:
-        """Add the counters of all chunks of one run of the block. `elapsed`: the elapsed time (s) of the run."""
+        """Add the `counters` of all chunks of one run of the block to `seconds`. `elapsed`: the wall time (s) of the run."""
         share = min(1.0, elapsed / max(sum(lane[-1] for lane in counters), 1e-12))
         for lane in counters:
             for k, seconds in enumerate(lane[:-1]):
@@ -67,7 +67,7 @@ def _iterate_scopes(root: RowScope) -> Iterator[RowScope]:
 
 
 def _time_call(call: SlotFunction, number: int) -> SlotFunction:
-    """Return a call that adds its time, without that of inner calls, to counter `number`."""
+    """Return `call` with timing: it adds its time, without the time of inner calls, to counter `number`."""
 
     def run_timed(v: SlotValues) -> None:
         spent = v[SPENT_SECONDS_SLOT]

@@ -31,7 +31,7 @@ from antdsl.runtime.backends.block_compiler import (
 from antdsl.runtime.backends.metering import MeteredBlock
 from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.sensing.pairs import MAX_PAIRS_PER_CHUNK
-from antdsl.runtime.sensing.world_senses import compute_uniform_leaf, constant_scalar
+from antdsl.runtime.sensing.world_senses import compute_uniform_leaf, make_constant_scalar
 from antdsl.runtime.world import DTYPE_BY_KIND, Population, World
 from antdsl.scene.setting import WorldSetting
 
@@ -83,7 +83,7 @@ class NumpyBackend:
         return "NumPy"
 
     def set_timing(self, enabled: bool) -> None:
-        """Time each call from the next step on, or stop timing. Results do not change."""
+        """Measure the time of each call from the next step on, or stop this. Results do not change."""
         if enabled == bool(self.metered_blocks):
             return
         for each in self.metered_blocks.values():
@@ -91,7 +91,7 @@ class NumpyBackend:
         self.metered_blocks = {key: MeteredBlock(compiler) for key, compiler in self._blocks.items()} if enabled else {}
 
     def begin(self, world: World) -> None:
-        """Begin a step: compute its loop-invariant values and clear cached senses."""
+        """Begin a step: compute the values that are equal for all agents, and clear cached senses."""
         for name, population in world.populations.items():
             self._uniform_values[name] = self._compute_step_values(world, name)
             n = len(population) + self.spare_rows
@@ -115,7 +115,7 @@ class NumpyBackend:
         return []
 
     def _compute_step_values(self, world: World, species: str) -> dict[ir.PlanNode, Any]:
-        """Return the values of the step that are equal for all agents, with those of the run."""
+        """Return, by node, the values that are equal for all agents of a species: those of the step and those of the run."""
         if self._run_inputs is None or self._run_inputs[0] is not world.setting or self._run_inputs[1] != world.params:
             self._run_inputs = (world.setting, dict(world.params))
             self._run_values = {
@@ -133,7 +133,7 @@ class NumpyBackend:
         chunks = self._split_rows(world, population, compiler, rows)
         threads = min(world.options.threads, len(chunks))
         metered = self.metered_blocks.get((population.name, block))
-        spent = [None if metered is None else metered.new_counters() for _ in chunks]
+        spent = [None if metered is None else metered.make_counters() for _ in chunks]
         began = perf_counter()
         effects = [EffectRequests() for _ in chunks]
         if threads <= 1:
@@ -177,7 +177,10 @@ class NumpyBackend:
         lane: int,
         is_only_chunk: bool,
     ) -> None:
-        """Run a block for one chunk of rows. `lane`: the number of its thread. `is_only_chunk`: no other thread runs."""
+        """Run a block for one chunk of rows, and add its requests to `effects`.
+
+        `spent_seconds`: counters for the times of calls, or None. `lane`: the number of the thread. `is_only_chunk`: whether no
+        other thread runs."""
         v: list[Any] = [None] * compiler.slot_count
         v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT], v[LAZY_VALUES_SLOT] = (
             world,
@@ -218,7 +221,7 @@ def compute_constants(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
     with np.errstate(all="ignore"):
         for node in nodes:
             f = FUNCTION_BY_NAME.get(node.op)
-            values[node] = constant_scalar(node) if f is None else f(*[values[a] for a in node.args])
+            values[node] = make_constant_scalar(node) if f is None else f(*[values[a] for a in node.args])
     return values
 
 

@@ -1,5 +1,5 @@
-"""Function calls for the instructions of compiled blocks. Each public function returns a maker of closures over the slots of one
-run.
+"""Function calls for the instructions of compiled blocks. Each public `make_…` function returns a maker of such calls. A call
+takes the list of slots of one run.
 
 `v` is the list of slots. The first slots hold the world, the population, the effects, the buffers and the cached senses."""
 
@@ -28,13 +28,13 @@ from antdsl.runtime.backends.block_compiler import (
     SlotFunctionMaker,
     SlotValues,
 )
-from antdsl.runtime.backends.numpy_statements import as_row_array, make_statement_call
+from antdsl.runtime.backends.numpy_statements import convert_to_row_array, make_statement_call
 from antdsl.runtime.sensing import pairs as sets
 from antdsl.runtime.sensing.world_senses import SENSE_FUNCTIONS
 
 
 def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFunctionMaker:
-    """Return the maker of an instruction's call; it takes the slots of output, inputs and buffer."""
+    """Return the maker of an instruction's call. The maker takes the slots of output, inputs and buffer, and returns the call."""
     scope, what = instruction.scope, instruction.subject
     if not isinstance(what, ir.PlanNode):
         return make_statement_call(instruction) if instruction.inner is None else make_region_call(scope, instruction.inner)
@@ -45,10 +45,10 @@ def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFun
             return make_gather_call(scope, what.kind is ir.ValueKind.TUPLE)
         case InstructionKind.CACHED_SENSE:
             assert instruction.inner is not None
-            return make_cached_sense_call(what, scope, instruction.inner, instruction.result)
+            return make_cached_sense_call(what, scope, instruction.inner, instruction.inner_result_slot)
         case InstructionKind.PAIRS:
             return make_pairs_call(what, compiler, scope)
-        case InstructionKind.SPREAD:
+        case InstructionKind.REPEAT_FOR_PAIRS:
             return make_spread_call
         case InstructionKind.PAIR_LEAF:
             return make_pair_leaf_call(what, scope)
@@ -58,7 +58,7 @@ def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFun
 
 
 def enter_scope(v: SlotValues, scope: RowScope, rows: Any, size: int, parent_rows: NDArray[np.intp] | None) -> None:
-    """Set a scope's rows and the views of its output buffers."""
+    """Write a scope's rows, their number `size`, their indices in the parent's rows, and views of its output buffers to `v`."""
     v[scope.rows], v[scope.row_count], v[scope.parent_indices] = rows, size, parent_rows
     buffers = v[BUFFERS_SLOT]
     for (dtype, number), slot in scope.view_slots.items():
@@ -79,7 +79,7 @@ def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, parent_rows
 
 
 def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
-    """Return the call of an `If`: it runs the inner scope for the rows for which the condition holds."""
+    """Return the maker of the call of an `If`: it runs the inner scope for the rows for which the condition holds."""
 
     def make_region(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
@@ -100,7 +100,7 @@ def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
 
 
 def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
-    """Return the call that takes a value of the enclosing scope for the rows of this scope."""
+    """Return the maker of the call that gathers a value of the enclosing scope for the rows of this scope."""
     picked = scope.parent_indices
 
     def make_gather(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -121,7 +121,7 @@ def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
 
 
 def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> SlotFunctionMaker:
-    """Return the call for a sense that is cached for the step. It is computed only for rows without a value."""
+    """Return the maker of the call for a sense that is cached for the step. It is computed only for rows without a value."""
 
     def make_sense(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def read_cached_sense(v: SlotValues) -> None:
@@ -142,7 +142,7 @@ def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, 
 
 
 def make_elementwise_call(node: ir.PlanNode) -> SlotFunctionMaker | None:
-    """Return the maker for an operation of the elementwise table, or None for other nodes."""
+    """Return the maker of the call for an operation of the elementwise table, or None for other nodes."""
     f = FUNCTION_BY_NAME.get(node.op)
     if f is None:
         return None
@@ -179,7 +179,7 @@ def make_elementwise_call(node: ir.PlanNode) -> SlotFunctionMaker | None:
 
 
 def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
-    """Return the maker of the call for a register, draw, part of a tuple or sense."""
+    """Return the maker of the call for a register, a random draw, a part of a tuple, or a sense."""
     rows = scope.rows
     if node.op == "get":
         index = node.attrs[0]
@@ -210,7 +210,7 @@ def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) 
 
 
 def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
-    """Return the call for a random draw. Four draws of one site come from one run of the generator."""
+    """Return the maker of the call for a random draw. Four draws of one site come from one run of the generator."""
     site, index = node.attrs
     key = (site, index >> 2)
     fresh = key not in scope.draw_slots
@@ -230,7 +230,7 @@ def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
 
 
 def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
-    """Return the call for the pairs of a set.
+    """Return the maker of the call that finds the pairs of a set.
 
     A set that several regions use is cached for the step after it was computed for a complete chunk."""
     shared, root, rows = compiler.region_count_by_set, compiler.root_scope.rows, scope.rows
@@ -240,7 +240,7 @@ def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
             stored_pairs, chunk, mine = v[PAIRS_SLOT], v[root], v[rows]
             known = stored_pairs.get((node, chunk.start)) if isinstance(chunk, slice) else None
             if known is not None:
-                v[result_slot] = known if mine is chunk else known.select_rows(as_row_array(mine) - chunk.start)
+                v[result_slot] = known if mine is chunk else known.select_rows(convert_to_row_array(mine) - chunk.start)
                 return
             v[result_slot] = sets.find_pairs(
                 v[WORLD_SLOT], v[POPULATION_SLOT], node, mine, tuple(v[a] for a in inputs), v[THREADS_SLOT]
@@ -264,7 +264,7 @@ def make_spread_call(result_slot: int, inputs: tuple[int, ...], buffer: int | No
 
 
 def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
-    """Return the call for a value of the other agent of a pair, or a value that depends on that agent.
+    """Return the maker of the call for a value of the other agent of each pair, or a value that depends on that agent.
 
     A sense is evaluated at the position of the requesting agent."""
     sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows
@@ -276,7 +276,11 @@ def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker
                 v[result_slot] = sets.read_pair_value(pair_set, node)
             else:
                 v[result_slot] = sense(
-                    v[WORLD_SLOT], v[POPULATION_SLOT], node, as_row_array(v[rows]).take(pair_set.i), *[v[a] for a in inputs[1:]]
+                    v[WORLD_SLOT],
+                    v[POPULATION_SLOT],
+                    node,
+                    convert_to_row_array(v[rows]).take(pair_set.i),
+                    *[v[a] for a in inputs[1:]],
                 )
 
         return read_pair_leaf
@@ -285,7 +289,7 @@ def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker
 
 
 def make_reduction_call(node: ir.PlanNode) -> SlotFunctionMaker:
-    """Return the call for a reduction over the pairs of a set."""
+    """Return the maker of the call for a reduction over the pairs of a set."""
     f = sets.REDUCTION_FUNCTIONS[node.op]
 
     def make_reduction(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:

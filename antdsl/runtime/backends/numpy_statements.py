@@ -24,13 +24,13 @@ from antdsl.runtime.requests import ClaimEntry, FaultEntry, GiftEntry, RequestEn
 ALL_ROWS = slice(None)
 
 
-def as_row_array(rows: Any) -> NDArray[np.intp]:
+def convert_to_row_array(rows: Any) -> NDArray[np.intp]:
     """Return rows, given as a slice or an array, as an array."""
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
 
 
-def _row_values(v: SlotValues, scope: RowScope, value: Any) -> NDArray[Any]:
-    """Return one value for each row, in a separate array, because buffers are reused."""
+def _copy_row_values(v: SlotValues, scope: RowScope, value: Any) -> NDArray[Any]:
+    """Return one value for each row of a scope in a new array, because buffers are reused."""
     return np.full(v[scope.row_count], value) if value.ndim == 0 else value.copy()
 
 
@@ -45,7 +45,7 @@ def _record_fault(v: SlotValues, block: str, register: str, span: Any, rows: NDA
 
 
 def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMaker:
-    """Return the call that stores a value in a register. A value that is not storable is a fault."""
+    """Return the maker of the call that stores a value in a register. A value that is not storable is a fault."""
     name, infinite, span = statement.register, statement.allows_infinity, statement.span
     number = statement.value.kind is ir.ValueKind.F32
 
@@ -59,7 +59,7 @@ def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFu
             if good is None or good.all():
                 target[rows] = value
                 return
-            rows = as_row_array(rows)
+            rows = convert_to_row_array(rows)
             if value.ndim == 0:
                 _record_fault(v, block, name, span, rows)
                 return
@@ -74,9 +74,10 @@ def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFu
 def _select_finite_amounts(
     v: SlotValues, scope: RowScope, block: str, value_name: str, span: Any, value: Any
 ) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
-    """Return the rows with finite values, these values, and the mask of these rows within the scope. Record a fault for all
-    others."""
-    rows, value = as_row_array(v[scope.rows]), _row_values(v, scope, value)
+    """Return the rows with finite values, these values, and which of the scope's rows they are.
+
+    Record a fault for all other rows."""
+    rows, value = convert_to_row_array(v[scope.rows]), _copy_row_values(v, scope, value)
     good = np.isfinite(value)
     if good.all():
         return rows, value, ALL_ROWS
@@ -85,7 +86,7 @@ def _select_finite_amounts(
 
 
 def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
-    """Return the call that adds claims to the effects of the step."""
+    """Return the maker of the call that adds claims to the effects of the step."""
 
     def make_claim(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
@@ -94,14 +95,14 @@ def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: in
 
         def add_claims(v: SlotValues) -> None:
             if much is None:
-                rows = as_row_array(v[scope.rows])
+                rows = convert_to_row_array(v[scope.rows])
                 amount, good = np.full(len(rows), np.inf, np.float32), ALL_ROWS
             else:
                 rows, amount, good = _select_finite_amounts(v, scope, block, what, statement.span, v[much])
             if which is None:
                 item = v[POPULATION_SLOT].cells[statement.target][rows]
             else:
-                item = _row_values(v, scope, v[which])[good]
+                item = _copy_row_values(v, scope, v[which])[good]
             v[EFFECTS_SLOT].claims.append(ClaimEntry(statement, order, rows, item, amount))
 
         return add_claims
@@ -110,14 +111,14 @@ def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: in
 
 
 def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
-    """Return the call that subtracts gifts from registers and adds them to the effects of the step."""
+    """Return the maker of the call that subtracts gifts from registers, and adds them to the effects of the step."""
 
     def make_gift(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def add_gifts(v: SlotValues) -> None:
             own = v[POPULATION_SLOT].now[statement.register]
-            item = _row_values(v, scope, v[inputs[0]])
+            item = _copy_row_values(v, scope, v[inputs[0]])
             if statement.amount is None:
-                rows = as_row_array(v[scope.rows])
+                rows = convert_to_row_array(v[scope.rows])
                 amount = own[rows]
             else:
                 rows, amount, good = _select_finite_amounts(
@@ -137,7 +138,7 @@ def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunc
 
 
 def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
-    """Return the call for a request to other parts of the world, by row. A value that is not finite is a fault."""
+    """Return the maker of the call that adds a request to the effects of the step. A value that is not finite is a fault."""
     row = effects.EFFECT_BY_OPERATION[statement.op]
     refused = row.fault_name.format(of=statement.target)
 
@@ -146,8 +147,8 @@ def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order
         which = [None if node is None else next(slots) for node in statement.args]
 
         def add_requests(v: SlotValues) -> None:
-            rows = as_row_array(v[scope.rows])
-            args = [None if slot is None else _row_values(v, scope, v[slot]) for slot in which]
+            rows = convert_to_row_array(v[scope.rows])
+            args = [None if slot is None else _copy_row_values(v, scope, v[slot]) for slot in which]
             good = np.ones(len(rows), np.bool_)
             for arg in args if refused else ():
                 good &= True if arg is None else np.isfinite(arg)
@@ -167,7 +168,7 @@ def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order
 
 
 def make_statement_call(instruction: BlockInstruction) -> SlotFunctionMaker:
-    """Return the maker for any statement except `If`."""
+    """Return the maker of the call for any statement except `If`."""
     what, block, scope, order = instruction.subject, instruction.block, instruction.scope, instruction.order
     match what:
         case ir.Store():

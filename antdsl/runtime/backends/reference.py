@@ -62,7 +62,7 @@ class NodeFault(Exception):
 
 
 class AgentRun:
-    """The run of one block for one agent. `now[name][at]` is the agent's register; all other arrays are indexed by its row."""
+    """The run of one block for one agent. `now[name][at]`: the agent's register `name`. Other arrays are indexed by `row`."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class AgentRun:
     def run(self, block: str, plan: ir.SpeciesPlan | None = None) -> None:
         """Run a block of the species, or of another plan of the same species."""
         tree: ir.Block = getattr(plan or self.population.plan, block)
-        self.block, self.values, self.early = block, {}, _cached_early_loads(tree)
+        self.block, self.values, self.early = block, {}, _find_early_loads(tree)
         self._run_block(tree, ())
 
     # --- statements ----------------------------------------------------------------------------------------------------
@@ -91,16 +91,16 @@ class AgentRun:
     def _run_block(self, block: ir.Block, path: tuple[int, ...]) -> None:
         for k, statement in enumerate(block.statements):
             for node in self.early.get((*path, k), ()):
-                self.value(node)
+                self.compute_value(node)
             if isinstance(statement, ir.If):
-                if self.value(statement.condition):
+                if self.compute_value(statement.condition):
                     self._run_block(statement.body, (*path, k))
             else:
                 getattr(self, "_" + type(statement).__name__.lower())(statement)
 
     def _compute_finite_value(self, node: ir.PlanNode, value_name: str, span: Span | None, infinite: bool = False) -> Any:
-        """Return a value that may be stored; None after recording a fault if it may not."""
-        value = self.value(node)
+        """Return a node's value if it may be stored; else record a fault and return None. `infinite`: +inf may be stored."""
+        value = self.compute_value(node)
         if node.kind is not ir.ValueKind.F32 or np.isfinite(value) or (infinite and value == np.inf):
             return value
         if self.on_fault is not None:
@@ -114,7 +114,7 @@ class AgentRun:
             self.now[s.register][self.at] = value
 
     def _claim(self, s: ir.Claim) -> None:
-        item = self.population.cells[s.target][self.row] if s.item is None else self.value(s.item)
+        item = self.population.cells[s.target][self.row] if s.item is None else self.compute_value(s.item)
         amount = (
             np.float32(np.inf)
             if s.amount is None
@@ -124,7 +124,7 @@ class AgentRun:
             self.effects.claims.append(ClaimEntry(s, self.order[s], self.rows, np.array([item]), np.array([amount])))
 
     def _give(self, s: ir.Give) -> None:
-        item, had = self.value(s.item), self.now[s.register][self.at]
+        item, had = self.compute_value(s.item), self.now[s.register][self.at]
         amount = had if s.amount is None else self._compute_finite_value(s.amount, f"give {s.register}", s.span)
         if amount is None or not 0 <= item < len(self.world.items[s.items]):
             return
@@ -136,7 +136,7 @@ class AgentRun:
         row = EFFECT_BY_OPERATION[s.op]
         refused = row.fault_name.format(of=s.target)
         values = [
-            None if node is None else self._compute_finite_value(node, refused, s.span) if refused else self.value(node)
+            None if node is None else self._compute_finite_value(node, refused, s.span) if refused else self.compute_value(node)
             for node in s.args
         ]
         if any(value is None and node is not None for value, node in zip(values, s.args, strict=True)):
@@ -148,12 +148,12 @@ class AgentRun:
 
     # --- values --------------------------------------------------------------------------------------------------------
 
-    def value(self, node: ir.PlanNode) -> Any:
+    def compute_value(self, node: ir.PlanNode) -> Any:
         """Return a node's value for this agent. Each node is computed once."""
         pending = [node]
         while pending:
             top = pending[-1]
-            missing = [] if top in self.values else [n for n in _own_operands(top) if n not in self.values]
+            missing = [] if top in self.values else [n for n in _list_own_operands(top) if n not in self.values]
             if missing:
                 pending.extend(missing)
                 continue
@@ -194,7 +194,7 @@ class AgentRun:
         return _REDUCTION_FUNCTIONS[node.op](self, node, chosen, matches)
 
     def _find_members(self, node: ir.PlanNode) -> list[SetMember]:
-        """Return the members of a set for this agent: within its radius, the cap and its field of view."""
+        """Return the members of a set for this agent: the others within the radius and the field of view, at most the cap."""
         own = [self.population.start[f"position.{axis}"][self.row] for axis in AXES]
         args = [self.values[a] for a in node.args]
         if node.op == "set.items":
@@ -218,18 +218,18 @@ class AgentRun:
     def _compute_pair_values(self, set_node: ir.PlanNode, member: SetMember, roots: list[ir.PlanNode]) -> list[Any]:
         """Return the values of the nodes `roots` for one other agent or item."""
         pair_values: dict[ir.PlanNode, Any] = {}
-        for node in _pair_nodes(tuple(roots)):
+        for node in _list_pair_nodes(tuple(roots)):
             args = [pair_values[a] if a in pair_values else self.values[a] for a in node.args]
             if node.op in FUNCTION_BY_NAME:
                 pair_values[node] = FUNCTION_BY_NAME[node.op](*args)
             elif node.op in SENSE_FUNCTIONS:
                 pair_values[node] = self._compute_sense(node, args)
             else:
-                pair_values[node] = self._other_value(set_node, member, node)
+                pair_values[node] = self._read_other_value(set_node, member, node)
         return [pair_values[n] if n in pair_values else self.values[n] for n in roots]
 
-    def _other_value(self, set_node: ir.PlanNode, member: SetMember, node: ir.PlanNode) -> Any:
-        """Return a leaf that depends on the other agent or item of a pair."""
+    def _read_other_value(self, set_node: ir.PlanNode, member: SetMember, node: ir.PlanNode) -> Any:
+        """Return the value of a leaf node that depends on the other agent or item of a pair."""
         row, dx, dy, dz, distance = member
         named = {"pair.x": dx, "pair.y": dy, "pair.z": dz, "pair.distance": distance, "other.row": np.int32(row)}
         if node.op in named:
@@ -239,25 +239,25 @@ class AgentRun:
         other = self.world.populations[set_node.attrs[0]]
         return other.ids[row] if node.op == "other.id" else other.start[node.attrs[0]][row]
 
-    def member_id(self, set_node: ir.PlanNode, member: SetMember) -> int:
+    def get_member_id(self, set_node: ir.PlanNode, member: SetMember) -> int:
         """Return the id of an agent, or the number of an item, in a set."""
         return member[0] if set_node.op == "set.items" else int(self.world.populations[set_node.attrs[0]].ids[member[0]])
 
 
 @cache
-def _cached_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
+def _find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
     return find_early_loads(block)
 
 
 @cache
-def _pair_nodes(roots: tuple[ir.PlanNode, ...]) -> tuple[ir.PlanNode, ...]:
-    """Return the nodes at or below `roots` that have one value per pair, operands first."""
+def _list_pair_nodes(roots: tuple[ir.PlanNode, ...]) -> tuple[ir.PlanNode, ...]:
+    """Return the nodes `roots` and their operands that have one value per pair. Operands come first."""
     return tuple(n for n in collect_required_nodes(roots) if n.rate == ir.UpdateRate.PAIR)
 
 
 @cache
-def _own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
-    """Return the agent's own values that a node needs. Sets and their bodies are searched down to such values."""
+def _list_own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
+    """Return the nodes of the agent's own values that a node needs, also within its sets and reductions."""
     operands: list[ir.PlanNode] = []
     pending = list(node.args)
     while pending:
@@ -302,14 +302,14 @@ def _reduce_max(agent: AgentRun, node: ir.PlanNode, set_node: ir.PlanNode, match
     return greatest + np.float32(0)
 
 
-def _best_label(agent: AgentRun, set_node: ir.PlanNode, matches: MemberMatches) -> int:
-    sound = [(body, agent.member_id(set_node, member)) for member, body in matches if body == body]
+def _find_best_label(agent: AgentRun, set_node: ir.PlanNode, matches: MemberMatches) -> int:
+    sound = [(body, agent.get_member_id(set_node, member)) for member, body in matches if body == body]
     return min(sound)[1] if sound else -1
 
 
-def _nth_label(agent: AgentRun, node: ir.PlanNode, set_node: ir.PlanNode, matches: MemberMatches) -> int:
+def _find_nth_label(agent: AgentRun, node: ir.PlanNode, set_node: ir.PlanNode, matches: MemberMatches) -> int:
     number = np.floor(agent.values[node.args[3]])
-    sound = sorted((body, agent.member_id(set_node, member)) for member, body in matches if body == body)
+    sound = sorted((body, agent.get_member_id(set_node, member)) for member, body in matches if body == body)
     return sound[int(number) - 1][1] if 1 <= number <= len(sound) else -1
 
 
@@ -319,10 +319,10 @@ _REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, Me
     "reduce.max": _reduce_max,
     "reduce.count": lambda agent, node, set_node, matches: np.float32(len(matches)),
     "reduce.any": lambda agent, node, set_node, matches: np.bool_(bool(matches)),
-    "reduce.agent": lambda agent, node, set_node, matches: np.int64(_best_label(agent, set_node, matches)),
-    "reduce.nth_agent": lambda agent, node, set_node, matches: np.int64(_nth_label(agent, node, set_node, matches)),
-    "reduce.nth_item": lambda agent, node, set_node, matches: np.int32(_nth_label(agent, node, set_node, matches)),
-    "reduce.item": lambda agent, node, set_node, matches: np.int32(_best_label(agent, set_node, matches)),
+    "reduce.agent": lambda agent, node, set_node, matches: np.int64(_find_best_label(agent, set_node, matches)),
+    "reduce.nth_agent": lambda agent, node, set_node, matches: np.int64(_find_nth_label(agent, node, set_node, matches)),
+    "reduce.nth_item": lambda agent, node, set_node, matches: np.int32(_find_nth_label(agent, node, set_node, matches)),
+    "reduce.item": lambda agent, node, set_node, matches: np.int32(_find_best_label(agent, set_node, matches)),
 }
 
 
@@ -332,9 +332,9 @@ _REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, Me
 def find_fault_operands(
     world: World, population: Population, row: int, block: str, value_name: str, span: Span | None
 ) -> tuple[tuple[str, str], ...]:
-    """Run one agent's step again, without effects, up to a rejected value.
+    """Return the operands of the operation that made a rejected value not finite, each as its text and its value.
 
-    Return the text and value of the operands of the operation that made the value not finite."""
+    For this, run one agent's step again, without effects, up to that value."""
     now = {name: population.start[name][row : row + 1].copy() for name in population.now}
     for name, register in population.plan.registers.items():
         if register.role == "temp":
@@ -358,7 +358,7 @@ def find_fault_operands(
 
 
 def apply_claims(agent: AgentRun, population: Population) -> None:
-    """Set the claims of an agent that runs again to their settled results."""
+    """Set the registers of an agent that runs again to the results of its claims."""
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won_register][agent.row])
         agent.now[claim.statement.won_register][0] = won

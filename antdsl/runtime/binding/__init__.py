@@ -1,4 +1,4 @@
-"""Makes a world at its first frame from a plan and a setting.
+"""A world at its first frame, made from a plan and a setting.
 
 `bind_world` calls the other modules in order. It makes the ground and ray scenes from meshes, and adds things and curves.
 `bind_fields` and `bind_flows` make cells of fields and points of flows. `agent_placement` places agents: `start_positions` draws

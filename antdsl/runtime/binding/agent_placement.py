@@ -18,7 +18,7 @@ from antdsl.plan.traverse import iterate_with_positions
 from antdsl.program.tables.effects import list_effects_of_phase
 from antdsl.runtime.binding.initial_attributes import write_initial_values
 from antdsl.runtime.binding.overcrowding import OvercrowdedLine
-from antdsl.runtime.binding.spacing import RELEASE_ROUNDS, Occupancy, StartPositionDraws, has_extent, spread_agents
+from antdsl.runtime.binding.spacing import RELEASE_TRIES_PER_ROUND, Occupancy, StartPositionDraws, has_extent, spread_agents
 from antdsl.runtime.binding.start_positions import MAX_RANDOM_COVER, PLACEMENT_FRAME, StartPositionSampler
 from antdsl.runtime.binding.start_shapes import FULL_TURN, compute_facing
 from antdsl.runtime.faults import FaultLog
@@ -27,7 +27,7 @@ from antdsl.runtime.line_tables import take_created_ids
 from antdsl.runtime.moving import scripted_walks
 from antdsl.runtime.moving.clearance.clear_steps import settle_clear
 from antdsl.runtime.moving.tilting import tilt_new_bodies
-from antdsl.runtime.world import AXES, Population, World, add_rows, empty_population, select_rows
+from antdsl.runtime.world import AXES, Population, World, add_rows, make_empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlacementData
 
 _MIN_NORMAL_SINE = 1e-3  # if the sine of a direction's angle to the normal is smaller, the direction leads off the ground
@@ -35,9 +35,9 @@ _MIN_NORMAL_SINE = 1e-3  # if the sine of a direction's angle to the normal is s
 
 def place_crowds(world: World) -> None:
     """Add all crowds to the world, with ids in the order of the scene's crowd lines."""
-    for line in world.lines:
+    for line in world.crowd_lines:
         world.populations[line.species].next_id += len(line)
-    lines = zip(world.setting.crowds, world.lines, strict=True)
+    lines = zip(world.setting.crowds, world.crowd_lines, strict=True)
     place_new_agents(world, [(crowd, take_created_ids(crowd, line, None, world.frame)) for crowd, line in lines])
     joined: dict[str, NDArray[np.intp]] = {}
     for name, population in world.populations.items():
@@ -59,9 +59,9 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
         return {}
     starts = [StartPositionSampler(world, crowd) for crowd, _ in new_crowds]
     radius = _compute_spacing_radii(world, new_crowds, starts, _compute_birth_radii(world, new_crowds, starts))
-    occupancy = Occupancy(_position_precision(world))
-    rounds = RELEASE_ROUNDS if world.is_stepping else None
-    box = None if rounds is None else _find_reach(new_crowds, starts, radius, sum(rounds))
+    occupancy = Occupancy(_compute_position_precision(world))
+    rounds = RELEASE_TRIES_PER_ROUND if world.is_stepping else None
+    box = None if rounds is None else _find_reachable_box(new_crowds, starts, radius, sum(rounds))
     for population in world.populations.values():
         own_radius = population.now["radius"].astype(np.float64)
         near = slice(None) if box is None else _find_rows_in_reach(population.position, own_radius, box)
@@ -93,13 +93,13 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
     return {name: np.arange(row, len(world.populations[name])) for name, row in first_rows.items()}
 
 
-def _find_reach(
+def _find_reachable_box(
     new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]],
     starts: Sequence[StartPositionSampler],
     radius: Sequence[NDArray[np.float64]],
     tries: int,
 ) -> NDArray[np.float64]:
-    """Return the corners (2, 3) of a box around all positions that new agents try, with their radii."""
+    """Return the corners (2, 3) of a box that contains the bodies of new agents at all positions that they may try."""
     drawn = [start.draw(ids, range(tries)).position for (_, ids), start in zip(new_crowds, starts, strict=True)]
     widest = max(float(own[has_extent(own)].max(initial=0.0)) for own in radius)
     points = np.concatenate(drawn)
@@ -109,7 +109,7 @@ def _find_reach(
 def _find_rows_in_reach(
     position: NDArray[np.float64], radius: NDArray[np.float64], box: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return which agents reach into a box."""
+    """Return which agents at `position` (n, 3) with `radius` (n) reach into a box with corners (2, 3)."""
     reach = 1.01 * np.where(has_extent(radius), radius, 0.0)[:, None]
     is_near: NDArray[np.bool_] = ((position >= box[0] - reach) & (position <= box[1] + reach)).all(axis=1)
     return is_near
@@ -134,13 +134,13 @@ def _compute_birth_radii(
     A radius may depend on any value available at birth, so a temporary world computes it."""
     trial = replace(
         world,
-        populations={name: empty_population(p.plan, world.ground) for name, p in world.populations.items()},
+        populations={name: make_empty_population(p.plan, world.ground) for name, p in world.populations.items()},
         faults=FaultLog(),
         grids={},
         trees={},
         clearances={},
         transitions={},
-        detail=None,
+        detail_levels=None,
     )
     rows: dict[str, list[NDArray[np.intp]]] = {}
     lines = []
@@ -162,26 +162,26 @@ def _compute_spacing_radii(
     starts: Sequence[StartPositionSampler],
     radius: list[NDArray[np.float64]],
 ) -> list[NDArray[np.float64]]:
-    """Return the radii (mm) for spacing.
+    """Return the radii (mm) of the discs by which the agents of each line keep their distance at the start.
 
-    If a line declares a distance between its agents, the radius is at least half of it. For an even crowd, the discs are as large
-    as random placement can fit into the place. Lines with the same place are counted together."""
+    They are at least `radius`, and at least half the distance that a line declares between its agents. For an even crowd, the
+    discs are as large as random placement can fit into the place. Lines with the same place are counted together."""
     radii = []
     for (crowd, _), start, own in zip(new_crowds, starts, radius, strict=True):
         half = crowd.place.spacing / 2
         if np.isinf(half):
-            count = sum(c.count for c in world.setting.crowds if _place_key(c.place) == _place_key(crowd.place))
+            count = sum(c.count for c in world.setting.crowds if _make_place_key(c.place) == _make_place_key(crowd.place))
             half = np.sqrt(MAX_RANDOM_COVER * (start.estimate_area() or 0.0) / (np.pi * max(count, 1)))
         radii.append(np.maximum(own, half) if half > 0 else own)
     return radii
 
 
-def _place_key(place: PlacementData) -> tuple[object, ...]:
-    """Return a key that is equal for two lines that start evenly in the same place."""
+def _make_place_key(place: PlacementData) -> tuple[object, ...]:
+    """Return a key of the place of a line. It is equal for two lines that start evenly in the same place."""
     return place.surfaces, place.disc_centre, place.radius, place.density, place.is_by_area, place.spacing
 
 
-def _position_precision(world: World) -> float:
+def _compute_position_precision(world: World) -> float:
     """Return the precision (mm) of positions, which are float32 relative to the world's origin."""
     meshes = world.ground.meshes
     far = 0.0 if meshes is None else float(np.abs([meshes.low, meshes.high]).max(initial=0.0))
@@ -189,7 +189,7 @@ def _position_precision(world: World) -> float:
 
 
 def initialise_agents(world: World, new_rows: Mapping[str, NDArray[np.intp]]) -> None:
-    """Set stance, birth values and start velocity of new agents. `new_rows`: their rows, by species.
+    """Set the orientation, the registers and the start velocity of new agents. `new_rows`: their rows, by species.
 
     Events that they emit at birth are visible in the first step, or, within a step, in the next one."""
     for name, rows in new_rows.items():
@@ -247,7 +247,7 @@ def _choose_headings(
 
 
 def _orient_agents(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Set up, heading and velocity of agents: up from the ground, the scene's heading or a random one, velocity 0."""
+    """Set the up direction of agents from their ground, the scene's heading or a random one, and velocity 0."""
     target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.split_columns(world.ground.compute_upright_normals(population.footing, target_up)[rows], np.float32)
     angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * FULL_TURN

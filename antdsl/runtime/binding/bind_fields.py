@@ -1,4 +1,4 @@
-"""Makes the fields of the plan over the surfaces of the setting: cells, start values, and the rates of a step."""
+"""The fields of a plan over the surfaces of a setting: their cells, start amounts, and rates per step."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def bind_fields(
         )
         start = world.setting.field_start.get(plan.name)
         if start is not None:
-            _fill_start(field, start, world)
+            _set_start_amounts(field, start, world)
         world.fields[plan.name] = field
         world.field_rates[plan.name] = (np.float32(keep), diffuse)
 
@@ -92,7 +92,7 @@ def _check_settings(
     return True
 
 
-def _fill_start(field: PheromoneField, start: FieldStartData, world: World) -> None:
+def _set_start_amounts(field: PheromoneField, start: FieldStartData, world: World) -> None:
     """Set the start amounts of a field's cells."""
     if start.around is None:
         field.values[:] = start.value

@@ -1,4 +1,4 @@
-"""Make flows and maps of a setting over the ground: sample points at the required resolution, and the values there."""
+"""The flows and maps of a setting over the ground: points at the required resolution, and the values at these points."""
 
 from __future__ import annotations
 
@@ -40,30 +40,30 @@ _RAY_HEIGHT_PER_EDGE = 0.25  # height of obstacle rays above the ground, as a sh
 
 
 def bind_flows(world: World, report: Report, binding_cache: BindingCache) -> None:
-    """Bind all maps and flows of the setting that the plan uses. Flows that never change are cached in `binding_cache`."""
+    """Make all maps and flows of the setting that the plan uses. Flows that never change are cached in `binding_cache`."""
     setting = world.setting
     for name, painted in setting.maps.items():
-        world.maps[name] = PaintedMap(_corner_values(world, painted)[:, :, 0])
+        world.maps[name] = PaintedMap(_collect_corner_values(world, painted)[:, :, 0])
     land = (setting.surfaces, setting.obstacles, setting.maps, setting.up, setting.uses_rays, world.origin)
     for name, flow in setting.flows.items():
         if isinstance(flow, SolvedFlowData) or world.solids or setting.motion:
             bind_flow(world, name, flow, report)
             continue
-        bound_flow = binding_cache.get_or_make("flow", (land, flow), partial(_cached_flow, world, name, flow))
+        bound_flow = binding_cache.get_or_make("flow", (land, flow), partial(_get_cached_flow, world, name, flow))
         if bound_flow is None:
             bind_flow(world, name, flow, report)  # reports errors
         else:
             world.flows[name] = copy(bound_flow)
 
 
-def _cached_flow(world: World, name: str, flow: FlowData) -> SurfaceFlow | None:
+def _get_cached_flow(world: World, name: str, flow: FlowData) -> SurfaceFlow | None:
     """Return a bound flow; None if binding reports an error."""
     bind_flow(world, name, flow, Report())
     return world.flows.get(name)
 
 
 def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
-    """Bind one flow under its name in the world; write errors to the report."""
+    """Make one flow, and store it in the world under its name. Write errors to the report."""
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, PaintedValues) and _may_change(world, flow):
@@ -102,14 +102,14 @@ def _recompute_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlowData 
         assert isinstance(bound_flow, PathFlow) and bound_flow.crossable_ground is not None
         known = bound_flow.crossable_ground
         bound_flow.crossable_ground = ground = _make_crossable_ground(world, bound_flow.lattice, known.faces, known.slot_points)
-        bound_flow.cost = _triangle_costs(world, flow, ground)
+        bound_flow.cost = _compute_triangle_costs(world, flow, ground)
         bound_flow.start_points, bound_flow.start_costs, bound_flow.target_gap = _find_goal_points(world, flow, ground)
         return
     now = _make_flow(world, flow)
     bound_flow.lattice, bound_flow.c, bound_flow.s, bound_flow.source = now.lattice, now.c, now.s, now.source
 
 
-def _ground_meshes(world: World) -> MeshSurfaces:
+def _get_ground_meshes(world: World) -> MeshSurfaces:
     """Return the meshes of the ground; flows are on these meshes."""
     meshes = world.ground.meshes
     assert meshes is not None
@@ -119,9 +119,9 @@ def _ground_meshes(world: World) -> MeshSurfaces:
 # --- painted ---------------------------------------------------------------------------------------------------------
 
 
-def _corner_values(world: World, painted_values: PaintedValues) -> Floats:
+def _collect_corner_values(world: World, painted_values: PaintedValues) -> Floats:
     """Return painted values at the corners of all faces of the ground, (3, faces, width); 0 on unpainted surfaces."""
-    _, faces, mesh, _ = _ground_meshes(world).triangles
+    _, faces, mesh, _ = _get_ground_meshes(world).triangles
     own = np.flatnonzero(mesh == world.surface_index[painted_values.surface])
     values = painted_values.values.reshape(len(painted_values.values), -1)
     corner_values = np.zeros((3, len(faces), values.shape[1]))
@@ -133,8 +133,8 @@ def _corner_values(world: World, painted_values: PaintedValues) -> Floats:
 
 def _make_painted_flow(world: World, painted_values: PaintedValues) -> SurfaceFlow:
     """Return a flow that interpolates painted vectors."""
-    table = _ground_meshes(world).triangles[3]
-    corners = _corner_values(world, painted_values)
+    table = _get_ground_meshes(world).triangles[3]
+    corners = _collect_corner_values(world, painted_values)
     parts = [project_to_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
     c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
     return SurfaceFlow(FaceLattice.from_cuts(np.ones(corners.shape[1], np.int64)), c, s)
@@ -145,15 +145,15 @@ def _make_painted_flow(world: World, painted_values: PaintedValues) -> SurfaceFl
 
 def _select_faces(world: World, surfaces: tuple[str, ...]) -> Flags:
     """Return which faces belong to the flow's surfaces, without faces of area 0."""
-    _, _, mesh, table = _ground_meshes(world).triangles
+    _, _, mesh, table = _get_ground_meshes(world).triangles
     mesh_numbers = [world.surface_index[name] for name in surfaces] or list(world.surface_index.values())
     chosen: Flags = table.is_live & np.isin(mesh, mesh_numbers)
     return chosen
 
 
-def _longest_edges(world: World) -> tuple[Floats, Floats]:
-    """Return the longest edge (mm) and the middle (n, 3) of each face."""
-    vertices, faces, _, _ = _ground_meshes(world).triangles
+def _measure_longest_edges(world: World) -> tuple[Floats, Floats]:
+    """Return the length (mm) of the longest edge of each face of the ground, and the middle (n, 3; mm) of each face."""
+    vertices, faces, _, _ = _get_ground_meshes(world).triangles
     corners = vertices[faces]
     edges = np.stack([corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)])
     return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
@@ -161,13 +161,13 @@ def _longest_edges(world: World) -> tuple[Floats, Floats]:
 
 def _make_lattice(world: World, is_chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
     """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if the flow's cell is too small."""
-    edges = np.where(is_chosen, _longest_edges(world)[0], 0.0)
-    return FaceLattice.from_cuts(count_edge_pieces(flow, edges, _ground_meshes(world).extent))
+    edges = np.where(is_chosen, _measure_longest_edges(world)[0], 0.0)
+    return FaceLattice.from_cuts(count_edge_pieces(flow, edges, _get_ground_meshes(world).extent))
 
 
 def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
     """Return the face and the position (n, 3) mm of each slot."""
-    table = _ground_meshes(world).triangles[3]
+    table = _get_ground_meshes(world).triangles[3]
     face = lattice.faces()
     b1, b2 = lattice.compute_slot_weights()
     place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
@@ -177,7 +177,7 @@ def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
 def _make_vector_flow(
     world: World, lattice: FaceLattice, face: Index, vectors: Floats, is_chosen: Flags, source: VectorSource | None = None
 ) -> SurfaceFlow:
-    table = _ground_meshes(world).triangles[3]
+    table = _get_ground_meshes(world).triangles[3]
     c, s = project_to_faces(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
     return SurfaceFlow(lattice, c * is_chosen[face], s * is_chosen[face], source)
 
@@ -202,7 +202,7 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
         return SurfaceFlow(FaceLattice.from_cuts(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
     chosen = near = _select_faces(world, flow.surfaces)
     if flow.radius is not None:
-        longest, middle = _longest_edges(world)
+        longest, middle = _measure_longest_edges(world)
         near = chosen & (find_nearest_on_target(target, middle)[0] <= flow.radius + longest)
     lattice = _make_lattice(world, near, flow)
     face, place = _locate_slots(world, lattice)
@@ -214,11 +214,11 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
 
 def _make_border_flow(world: World, flow: BorderFlowData) -> SurfaceFlow:
     chosen = _select_faces(world, flow.surfaces)
-    one, two, inward = find_border_edges(_ground_meshes(world), chosen)
+    one, two, inward = find_border_edges(_get_ground_meshes(world), chosen)
     edge = two - one
     length = np.sqrt((edge * edge).sum(axis=1))
-    longest, middle = _longest_edges(world)
-    cell = choose_cell_size(flow, _ground_meshes(world).extent)
+    longest, middle = _measure_longest_edges(world)
+    cell = choose_cell_size(flow, _get_ground_meshes(world).extent)
     pieces = np.clip(np.ceil(2 * length / cell), 1, 4096).astype(np.int64)
     which = np.repeat(np.arange(len(edge)), pieces)
     part = (np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[which]
@@ -255,19 +255,19 @@ def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
     start, first, gap = _find_goal_points(world, flow, grounds)
     every = max(1, ceil(flow.interval / world.dt - 1e-9))
     changes = bool(flow.crowding or world.setting.motion)
-    looked = [_solid_versions(world)]
+    looked = [_list_solid_versions(world)]
 
     def is_update_due(current_world: World) -> bool:
         """Return whether a new solution is due and has changed inputs."""
         if (current_world.frame - current_world.setting.first_frame) % every:
             return False
-        previous_state, looked[0] = looked[0], _solid_versions(current_world)
+        previous_state, looked[0] = looked[0], _list_solid_versions(current_world)
         return changes or looked[0] != previous_state
 
     solved_flow = PathFlow(
         lattice, np.zeros(0), np.zeros(0), None,
-        crossable_ground=grounds, cost=_triangle_costs(world, flow, grounds), start=start, first=first, target_gap=gap,
-        strength=flow.strength, crowding=flow.crowding, interval=every, is_due=is_update_due,
+        crossable_ground=grounds, cost=_compute_triangle_costs(world, flow, grounds), start_points=start, start_costs=first,
+        target_gap=gap, strength=flow.strength, crowding=flow.crowding, interval=every, is_due=is_update_due,
         crowd=np.zeros(len(grounds.surface.points), np.int64) if flow.crowding else None,
         stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
     )  # fmt: skip
@@ -275,7 +275,7 @@ def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
     return solved_flow
 
 
-def _solid_versions(world: World) -> list[int]:
+def _list_solid_versions(world: World) -> list[int]:
     """Return a number for each solid that changes when the solid is dug."""
     return [volume.bricks.volume_steps for volume in world.solids.values()]
 
@@ -284,7 +284,7 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags,
     """Return the surface for paths on a lattice: points merged across faces, open triangles, and links between surfaces.
 
     Triangles are open if no obstacle cuts them and no undug solid buries them. `point`: the point of each slot, if known."""
-    _, _, mesh, table = _ground_meshes(world).triangles
+    _, _, mesh, table = _get_ground_meshes(world).triangles
     face, place = _locate_slots(world, lattice)
     if point is None:
         point = weld_points(place, mesh[face])[0]
@@ -301,7 +301,7 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags,
         open_ &= ~(volume.sample(points) < -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
-    land = WalkableSurface(points, triangles, open_, _find_links(points, of, np.unique(triangles[open_]), areas))
+    land = WalkableSurface(points, triangles, open_, _find_surface_links(points, of, np.unique(triangles[open_]), areas))
     axis1, axis2 = table.axis1.take(face, axis=1), table.axis2.take(face, axis=1)
     return CrossableGround(lattice, land, point, axis1, axis2, areas, is_chosen)
 
@@ -322,8 +322,8 @@ def _find_blocked_triangles(world: World, triangles: Index, points: Floats, norm
     return cut
 
 
-def _find_links(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
-    """Return pairs of points of different surfaces: each with the nearest point of the other within about one triangle's edge."""
+def _find_surface_links(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
+    """Return pairs (k, 2) of near points of different surfaces: at most about the length of a triangle's edge apart."""
     from scipy.spatial import cKDTree
 
     surfaces = np.unique(surface_numbers[used_points])
@@ -339,10 +339,10 @@ def _find_links(points: Floats, surface_numbers: NDArray[np.int32], used_points:
 
 
 def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGround) -> tuple[Index, Floats, float]:
-    """Return the points at the target, their remaining distances, and the distance (mm) of the target from the ground.
+    """Return the points at the target, their remaining distances (mm), and the gap (mm) between target and ground.
 
-    The points at the target are all points within its radius, and the nearest points to each of its positions. The last result
-    is the least distance of a position from all points, minus the radius."""
+    The points at the target are those within its radius, and the point nearest to each of its positions. The gap is the least
+    distance of a position from a point, minus the radius."""
     from scipy.spatial import cKDTree
 
     land = grounds.surface
@@ -369,11 +369,11 @@ def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGrou
     return used[at], distance[at], away_by
 
 
-def _triangle_costs(world: World, flow: SolvedFlowData, grounds: CrossableGround) -> Floats:
+def _compute_triangle_costs(world: World, flow: SolvedFlowData, grounds: CrossableGround) -> Floats:
     """Return the path cost per mm within each triangle, without agents."""
     land = grounds.surface
     _, owner = grounds.lattice.compute_triangles()
-    normal = _ground_meshes(world).triangles[3].normal.T[owner]
+    normal = _get_ground_meshes(world).triangles[3].normal.T[owner]
     upright = np.abs((normal * world.up).sum(axis=1))
     price = 1.0 + flow.slope * np.sqrt(np.maximum(1 - upright * upright, 0.0))
     middle = land.points[land.triangles].mean(axis=1)

@@ -1,5 +1,5 @@
-"""Binds a plan to a setting: meshes become ground and ray scenes; items and crowds become arrays. The result is a world at its
-first frame."""
+"""The binding of a plan to a setting: meshes become ground and ray scenes, and items and crowds become arrays. The result is a
+world at its first frame."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from antdsl.runtime.feet import feet_step
 from antdsl.runtime.line_tables import reserve_ids
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import make_curve
-from antdsl.runtime.world import AXES, Items, Options, World, empty_population
+from antdsl.runtime.world import AXES, Items, Options, World, make_empty_population
 from antdsl.scene.setting import FlowData, MeshData, WorldSetting, compute_world_origin
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class BindError(ValueError):
-    """Error for a plan and a setting that do not match; `report` lists the findings."""
+    """The error that a plan and a setting do not match. `report`: the findings."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -50,7 +50,7 @@ class BindError(ValueError):
 
 
 def _make_note_run(setting: WorldSetting) -> NoteRun | None:
-    """Return the notes of a setting; None without notes. Only they need the models of scenes."""
+    """Return the notes of a setting as a `NoteRun`; None without notes. Only notes need the import of the models of scenes."""
     if not setting.notes:
         return None
     from antdsl.runtime.notes.note_run import NoteRun
@@ -62,10 +62,10 @@ def _make_note_run(setting: WorldSetting) -> NoteRun | None:
 def bind(
     plan: ir.Plan, setting: WorldSetting, options: Options | None = None, *, binding_cache: BindingCache | None = None
 ) -> World:
-    """Return the world at `setting.first_frame`, with all agents born and none moved.
+    """Return the world at `setting.first_frame`: all agents of the start exist, and none has moved.
 
-    `plan`: an optimised and verified plan. `binding_cache`: a cache for data made from meshes, for use in other worlds. Raises
-        BindError with a report if plan and setting do not match."""
+    `plan`: an optimised and verified plan. `binding_cache`: a cache for data made from meshes, for use in other worlds.
+    Raises BindError with a report if plan and setting do not match."""
     world = bind_empty(plan, setting, options, binding_cache=binding_cache)
     stages.begin_stage("placing agents")
     with np.errstate(all="ignore"):
@@ -104,7 +104,7 @@ def bind_empty(
         origin=origin,
         frame=setting.first_frame,
         params={},
-        populations={name: empty_population(species, ground) for name, species in plan.species.items()},
+        populations={name: make_empty_population(species, ground) for name, species in plan.species.items()},
         items={name: _make_items(setting, items, origin) for name, items in plan.items.items()},
         fields={},
         field_rates={},
@@ -122,7 +122,7 @@ def bind_empty(
         backend=BACKENDS[options.backend](plan),
         faults=FaultLog(),
         motion=MotionMeasures(),
-        lines=reserve_ids(setting),
+        crowd_lines=reserve_ids(setting),
         notes=_make_note_run(setting),
     )
     _set_params(world)
@@ -136,7 +136,7 @@ def bind_empty(
 
 
 def set_param(world: World, name: str, value: float) -> None:
-    """Change a param from the next step on, without compilation. `value` is in base units."""
+    """Set the param `name` from the next step on, without compilation. `value`: in base units (mm, s, g, rad)."""
     if name not in world.plan.params:
         raise KeyError(name)
     world.params[name] = np.float32(value)
@@ -205,7 +205,7 @@ def _make_mesh_ground(
 
 
 def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], binding_cache: BindingCache) -> dict[str, Obstacle]:
-    """Return the targets of raycasts, by name: meshes, and solids in their current state."""
+    """Return what rays can hit, by name: meshes, and solids in their current state."""
     if not meshes and not solids:
         return {}
     scenes: dict[str, Obstacle] = {
@@ -269,7 +269,7 @@ def _bind_detail_levels(world: World, obstacles: dict[str, MeshData]) -> None:
         return
     from antdsl.runtime.level_of_detail import DetailLevels
 
-    world.detail = DetailLevels(world.setting.level_of_detail, world.origin, obstacles)
+    world.detail_levels = DetailLevels(world.setting.level_of_detail, world.origin, obstacles)
 
 
 def _bind_fields(world: World, meshes: dict[str, MeshData], binding_cache: BindingCache) -> None:

@@ -1,4 +1,4 @@
-"""A cache of data made from meshes, for the next world. Its keys are digests of the inputs.
+"""A cache of data made from meshes, which the next world uses again. Its keys are digests of the inputs.
 
 Meshes seldom change when a program is edited. Preparing a ground with its rays and cells takes longer than a step."""
 
@@ -16,9 +16,9 @@ T = TypeVar("T")
 
 
 class BindingCache:
-    """A cache of grounds, ray scenes, cells, volumes and flows that do not change after they are made.
+    """A cache of grounds, ray scenes, cells, volumes and flows in their initial state.
 
-    Data that changes later, such as dug or moving things, is stored in its initial state and returned as a copy."""
+    Data that changes during a run, such as dug or moving things, is returned as a copy."""
 
     def __init__(self) -> None:
         self._values: dict[str, Any] = {}

@@ -12,7 +12,9 @@ from antdsl.ground.protocol import Floats, MeshSurfaces
 
 
 class BorderEdges(NamedTuple):
-    """Edges (m, 3) in mm from `start` to `end`. `inward_direction`: in the face of the edge, perpendicular to it."""
+    """Edges of the border of a surface, from `start` to `end` (m, 3; mm).
+
+    `inward_direction` (m, 3): the unit vector from the edge into its face, perpendicular to the edge."""
 
     start: Floats
     end: Floats
@@ -20,7 +22,7 @@ class BorderEdges(NamedTuple):
 
 
 def find_border_edges(meshes: MeshSurfaces, is_chosen: NDArray[np.bool_]) -> BorderEdges:
-    """Return the edges without a neighbour of the chosen faces. `is_chosen` (faces): over all surfaces."""
+    """Return the edges of chosen faces that no other chosen face shares. `is_chosen`: a flag for each face of all surfaces."""
     vertices, faces, _, table = meshes.triangles
     half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(is_chosen, 3))
     own, k = half // 3, half % 3

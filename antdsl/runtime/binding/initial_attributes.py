@@ -18,7 +18,7 @@ _FULL_TURN = _F(2 * np.pi)
 
 
 def write_initial_values(world: World, population: Population, rows: Rows, crowd: CrowdData) -> None:
-    """Write the values of a crowd line into registers of `rows`. Values of points override the others."""
+    """Write the values that a crowd line gives to attributes into registers of `rows`. Values of points override the others."""
     for name, draw in crowd.initial_values.items():
         if (register := ir.name_birth_register(name)) in population.now:
             population.now[register][rows] = _draw_values(world, population, rows, name, draw)
@@ -30,7 +30,7 @@ def write_initial_values(world: World, population: Population, rows: Rows, crowd
 
 
 def _draw_values(world: World, population: Population, rows: Rows, name: str, draw: ValueDraw) -> NDArray[np.float32]:
-    """Return a value for each row."""
+    """Return a value of the attribute `name` for each row, drawn as `draw` describes."""
     low, high = _F(draw.low), _F(draw.high)
     if draw.kind == "number":
         return np.full(len(rows), low)

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class OvercrowdedLine:
-    """A crowd line (number `group`) of the scene without space for all its agents at its place. `fitting_count`: how many of its
-    `count` agents have space. `radius` (mm): least and greatest. `fits_by_area`: `by: area` would fit all. `covered_area`,
-    `available_area` (mm²): the area that all agents would cover, and the available area (None if unknown). `sufficient_radius`
-    (mm): for a place with a radius, the radius with space for all; None if there is none."""
+    """A crowd line of the scene without space for all its agents at its place. `group`: the number of the line.
+
+    `fitting_count`: how many of its `count` agents have space. `radius` (mm): the least and the greatest radius of its agents.
+    `covered_area`, `available_area` (mm²): the area that all agents would cover, and the available area (None if unknown).
+    `sufficient_radius` (mm): the radius of the place that gives space to all; None if there is none.
+    `fits_by_area`: whether all agents would have space with `by: area`."""
 
     group: int
     species: str

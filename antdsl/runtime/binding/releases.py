@@ -1,7 +1,7 @@
 """Creates agents of crowd lines during the run: those that are due at a frame, at their places and with their ids.
 
-How many agents a line has created is a function of the frame. Their ids are reserved in `World.lines`, so no id is used twice,
-and a run that continues from a checkpoint creates the same agents."""
+How many agents a line has created is a function of the frame. Their ids are reserved in `World.crowd_lines`. So no id is used
+twice, and a run that continues from a checkpoint creates the same agents."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def release_agents(world: World) -> None:
     frame = world.display_frame
     joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
     capacity = limits.MAX_AGENTS - len(world)
-    for crowd, line in zip(world.setting.crowds, world.lines, strict=True):
+    for crowd, line in zip(world.setting.crowds, world.crowd_lines, strict=True):
         if crowd.release is None:
             continue
         ids = take_created_ids(crowd, line, frame - 1, frame)

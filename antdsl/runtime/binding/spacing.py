@@ -1,4 +1,4 @@
-"""Spacing of agents at the start: each takes the first of its random positions at which its `radius` touches no earlier agent.
+"""The spacing of agents at the start: each gets the first of its random positions at which its disc touches no earlier agent.
 
 Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round, each agent without a
 position tries the next positions of its series. If two agents touch, the later one tries again. So an agent's result depends only
@@ -26,7 +26,7 @@ Flags = NDArray[np.bool_]
 # Positions tried in each round, by the share of the previous batch without space: 384, 128 or 4 in total.
 _TRIES_PER_ROUND = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _SPACING_ROUNDS = ((0.005, _TRIES_PER_ROUND + (32,) * 8), (0.1, _TRIES_PER_ROUND), (1.0, (1,) * 4))
-RELEASE_ROUNDS = (1,) * 4 + (2,) * 2 + (4,) * 2  # for agents that are created during the run: 16 positions
+RELEASE_TRIES_PER_ROUND = (1,) * 4 + (2,) * 2 + (4,) * 2  # for agents that are created during the run: 16 positions
 _FIRST_BATCH_AGENTS = 64  # agents of the first batch; each later batch is as large as all earlier ones together
 _GAP_FACTOR = 1.001  # factor on the distance at contact, because float32 rounds
 # Smaller neighbours of the first query; each further query doubles the number until the result is certain
@@ -36,7 +36,7 @@ _CELLS_PER_BODY = 8  # cells per body length; of agents that may overlap, each c
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPositionDraws:
-    """Drawn start positions: footings, positions (n, 3) mm, ups (n, 3), and whether an agent may start at each (`is_allowed`)."""
+    """Drawn start positions: footings, positions (n, 3) mm, up directions (n, 3), and whether an agent may start there."""
 
     footing: Footing
     position: Floats
@@ -59,7 +59,7 @@ PositionDrawer = Callable[[NDArray[np.int64], range], StartPositionDraws]
 
 @dataclass(frozen=True, eq=False)
 class _DiscGroup:
-    """Discs of similar size: their positions (mm), their entry numbers, and the largest radius (mm)."""
+    """Discs of similar size: their positions (k, 3) mm, their entry numbers in `Occupancy`, and the largest radius (mm)."""
 
     position: Floats
     entries: Rows
@@ -74,10 +74,10 @@ class _DiscGroup:
 
 
 class Occupancy:
-    """The occupied positions, as discs.
+    """The occupied positions, as discs, called entries.
 
-    An entry has a position, a radius and its number in the start order. If two entries overlap, the later one moves. `rounding`:
-    precision of positions (mm)."""
+    An entry has a position, a radius and a number in the order in which agents start. If two entries overlap, the later one
+    moves. `rounding`: the precision of positions (mm)."""
 
     def __init__(self, rounding: float = 0.0) -> None:
         self._rounding = rounding
@@ -94,7 +94,7 @@ class Occupancy:
         self.add(place[rows], radius[rows], np.full(len(rows), -1))
 
     def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
-        """Add discs; return their entry numbers."""
+        """Add discs at `place` (n, 3). Return their entry numbers. `order`: their numbers in the start order."""
         first = len(self._order)
         self._place = np.concatenate([self._place, place])
         self._radius = np.concatenate([self._radius, radius])
@@ -114,29 +114,29 @@ class Occupancy:
 
     def _rebuild_groups(self, entries: Rows) -> None:
         """Rebuild the groups from these entries, one for each size class."""
-        classes = _size_class(self._radius[entries])
+        classes = _compute_size_class(self._radius[entries])
         chosen = [entries[classes == size] for size in np.unique(classes)]
         self._groups = [_DiscGroup(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
     def find_overlaps(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
-        """Return pairs of a given disc and an entry that overlap: both numbers, and their distance as a share of the distance
-        at contact.
+        """Return pairs of a given disc and an entry that overlap: the disc, the entry, and their relative distance.
 
-        With `order` (the order numbers of the discs), only earlier entries count. Thousands of smaller entries may overlap
-        one disc, so only the entry with the most overlap is returned."""
+        The relative distance is the distance divided by the distance at which both touch. With `order`, the numbers of the discs
+        in the start order, only earlier entries count. Thousands of smaller entries may overlap one disc, so only the entry with
+        the most overlap is returned."""
         pairs: list[tuple[Rows, Rows, Floats]] = []
-        classes = _size_class(radius)
+        classes = _compute_size_class(radius)
         for size in np.unique(classes):
             rows = np.flatnonzero(classes == size)
             widest = float(radius[rows].max())
             for group in self._groups:
                 if order is not None and 2 * group.max_radius < widest:
-                    i, entry, share = self._worst_overlap(place, radius, order, rows, group)
+                    i, entry, share = self._find_worst_overlap(place, radius, order, rows, group)
                 else:
                     reach = (widest + group.max_radius) * _GAP_FACTOR * 1.001 + self._rounding
                     i, entry = find_pairs_between(place[rows], group.position, reach)
                     i, entry = rows[i], group.entries[entry]
-                    share = self._distance_share(place[i], radius[i], entry)
+                    share = self._compute_distance_share(place[i], radius[i], entry)
                 meets = (share < 1) & self._is_present[entry]
                 if order is not None:
                     meets &= self._order[entry] < order[i]
@@ -146,8 +146,8 @@ class Occupancy:
         i, entry, share = (np.concatenate(part) for part in zip(*pairs, strict=True))
         return i, entry, share
 
-    def _distance_share(self, place: Floats, radius: Floats, entry: Rows) -> Floats:
-        """Return the distance between discs and entries, as a share of the distance at contact."""
+    def _compute_distance_share(self, place: Floats, radius: Floats, entry: Rows) -> Floats:
+        """Return the distance between each disc and its entry, divided by the distance at which both touch."""
         displacement = place - self._place[entry]
         square = (
             displacement[..., 0] * displacement[..., 0]
@@ -157,11 +157,12 @@ class Occupancy:
         share: Floats = np.sqrt(square) / ((radius + self._radius[entry]) * _GAP_FACTOR + self._rounding)
         return share
 
-    def _worst_overlap(
+    def _find_worst_overlap(
         self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _DiscGroup
     ) -> tuple[Rows, Rows, Floats]:
-        """Return, for each of the given discs, the earlier entry of a group with the most overlap.
+        """Return, for those `rows` of discs that overlap an earlier entry of a group, the one with the most overlap.
 
+        The results are the rows, the entries, and the relative distances as in `find_overlaps`.
         Nearest entries are checked until no entry farther away can overlap more."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
         pending_discs, count = np.arange(len(rows)), _FIRST_QUERY_NEIGHBOURS
@@ -170,7 +171,7 @@ class Occupancy:
             at, wide = place[rows[pending_discs]], radius[rows[pending_discs]]
             away, near = group.tree.query(at, np.arange(1, count + 1))
             near = group.entries[near]
-            share = self._distance_share(at[:, None], wide[:, None], near)
+            share = self._compute_distance_share(at[:, None], wide[:, None], near)
             share[~self._is_present[near] | (self._order[near] >= order[rows[pending_discs], None])] = np.inf
             best = share.argmin(axis=1)
             entry[pending_discs], least[pending_discs] = (
@@ -190,9 +191,9 @@ class Occupancy:
         return least
 
     def find_displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
-        """Return the entries that must move because the given entries were added, and how free their positions were.
+        """Return the entries that must move because the given entries were added, and the freedom of their positions.
 
-        The result may contain given entries."""
+        The entries may be among the given ones. The freedom is as in `measure_freedom`."""
         i, entry, share = self.find_overlaps(self._place[entries], self._radius[entries])
         own = entries[i]
         loser = np.where(self._order[entry] < self._order[own], own, entry)
@@ -202,13 +203,13 @@ class Occupancy:
         np.minimum.at(least, which, share[different])
         return who, least
 
-    def start_order(self, entries: Rows) -> Rows:
-        """Return the numbers of entries in the start order."""
+    def get_start_order(self, entries: Rows) -> Rows:
+        """Return the number of each entry in the start order."""
         return self._order[entries]
 
 
 def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
-    """Return which radii keep other agents away: positive ones, not NaN."""
+    """Return which radii are above 0 and not NaN, so that their agents keep others away."""
     wide: Flags = np.isfinite(radius) & (radius > 0)
     return wide
 
@@ -221,11 +222,11 @@ def spread_agents(
     first: int,
     max_rounds: tuple[int, ...] | None = None,
 ) -> tuple[StartPositionDraws, Flags]:
-    """Return positions for agents in id order, and which agents have a position at which they touch no other.
+    """Return positions for agents in the order of `ids`, and which agents touch no other at their position.
 
-    All other agents get the position at which they touch earlier agents least. `first`: the number of the first agent in the
-    order of all starting agents. Only agents with a free position are added to `occupancy`. `max_rounds`: the
-    positions tried in each round; None for as many as pay off."""
+    All other agents get the position at which they overlap earlier agents least. Only agents with a free position are added to
+    `occupancy`. `first`: the number of the first agent in the start order. `max_rounds`: how many positions an agent tries in
+    each round; None for as many as pay off."""
     chosen: StartPositionDraws | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1] if max_rounds is None else max_rounds
@@ -245,7 +246,7 @@ def spread_agents(
 def _place_batch(
     occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
 ) -> tuple[StartPositionDraws, Flags]:
-    """Place one batch of agents in rounds. Return their positions, and which of them are free."""
+    """Place one batch of agents in rounds. Return their positions, and whether each position is free."""
     n, wide = len(ids), has_extent(radius)
     held, best, entry_of = np.zeros(n, np.bool_), np.full(n, -2.0), np.full(n, -1, np.intp)
     order = np.arange(first, first + n)
@@ -277,7 +278,7 @@ def _place_batch(
         entry_of[clear_rows] = occupancy.add(chosen.position[clear_rows], radius[clear_rows], order[clear_rows])
         losing, share = occupancy.find_displaced_entries(entry_of[clear_rows])
         occupancy.remove(losing)
-        displaced_rows = occupancy.start_order(losing) - first
+        displaced_rows = occupancy.get_start_order(losing) - first
         held[displaced_rows], best[displaced_rows] = False, share
     occupancy.drop_removed()
     assert chosen is not None
@@ -287,7 +288,7 @@ def _place_batch(
 def _score_positions(
     occupancy: Occupancy, draws: StartPositionDraws, rows: Rows, radius: Floats, is_wide: Flags, order: Rows
 ) -> Floats:
-    """Return 1 for a free position, less for an occupied one, and -1 for a position at which no agent may start."""
+    """Return a score of each drawn position: 1 if it is free, less if it is occupied, and -1 if no agent may start there."""
     score = np.where(draws.is_allowed, 1.0, -1.0)
     good_rows = np.flatnonzero(draws.is_allowed & is_wide[rows])
     score[good_rows] = occupancy.measure_freedom(draws.position[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
@@ -301,17 +302,17 @@ def _join_draws(first: StartPositionDraws, second: StartPositionDraws) -> StartP
     )
 
 
-def _size_class(radius: Floats) -> NDArray[np.int64]:
+def _compute_size_class(radius: Floats) -> NDArray[np.int64]:
     """Return the size class of each radius. Radii in one class differ by less than a factor of 2."""
     return np.frexp(radius)[1].astype(np.int64)
 
 
 def _find_first_per_cell(place: Floats, radius: Floats, subdivisions: int) -> Rows:
-    """Return the first disc of each size class in each cell, ascending.
+    """Return the first disc of each size class in each cell of a grid, ascending.
 
-    A cell is too small for two discs that do not overlap, or `subdivisions` times smaller. Few enough discs remain to count their
-    pairs."""
-    size = _size_class(radius)
+    Two discs in one cell overlap, even if cells are not divided by `subdivisions`. So few discs remain that their pairs can be
+    counted."""
+    size = _compute_size_class(radius)
     smallest = np.ldexp(0.5, size)  # smallest radius of the class
     cell = np.floor(place / (2.0 * smallest / (np.sqrt(3.0) * subdivisions))[:, None])
     by = np.lexsort((np.arange(len(place)), cell[:, 0], cell[:, 1], cell[:, 2], size))

@@ -1,4 +1,4 @@
-"""Draws start positions for the agents of a crowd line. Every draw is a function of (seed, species, id, number of the try)."""
+"""The random start positions of the agents of a crowd line. Each is a function of (seed, species, id, number of the try)."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ _DEFAULT_DISC_RADIUS_MM = 100.0  # mm: without ground and without a radius
 
 
 class StartPositionSampler:
-    """Draws the start positions of one crowd line."""
+    """The source of start positions for the agents of one crowd line."""
 
     def __init__(self, world: World, crowd: CrowdData) -> None:
         self._world, self._crowd, self._species, self.place = world, crowd, crowd.species, locate_place(world, crowd.place)
         self.has_points = (crowd.place.points is not None and len(crowd.place.points) > 0) or crowd.place.ranks is not None
         setting = world.setting
-        self._ground_meshes = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
-        self._surface_names = crowd.place.surfaces or tuple(setting.surfaces) or tuple(self._ground_meshes)
+        self._get_ground_meshes = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
+        self._surface_names = crowd.place.surfaces or tuple(setting.surfaces) or tuple(self._get_ground_meshes)
         self._faces: FaceArea | None = None
         self._density_faces: FaceArea | None = None
-        if crowd.place.is_by_area and not self.has_points and self._ground_meshes:
+        if crowd.place.is_by_area and not self.has_points and self._get_ground_meshes:
             self._faces = find_face_area(
                 world, self._surface_names, crowd.place.density, self.place.disc_centre, crowd.place.radius
             )
 
     def estimate_area(self) -> float | None:
-        """Return the ground area (mm²) on which agents can start, or None if unknown. A sampled area is rounded to two digits."""
+        """Return the ground area (mm²) on which agents can start, or None if unknown. An area from samples has two digits."""
         place = self.place
         if self.has_points or has_shape(place) or place.ray_origin is not None:
             return None
@@ -56,19 +56,19 @@ class StartPositionSampler:
         good = drawn.is_allowed
         if self._faces is not None:
             total_area = self._faces.total_area
-        elif place.disc_centre is not None or not self._ground_meshes:
+        elif place.disc_centre is not None or not self._get_ground_meshes:
             radius = _DEFAULT_DISC_RADIUS_MM if place.radius is None else place.radius
             total_area = float(np.pi * radius * radius)
         else:
             total_area = find_face_area(self._world, self._surface_names, None, None, None).total_area
             # a point projected onto another face is covered from above
-            displacement = drawn.position - self._target_points(ids, 0)
+            displacement = drawn.position - self._find_target_points(ids, 0)
             good = good & (vec.length(vec.split_columns(displacement, np.float64)) < _COINCIDENT_DISTANCE_MM)
         share = float(np.count_nonzero(good)) / _AREA_SAMPLE_POINTS
         return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
     def find_sufficient_radius(self, agent_area: float) -> float | None:
-        """Return a radius (mm) of the place that gives space to agents covering `agent_area` (mm²), or None if there is none."""
+        """Return a radius (mm) with which the place has space for agents that cover `agent_area` (mm²), or None if none has."""
         radius = self.place.radius
         for _ in range(_MAX_RADIUS_TRIES):
             if radius is None:
@@ -81,10 +81,9 @@ class StartPositionSampler:
         return None
 
     def fits_on_all_sides(self, agent_area: float) -> bool:
-        """Return whether agents covering `agent_area` (mm²) would fit if they used all sides of the surface, not only the upper
-        side.
+        """Return whether agents that cover `agent_area` (mm²) would fit on all sides of the surface, not only on its upper side.
 
-        This applies to agents that start anywhere on a surface, placed from above."""
+        It is False unless the agents start anywhere on a surface, placed from above."""
         place = self.place
         if (
             self.has_points
@@ -106,7 +105,7 @@ class StartPositionSampler:
             return self._draw_by_rays(np.asarray(place.ray_origin, np.float64) - world.origin, ids, tries)
         if self._faces is not None:
             return self._draw_by_area(self._faces, ids, tries)
-        points = np.concatenate([self._target_points(ids, attempt) for attempt in tries])
+        points = np.concatenate([self._find_target_points(ids, attempt) for attempt in tries])
         if self.has_points and place.is_by_area:
             footing, has_ground = world.ground.find_nearest(points, place.surfaces or None)[0], np.ones(len(points), np.bool_)
             return StartPositionDraws(footing, world.ground.position(footing), world.ground.normal(footing), has_ground)
@@ -118,10 +117,11 @@ class StartPositionSampler:
         )
 
     def _draw_by_shape(self, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return positions of ranks, lines, volumes and clumps. They are dropped onto the ground, or moved to its nearest point
-        if they belong to edges, volumes or areas."""
+        """Return positions of ranks, lines, volumes and clumps, on the ground below them.
+
+        Positions of edges, volumes and areas are instead moved to the nearest point of the ground."""
         world, place = self._world, self.place
-        points = np.concatenate([self._shape_points(ids, attempt) for attempt in tries])
+        points = np.concatenate([self._find_shape_points(ids, attempt) for attempt in tries])
         has_ground = np.ones(len(points), np.bool_)
         if place.is_by_area or place.volume is not None or place.edge_of is not None:
             footing = world.ground.find_nearest(points, place.surfaces or None)[0]
@@ -133,36 +133,36 @@ class StartPositionSampler:
         is_allowed = has_ground if self.has_points else has_ground & ~is_inside_obstacle(world, at)
         return StartPositionDraws(footing, at, up, is_allowed)
 
-    def _shape_points(self, ids: Ids, attempt: int) -> Floats:
+    def _find_shape_points(self, ids: Ids, attempt: int) -> Floats:
         """Return the requested positions (n, 3) mm. Agents of a clump stand around one position of the place."""
         world, place = self._world, self.place
-        numbers = world.lines[self._crowd.line_index].find_numbers(ids)
+        numbers = world.crowd_lines[self._crowd.line_index].find_numbers(ids)
         if place.clumps is None:
             return draw_shape_points(world, place, numbers, lambda k: self._draw_uniform(ids, 4 * attempt + k))
         clumps = numbers % place.clumps.number
         u, v = (self._draw_uniform(ids, 2 * attempt + k, "clump") for k in range(2))
-        return self._clump_centres(clumps) + draw_disc(world, place.clumps.radius, u, v)
+        return self._find_clump_centres(clumps) + draw_disc(world, place.clumps.radius, u, v)
 
-    def _clump_centres(self, clumps: Ids) -> Floats:
+    def _find_clump_centres(self, clumps: Ids) -> Floats:
         site = f"clump centre {self._crowd.line_index}"
         place = replace(self.place, clumps=None)
         if has_shape(place):
             return draw_shape_points(self._world, place, clumps, lambda k: self._draw_uniform(clumps, k, site))
         if self._faces is not None:
             return self._faces.draw_points(*(self._draw_uniform(clumps, k, site) for k in range(4)))[3]
-        return self._target_points(clumps, 0, site)
+        return self._find_target_points(clumps, 0, site)
 
     def _draw_uniform(self, ids: Ids, index: int, site: str = "place") -> NDArray[np.float32]:
         seed = self._world.setting.seed if self.place.seed is None else self.place.seed
         return randomness.draw_uniform(seed, PLACEMENT_FRAME, self._species, site, index, ids)
 
-    def _target_points(self, ids: Ids, attempt: int, site: str = "place") -> Floats:
+    def _find_target_points(self, ids: Ids, attempt: int, site: str = "place") -> Floats:
         """Return the requested positions (n, 3) mm, from which agents are dropped onto the ground."""
         world, place = self._world, self.place
         if place.points is not None and len(place.points):
             return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
         u, v, w = (self._draw_uniform(ids, 4 * attempt + k, site) for k in range(3))
-        if place.disc_centre is not None or not self._ground_meshes:
+        if place.disc_centre is not None or not self._get_ground_meshes:
             middle = np.zeros(3) if place.disc_centre is None else np.asarray(place.disc_centre, np.float64) - world.origin
             radius = _DEFAULT_DISC_RADIUS_MM if place.radius is None else place.radius
             return middle + draw_disc(world, radius, u, v)
@@ -172,19 +172,19 @@ class StartPositionSampler:
                     world, place.surfaces or tuple(world.surface_index), place.density, None, None
                 )
             return self._density_faces.draw_points(u, v, w, self._draw_uniform(ids, 4 * attempt + 3, site))[3]
-        return _draw_points_on_faces([self._ground_meshes[name] for name in self._surface_names], u, v, w) - world.origin
+        return _draw_points_on_faces([self._get_ground_meshes[name] for name in self._surface_names], u, v, w) - world.origin
 
     def _draw_by_area(self, faces: FaceArea, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return positions spread evenly over faces of any orientation, with up along the normals."""
+        """Return positions spread evenly over faces of any orientation, with up directions along their normals."""
         draws = [np.concatenate([self._draw_uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
         footing, up, can_stand = faces.draw_footings(*draws)
         at = self._world.ground.position(footing)
         return StartPositionDraws(footing, at, up, can_stand & ~is_inside_obstacle(self._world, at))
 
     def _draw_by_rays(self, start: Floats, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return the first hits of rays from a place in random directions, with ups towards the place.
+        """Return the first hits of rays from `start` in random directions, with up directions towards `start`.
 
-        If a ray hits no mesh, or a mesh outside `on`, the result is the surface nearest to its start, marked as not allowed."""
+        If a ray hits no mesh, or a mesh outside `on`, the result is the nearest surface, and no agent may start there."""
         world, meshes = self._world, self._world.ground.meshes
         assert meshes is not None
         mesh_numbers = [meshes.names.index(name) for name in (self.place.surfaces or meshes.names) if name in meshes.names]

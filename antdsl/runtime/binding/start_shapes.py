@@ -25,7 +25,7 @@ _PAIRS_PER_BLOCK = 1 << 20  # pairs of position and edge that are measured at on
 
 
 def locate_place(world: World, place: PlacementData) -> PlacementData:
-    """Return a place with its centre at the current position of the item that is its centre."""
+    """Return a place with its centre at the current position of the item that the scene names as its centre."""
     centre = place.centre_item
     if centre is None or centre.items not in world.setting.motion.items or centre.items not in world.items:
         return place
@@ -39,9 +39,9 @@ def has_shape(place: PlacementData) -> bool:
 
 
 def draw_shape_points(world: World, place: PlacementData, numbers: Ids, draw: Draw) -> Floats:
-    """Return positions (n, 3) of a line, an edge, a volume or ranks, relative to the world's origin.
+    """Return positions (n, 3; mm) on a line or an edge, in a volume or in ranks, relative to the world's origin.
 
-    `numbers`: of the agents in their crowd line."""
+    `numbers`: the number of each agent in its crowd line. `draw`: returns random numbers by their index."""
     if place.ranks is not None:
         return _compute_ranks(world, place, place.ranks, numbers)
     if place.volume is not None:
@@ -59,7 +59,7 @@ def draw_shape_points(world: World, place: PlacementData, numbers: Ids, draw: Dr
 
 
 def draw_disc(world: World, radius: float, u: NDArray[np.float32], v: NDArray[np.float32]) -> Floats:
-    """Return offsets (n, 3) in mm, evenly distributed in a level disc."""
+    """Return offsets (n, 3; mm) from the centre of a level disc, evenly distributed in it. `u`, `v`: random numbers."""
     away, angle = np.sqrt(u).astype(np.float64) * radius, v * FULL_TURN
     up = vec.split_columns(np.broadcast_to(world.up, (len(u), 3)), np.float64)
     side = vec.find_perpendicular(up)
@@ -81,7 +81,7 @@ def _draw_in_volume(volume: VolumeData, draw: Draw) -> Floats:
 
 
 def _find_segments(world: World, place: PlacementData) -> tuple[Floats, Floats]:
-    """Return starts and ends (m, 3) of the straight pieces of the place's curve or border."""
+    """Return the starts and the ends (m, 3) of the straight pieces of the place's curve or border."""
     if place.line is not None:
         samples = world.curves[place.line].samples
         return (samples[:-1], samples[1:]) if len(samples) > 1 else (samples, samples)
@@ -117,7 +117,9 @@ def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers
 
 
 def compute_facing(world: World, crowd: CrowdData, position: Floats) -> Floats | None:
-    """Return the directions (n, 3) that agents of a line face at their positions; zero where there is none. None: random."""
+    """Return the directions (n, 3) that agents of a line face at their positions, 0 for agents without one.
+
+    None if the scene sets no direction, so that headings are random."""
     place = locate_place(world, crowd.place)
     facing = place.facing
     if facing is None:

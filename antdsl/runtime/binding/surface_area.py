@@ -1,4 +1,4 @@
-"""Samples surfaces by area: points on faces of any orientation, spread evenly or by the density of a map."""
+"""Random points on surfaces, on faces of any orientation. They are spread evenly, or by the density of a map."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ _QUARTER_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceArea:
-    """Triangles (m) from which positions are drawn. Each is a face or a part of a face.
+    """The m triangles in which positions are drawn. Each is one of k faces, or a part of a face.
 
-    Corners and edges (k, 3) of faces are in mm, relative to the world's origin. `ball`: centre and radius (mm)."""
+    `first_corner`, `edge1`, `edge2` (k, 3; mm): the first corner of each face relative to the world's origin, and the edges from
+    it. `ball`: the centre and the radius (mm) of the ball in which positions must be, or None."""
 
     world: World
     mesh_numbers: NDArray[np.int32]  # (k) the mesh of each face; numbers of solids follow those of meshes
     face_in_mesh: NDArray[np.int32]  # (k) number of the face in the mesh
-    corner: Floats
+    first_corner: Floats
     edge1: Floats
     edge2: Floats
     triangle_face: NDArray[np.int64]  # (m) the face of each triangle
@@ -42,7 +43,7 @@ class FaceArea:
     def draw_points(
         self, u: NDArray[np.float32], *draws: NDArray[np.float32]
     ) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-        """Return faces (n), weights b1 and b2 (n), and positions (n, 3) mm, from four draws each.
+        """Return the faces (n), weights b1 (n), weights b2 (n) and positions (n, 3; mm) of random points, from four draws each.
 
         A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. The gaps between
         sorted draws, with two gaps merged, have these densities (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2,
@@ -60,12 +61,13 @@ class FaceArea:
         own = self.weights[part]
         b1, b2 = ((own[:, 0, k] * c0 + own[:, 1, k] * c1) + own[:, 2, k] * c2 for k in range(2))
         face = self.triangle_face[part]
-        place = self.corner[face] + b1[:, None] * self.edge1[face] + b2[:, None] * self.edge2[face]
+        place = self.first_corner[face] + b1[:, None] * self.edge1[face] + b2[:, None] * self.edge2[face]
         return face, b1, b2, place
 
     def draw_footings(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
-        """Return footings, ups perpendicular to the faces (n, 3), and whether an agent can stand there: inside the ball and in no
-        solid."""
+        """Return the footings of random points, the normals of their faces (n, 3), and whether an agent can stand there.
+
+        An agent can stand inside the ball and outside all solids."""
         face, b1, b2, place = self.draw_points(*draws)
         if not len(self.cumulative_area):
             return Footing.create_unplaced(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0
@@ -83,7 +85,7 @@ class FaceArea:
         return self._snap_to_solids(footing, place, up, can_stand)
 
     def _snap_to_solids(self, on_mesh: Footing, place: Floats, up: Floats, can_stand: Flags) -> tuple[Footing, Floats, Flags]:
-        """Move points on solids to the current surface of the solid, and reject points inside a solid."""
+        """Move points on solids to the current surface of the solid. Return the results of `draw_footings` for these points."""
         ground, footing = self.world.ground, on_mesh.add_position_columns()
         first = len(ground.names) - len(self.world.solids)
         for k, (name, volume) in enumerate(self.world.solids.items()):
@@ -101,10 +103,10 @@ class FaceArea:
 def find_face_area(
     world: World, names: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None
 ) -> FaceArea:
-    """Return the face area of surfaces and solids `names` in their current position, within a ball and with the density of a
-    map, if given.
+    """Return the faces of surfaces and solids `names` at their current positions, from which positions are drawn.
 
-    If the ball meets no face, it is enlarged until it reaches its original radius beyond the nearest face."""
+    `around`, `radius` (mm): the ball in which positions must be. `density`: the map that gives their density. If the ball
+    contains no face, it is enlarged until it reaches its original radius beyond the nearest face."""
     mesh, local, corner, edge1, edge2, weight = _collect_faces(world, names, density)
     face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNER_WEIGHTS, (len(mesh), 3, 2))
     ball = None
@@ -129,8 +131,9 @@ _FaceArrays = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats
 
 
 def _collect_faces(world: World, surface_names: tuple[str, ...], density: str | None) -> _FaceArrays:
-    """Return all usable faces of surfaces `surface_names`: mesh, number in the mesh, corner, two edges, and density at the
-    corners (k, 3)."""
+    """Return all faces of surfaces `surface_names` that have an area, as six arrays.
+
+    They are the mesh, the number in the mesh, the first corner, both edges from it, and the density at the corners (k, 3)."""
     ground = world.ground.meshes
     face_groups: list[_FaceArrays] = []
     if ground is not None:
@@ -158,7 +161,7 @@ def _collect_faces(world: World, surface_names: tuple[str, ...], density: str | 
 def _triangulate_ball_faces(
     ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return triangles that cover the part of the faces within a ball: faces (m), and weights (m, 3, 2) of their corners.
+    """Return triangles that cover the part of the faces within a ball: the face of each (m), and its corners' weights (m, 3, 2).
 
     A triangle that extends beyond the ball is divided into four while it is larger than half the radius."""
     middle, radius = ball
@@ -181,8 +184,9 @@ def _triangulate_ball_faces(
 
 
 def _cut_triangles(face: NDArray[np.int64], weights: Floats, corners: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Divide triangles with corners `corners` (m, 3, 3), given by face and weights, into four at their edge midpoints.
+    """Divide triangles into four at the midpoints of their edges. Return the faces and the corners' weights of the parts.
 
+    `face`, `weights`: the face of each triangle, and the weights of its corners. `corners` (m, 3, 3): its corners (mm).
     Thin triangles are divided into two at the midpoint of the longest edge. Otherwise the number of
     quarters in the ball would grow without limit."""
     sides = ((np.roll(corners, -1, axis=1) - corners) ** 2).sum(axis=2)

@@ -1,4 +1,4 @@
-"""Estimate the memory that binding a scene needs, before any allocation: counts and bytes from extents and areas."""
+"""Estimates of the memory that is needed to bind a scene, from extents and areas, before any allocation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BYTES_PER_LEG = 550  # bytes of a walking leg
 
 
 class WorkEstimate(NamedTuple):
-    """The needs of one thing of the world: `part_count` parts called `unit_name`, and the approximate `bytes`."""
+    """The work that one thing of the world needs: `part_count` parts, their plural name `unit_name`, and approximate `bytes`."""
 
     thing: str
     part_count: int
@@ -71,8 +71,8 @@ def _estimate_fields(setting: WorldSetting, fields: Mapping[str, tuple[tuple[str
 
 
 def _estimate_flows(setting: WorldSetting) -> Iterator[WorkEstimate]:
-    longest = {name: _longest_edges(mesh) for name, mesh in setting.surfaces.items()} if setting.flows else {}
-    extent = _surface_extent(setting)
+    longest = {name: _measure_longest_edges(mesh) for name, mesh in setting.surfaces.items()} if setting.flows else {}
+    extent = _measure_surface_extent(setting)
     for name, flow in setting.flows.items():
         if isinstance(flow, PaintedValues) or not longest:
             continue
@@ -86,14 +86,14 @@ def _estimate_flows(setting: WorldSetting) -> Iterator[WorkEstimate]:
         yield _make_estimate(f"flow {name}", count, "points at most", _BYTES_PER_FLOW_POINT)
 
 
-def _surface_extent(setting: WorldSetting) -> float:
+def _measure_surface_extent(setting: WorldSetting) -> float:
     """Return the longest side (mm) of the box around all surfaces."""
     boxes = [[mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)] for mesh in setting.surfaces.values() if len(mesh.vertices)]
     corners = np.concatenate(boxes) if boxes else np.zeros((1, 3))
     return float(np.ptp(corners, axis=0).max())
 
 
-def _longest_edges(mesh: MeshData) -> Floats:
+def _measure_longest_edges(mesh: MeshData) -> Floats:
     """Return the longest edge (mm) of each face."""
     corners = mesh.vertices[mesh.faces]
     edges = corners[:, [1, 2, 0]] - corners

@@ -25,7 +25,7 @@ from antdsl.numerics.kernel_vectors import (
     normalise_or_perpendicular,
     project_to_plane,
 )
-from antdsl.runtime.body_positions import LIFT_REGISTERS, body_positions
+from antdsl.runtime.body_positions import LIFT_REGISTERS, compute_body_positions
 from antdsl.runtime.feet.wearers import Wearers
 
 POSITION_ROW = 0  # first of the three rows of the position
@@ -36,14 +36,15 @@ _MIN_SIZE = 1e-12
 _F = np.float32
 
 
-def place_bodies(population: Wearers, buffer_name: str, threads: int) -> NDArray[np.float64]:
-    """Return the table of a population. `buffer_name`: the buffer for the table, which the next call with the same name
-    overwrites."""
+def compute_body_table(population: Wearers, buffer_name: str, threads: int) -> NDArray[np.float64]:
+    """Return the table of the bodies of a population, float64[14, n].
+
+    `buffer_name`: the buffer for the table, which the next call with the same name overwrites."""
     n, now = len(population), population.now
     (bodies,) = population.get_buffers(buffer_name, 1, (_TABLE_ROWS, n), np.float64)
     if n:
         columns = vec.get_vector_registers(now, "heading"), vec.get_vector_registers(now, "up"), now["size"]
-        work = partial(_place_bodies, np.ascontiguousarray(body_positions(population).T), *columns, bodies)
+        work = partial(_place_bodies, np.ascontiguousarray(compute_body_positions(population).T), *columns, bodies)
         parallel.run_in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         bodies[PLAY] = 1.0
         if LIFT_REGISTERS[0] in now:
@@ -62,7 +63,7 @@ def _place_bodies(
         place = position[0, i], position[1, i], position[2, i]
         forward = np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
         above = np.float64(up[0][i]), np.float64(up[1][i]), np.float64(up[2][i])
-        ahead, straight, aside = orthonormal_axes(forward, above)
+        ahead, straight, aside = compute_orthonormal_axes(forward, above)
         for axis in range(3):
             bodies[axis, i], bodies[3 + axis, i] = place[axis], ahead[axis]
             bodies[6 + axis, i], bodies[9 + axis, i] = straight[axis], aside[axis]
@@ -70,15 +71,15 @@ def _place_bodies(
 
 
 @inlined
-def orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the unit vectors ahead, up and aside of a body. Ahead is the heading; up is made perpendicular to it."""
+def compute_orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the perpendicular unit vectors ahead, up and aside of a body. Ahead is along `heading`."""
     ahead = normalise_or_perpendicular(heading, up)
     straight = normalise_or_perpendicular(project_to_plane(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)
 
 
 class Body(NamedTuple):
-    """A body in the world: position `position` (mm), unit vectors, and size (mm)."""
+    """A body in the world: its `position` (mm), its unit vectors ahead, up and to the side, and its `size` (mm)."""
 
     position: Vec3
     ahead: Vec3
@@ -89,7 +90,7 @@ class Body(NamedTuple):
 
 @inlined
 def read_body(bodies: Array2[F64], i: I64) -> Body:
-    """Return body i of a table."""
+    """Return the body in column `i` of a table."""
     place = bodies[0, i], bodies[1, i], bodies[2, i]
     ahead = bodies[3, i], bodies[4, i], bodies[5, i]
     up = bodies[6, i], bodies[7, i], bodies[8, i]
@@ -99,7 +100,7 @@ def read_body(bodies: Array2[F64], i: I64) -> Body:
 
 @inlined
 def prefetch_columns(table: Any, rows: I64, group_size: I64, begin: I64, end: I64) -> None:
-    """Prefetch columns of a table (…, n) with `rows` rows, `group_size` numbers at once.
+    """Prefetch the columns from `begin` to before `end` of a table (…, n) with `rows` rows, `group_size` numbers at once.
 
     The kernels of this package read about 100 rows; a processor prefetches only a few of them itself."""
     for row in range(rows):

@@ -24,7 +24,7 @@ _SHAPES = {name: column.shape for name, column in _COLUMNS.items()} | {"covered"
 
 
 def zeros_by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
-    """Return zeros [..., n, L] that are stored leg by leg.
+    """Return an array of zeros [..., n, L] with a memory layout leg by leg.
 
     Operations on all legs then run along all agents at once, where n is large and L small. NumPy preserves that order in
     derived arrays."""
@@ -41,7 +41,7 @@ def _empty_columns(count: int, legs: int) -> dict[str, Any]:
 
 
 def _agent_axis(name: str) -> int:
-    """Return which axis of a column is the axis of the agents."""
+    """Return the number of the axis of a column along which its values are of different agents."""
     return _SHAPES[name].index("n")
 
 
@@ -121,16 +121,15 @@ class Feet:
         at, known = match_ids(ids, self.ids.take(order))
         return order.take(at, mode="clip") if order.size else at, known
 
-    def copy_common(self, previous_feet: Feet) -> None:
-        """Copy the feet of all agents that are also in `previous_feet`."""
+    def copy_common_agents(self, previous_feet: Feet) -> None:
+        """Copy the values of all agents that are also in `previous_feet` from there."""
         at, known = previous_feet._find_id_rows(self.ids)
         for name, array in self.stored_arrays().items():
             rows: tuple[Any, ...] = (slice(None),) * _agent_axis(name)
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
-        """Return the feet of agents in the order of `ids`, and the rows of agents without previous feet. The values of new agents
-        are zero."""
+        """Return the feet of agents in the order of `ids`, and the rows of agents that had no feet. Their values are zero."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
         at, known = self._find_id_rows(ids)
@@ -140,8 +139,9 @@ class Feet:
 
 
 def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], new_rows: NDArray[np.intp]) -> Array | None:
-    """Return the rows `source_rows` of a column, with zeros in the rows `new_rows`. Body positions of the previous step get NaN
-    there."""
+    """Return the rows `source_rows` of a column, with zeros in the rows `new_rows`.
+
+    Body positions of the previous step have NaN there."""
     if array is None:
         return None
     axis, is_by_leg = _agent_axis(name), "L" in _SHAPES[name]

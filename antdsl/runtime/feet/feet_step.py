@@ -1,4 +1,4 @@
-"""One step of all feet: runs the kernels of `stepping` for each body, with the ground that `foothold_search` finds."""
+"""One step of all feet: the kernels of `stepping` run for each body, with the ground that `foothold_search` finds."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
 from antdsl.runtime.feet import stepping, trunk
-from antdsl.runtime.feet.body_tables import POSITION_ROW, SIZE, place_bodies
+from antdsl.runtime.feet.body_tables import POSITION_ROW, SIZE, compute_body_table
 from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING, Feet, zeros_by_leg
 from antdsl.runtime.feet.foothold_search import FootGround, FootholdRequests, find_footholds
-from antdsl.runtime.feet.gaits import REST_X, REST_Z, Gaits
-from antdsl.runtime.feet.wearers import Wearers, wearers_of
+from antdsl.runtime.feet.gaits import REST_X_ROW, REST_Z_ROW, Gaits
+from antdsl.runtime.feet.wearers import Wearers, find_wearers
 from antdsl.runtime.world import World
 from antdsl.scene.crowds.body_choice import find_species_of_key
 from antdsl.scene.setting import LegsData
@@ -54,11 +54,11 @@ def prepare_feet(world: World) -> None:
 def record_ground_covered(world: World) -> None:
     """Record how far the rest position of each foot moved over the ground in this step, before the ground itself moves."""
     for name, feet in world.feet.items():
-        population, walkers = wearers_of(world, name), world.legs_by_species[name]
+        population, walkers = find_wearers(world, name), world.legs_by_species[name]
         feet, new = feet.match_ids(population.ids)
         world.feet[name] = feet
         n = len(feet)
-        bodies = place_bodies(population, "bodies before the ground moves", world.options.threads)
+        bodies = compute_body_table(population, "bodies before the ground moves", world.options.threads)
         feet.covered, feet.stood = zeros_by_leg((2, n, feet.legs), np.float32), bodies[POSITION_ROW : POSITION_ROW + 3]
         if n:
             is_new = np.zeros(n, np.bool_)
@@ -73,7 +73,7 @@ def record_ground_covered(world: World) -> None:
 def step_feet(world: World) -> None:
     """Move all feet to their positions in the new frame."""
     for name in world.feet:
-        _FeetStep(world, name, wearers_of(world, name), world.legs_by_species[name]).run()
+        _FeetStep(world, name, find_wearers(world, name), world.legs_by_species[name]).run()
 
 
 def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
@@ -91,7 +91,7 @@ class _FeetStep:
         self.feet, self.newborn_rows = world.feet[name].match_ids(population.ids)
         world.feet[name] = self.feet
         self.threads, self.dt = world.options.threads, _F(world.dt)
-        self.bodies = place_bodies(population, "bodies", self.threads)
+        self.bodies = compute_body_table(population, "bodies", self.threads)
         feet, (n, legs) = self.feet, self.feet.swing.shape
         if feet.covered is None:
             feet.covered = zeros_by_leg((2, n, legs), np.float32)
@@ -113,8 +113,8 @@ class _FeetStep:
         feet, n = self.feet, len(self.feet)
         if n:
             self._follow_ground()
-            self._place_newborn()
-            self._find_undermined()
+            self._place_newborn_feet()
+            self._find_undermined_feet()
             self._plan_swings()
             last = feet.position, feet.heading, feet.up
             step_inputs = self.bodies, self.gaits.legs, self._compute_trunk_steps(), self.columns, self.pace, self.targets, last
@@ -130,21 +130,23 @@ class _FeetStep:
                 displacement = self.bodies[POSITION_ROW : POSITION_ROW + 3] - feet.stood
                 feet.start += np.where(np.isfinite(displacement), displacement, 0.0)[:, :, None]
 
-    def _place_newborn(self) -> None:
+    def _place_newborn_feet(self) -> None:
         """Place the feet of newborn agents at rest, each agent with a different gait phase."""
         rows, feet, legs = self.newborn_rows, self.feet, self.gaits.legs
         if not rows.size:
             return
         turns = feet.ids[rows].astype(np.float64) * _PHASE_STEP_PER_ID
         feet.phase[rows] = (turns - np.floor(turns)).astype(np.float32)
-        for target, rest in zip(self.targets, (legs[REST_X], legs[REST_Z], np.zeros_like(legs[REST_X])), strict=False):
+        for target, rest in zip(
+            self.targets, (legs[REST_X_ROW], legs[REST_Z_ROW], np.zeros_like(legs[REST_X_ROW])), strict=False
+        ):
             target[:, rows] = rest[:, None]
         self.targets[-1][:, rows] = stepping.SEEKS_AGAIN
         self._seek_ground((rows[:, None] << stepping.LEG_BITS | np.arange(feet.legs)).ravel())
         feet.swing[rows] = np.where(feet.on[rows] == NO_GROUND, _F(1), STANDING_SWING)
         feet.start[:, rows] = feet.place[:, rows]
 
-    def _find_undermined(self) -> None:
+    def _find_undermined_feet(self) -> None:
         """Find the feet that lost their ground to digging."""
         feet = self.feet
         self.undermined[:] = False
@@ -170,7 +172,7 @@ class _FeetStep:
         self._seek_ground(parallel.join_parts(parts, self.requests)[0])
 
     def _seek_ground(self, requests: NDArray[np.int64]) -> None:
-        """Find ground for the requested feet. `requests`: encoded as `stepping.LEG_BITS` describes."""
+        """Find ground for feet, and store it. `requests`: agents and legs, encoded as `stepping.LEG_BITS` describes."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
             goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact_legs)

@@ -18,7 +18,7 @@ from antdsl.numerics.kernel_vectors import dot, get_column, minus, plus, store_c
 from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.feet.body_tables import prefetch_columns, read_body
 from antdsl.runtime.feet.feet_state import NO_GROUND
-from antdsl.runtime.feet.gaits import HIP_POSITION, MAX_LEG_STRETCH, MAX_SINK_SHARE
+from antdsl.runtime.feet.gaits import HIP_POSITION_ROW, MAX_LEG_STRETCH, MAX_SINK_SHARE
 from antdsl.runtime.feet.stepping import LEG_BITS, LEG_MASK, LIFTS, LegTable, TrunkColumns
 from antdsl.runtime.feet.trunk import tilt_point
 
@@ -50,11 +50,11 @@ def aim_first_rays(
     begin: I64,
     end: I64,
 ) -> None:
-    """Compute the search for ground of the requests from `begin` to before `end` (numbered as `stepping.LEG_BITS` describes).
+    """Compute the first ray of each request for ground from `begin` to before `end`, from the hip to the foot's target.
 
-    Writes to `seekers` the positions of hips at landing and the target positions of feet. Writes to `rays` the first ray from hip
-    to target. `measures`: `Gaits.legs` and `Gaits.exact`.
-    `start_faces`: start faces of the agents, copied to `rays`.
+    `requests`: agents and legs, encoded as `stepping.LEG_BITS` describes. `measures`: `Gaits.legs` and `Gaits.exact`.
+    Writes to `seekers` the positions of hips at landing and the target positions of feet, and to `rays` the displacements of the
+    rays and their start faces. `start_faces`: the start face of each agent.
     `is_quick`: set for feet that lift; they search again when they land."""
     legs, exact = measures
     count = legs.shape[1]
@@ -75,7 +75,8 @@ def aim_first_rays(
             place, ahead, up, aside, size = read_body(bodies, i)
             rise, slope = trunks[1], trunks[2]
             x, y, z = tilt_point(
-                (slope[0, i], slope[1, i]), (legs[HIP_POSITION, leg], legs[HIP_POSITION + 1, leg], legs[HIP_POSITION + 2, leg])
+                (slope[0, i], slope[1, i]),
+                (legs[HIP_POSITION_ROW, leg], legs[HIP_POSITION_ROW + 1, leg], legs[HIP_POSITION_ROW + 2, leg]),
             )
             frames = left[leg, i]
             a, c = np.float64(x + covered_ground[0, leg, i] * frames), np.float64(z + covered_ground[1, leg, i] * frames)
@@ -106,9 +107,9 @@ def cast_on_mesh(
 ) -> tuple[I64, I64]:
     """Write to `hits` the hits of rays from `begin` to before `end` on one mesh, if they are nearer than previous hits.
 
-    `number`: the number of the mesh among all ground for feet. `starts`: start faces of rays on the mesh, if the mesh has
-    `rings`; replaced by the faces that were hit. Rays without a start face use the grid. `beyond_grid`: receives, from index
-    `begin` on, the rays that are too long for the grid. Returns `begin` and their number."""
+    Returns `begin`, and the number of rays that are too long for the grid. These are written to `beyond_grid` from index `begin`
+    on. `number`: the number of the mesh among all ground for feet. `starts`: start faces of rays on the mesh, if the mesh has
+    `rings`; replaced by the faces that were hit. Rays without a start face use the grid."""
     shape, (least, greatest), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     cells, rays = allocate_scratch(2 * _PREFETCH_GROUP_SIZE, I64), allocate_scratch(_PREFETCH_GROUP_SIZE, I64)
@@ -160,12 +161,10 @@ def find_nearest_on_mesh(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Write to `hits` the nearest positions on one mesh to the points from `begin` to before `end`, within their `reach` (mm).
+    """Write to `hits` the positions on one mesh nearest to the points from `begin` to before `end`, within their `reach` (mm).
 
-    `number`: the number of the mesh among all ground for feet. `reach` is reduced to the distance of the result.
-    `beyond_grid`: receives, from index `begin` on, the points with a reach that is too long for the grid. Returns `begin` and
-    their
-        number."""
+    Returns `begin`, and the number of points with a reach that is too long for the grid. These are written to `beyond_grid` from
+    index `begin` on. `number`: the number of the mesh among all ground for feet. `reach`: reduced to the distance of a result."""
     shape, (low, high), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     for k in range(begin, end):
@@ -217,7 +216,7 @@ def mark_reachable_hits(
         if is_quick[k]:
             continue
         is_reachable[k] = _is_in_reach(seekers, hits, k, k)
-        if not (is_reachable[k] and _miss_distance(seekers, hits, k, k) <= NEAR_HIT_LEG_SHARE * longest[k]):
+        if not (is_reachable[k] and _measure_miss_distance(seekers, hits, k, k) <= NEAR_HIT_LEG_SHARE * longest[k]):
             rows[begin + count] = k
             count += 1
     return begin, count
@@ -234,10 +233,10 @@ def aim_detour_rays(
     begin: I64,
     end: I64,
 ) -> None:
-    """Compute two rays for each of the seekers `rows`. The first leads from `origins` to the point above the target position, the
-    second down from there.
+    """Compute two rays for each of the seekers `rows`: from the hip to a point above the target position, and down from there.
 
-    `upper_starts`, `down_displacement`: start and displacement of the second ray. `level`: displacement of the first ray."""
+    `origins`, `level`: the start and the displacement of the first ray.
+    `upper_starts`, `down_displacement`: the start and the displacement of the second ray."""
     hips, goals, ups, longest, _ = seekers
     for n in range(begin, end):
         k = rows[n]
@@ -262,28 +261,27 @@ def choose_nearest_hits(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Choose from three rays the hit nearest to the target position: the first ray, and both rays of `aim_detour_rays`.
+    """Write to `hits` the hit nearest to the target position, of the first ray and both rays of `aim_detour_rays`.
 
-    Writes it to `hits`. Seekers without a near enough hit are written to `lost_rows` from index `begin` on, as indices in
-    `rows`. For these, `reach` receives the distance (mm) within which a position would be nearer. Returns `begin` and their
-    number."""
+    Returns `begin`, and the number of seekers without a near enough hit. These are written to `lost_rows` from index `begin` on,
+    as indices in `rows`. For them, `reach` receives the distance (mm) within which a position would be nearer."""
     longest = seekers[3]
     count = 0
     for n in range(begin, end):
         k = rows[n]
         least = np.inf
         if is_reachable[k]:
-            least = _miss_distance(seekers, hits, k, k)
+            least = _measure_miss_distance(seekers, hits, k, k)
         if not least < np.inf:
             _clear_hit(hits, k)
         if np.isfinite(level_hits[0][n]):
             if _is_in_reach(seekers, level_hits, k, n):
-                miss = _miss_distance(seekers, level_hits, k, n)
+                miss = _measure_miss_distance(seekers, level_hits, k, n)
                 if miss < least:
                     least = miss
                     _copy_hit(hits, k, level_hits, n)
         elif _is_in_reach(seekers, down_hits, k, n):
-            miss = _miss_distance(seekers, down_hits, k, n)
+            miss = _measure_miss_distance(seekers, down_hits, k, n)
             if miss < least:
                 least = miss
                 _copy_hit(hits, k, down_hits, n)
@@ -349,7 +347,7 @@ def _is_in_reach(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
 
 
 @inlined
-def _miss_distance(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
+def _measure_miss_distance(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
     """Return the distance (mm) of hit `n` from the target position of seeker `k`."""
     gap = minus(get_column(hits[1], n), get_column(seekers[1], k))
     return np.sqrt(dot(gap, gap))

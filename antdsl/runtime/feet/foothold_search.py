@@ -39,8 +39,8 @@ _NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # for a
 class GroundHits:
     """Hits of k rays on the ground.
 
-    `ray_part` float64[k]: the part of the ray before the hit; inf without a hit. `position` float64[3, k]: position (mm).
-    `on`, `face`, `weight`: as in `Feet`."""
+    `ray_part` float64[k]: the share of the ray's length before the hit; inf without a hit. `position` float64[3, k]: of the hit
+    (mm). `on`, `face`, `weight`: the thing, the triangle and the weights of the hit, as in `Feet`."""
 
     ray_part: NDArray[np.float64]
     position: Vectors
@@ -100,11 +100,13 @@ class FootGround:
         self._walked_meshes.update((self._start_codes[np.flatnonzero(np.bincount(mesh + 1)[1:])] >> FACE_BITS).tolist())
         return np.where(number >= 0, number | face, -1)
 
-    def cast_rays(self, world: World, origin: Vectors, displacement: Vectors, starts: Rows, most_hit: bool = True) -> GroundHits:
+    def cast_rays(
+        self, world: World, origin: Vectors, displacement: Vectors, starts: Rows, is_hit_likely: bool = True
+    ) -> GroundHits:
         """Return the first hits of the straight lines from `origin` by `displacement`.
 
-        `starts`: faces near the origins, or -1. `most_hit`: whether most rays probably hit a mesh that bodies walk on. Open3D
-        then skips the test which rays do. Neither argument changes a result."""
+        `starts`: faces near the origins, or -1. `is_hit_likely`: whether most rays hit a mesh that bodies walk on. Open3D then
+        skips the test which rays do. Neither argument changes a result."""
         hits, threads = GroundHits.empty(origin.shape[1]), world.options.threads
         if isinstance(world.ground, PlaneGround):
             _cast_on_plane(world, origin, displacement, hits)
@@ -135,7 +137,7 @@ class FootGround:
             if not near.size:
                 continue
             if isinstance(obstacle, RayScene):
-                sure = most_hit and name in world.setting.surfaces
+                sure = is_hit_likely and name in world.setting.surfaces
                 near = near if sure else _find_rays_near_mesh(obstacle, near, origin, displacement)
                 if near.size:
                     self._cast_on_mesh(world, k, obstacle, near, (origin, displacement), hits, sure)
@@ -169,7 +171,7 @@ class FootGround:
                 slope = obstacle.volume.sample_gradients(points[:, near].T).astype(np.float64)
                 landed = obstacle.volume.project_to_surface(points[:, near].T, _normalise_rows(slope), float(reach.max()))
                 place, face = landed.points, np.zeros(near.size, np.int32)
-                distance = np.where(landed.is_in_reach, _vector_lengths((landed.points - points[:, near].T).T), np.inf)
+                distance = np.where(landed.is_in_reach, _compute_lengths((landed.points - points[:, near].T).T), np.inf)
             nearer = distance < least[near]
             rows = near[nearer]
             least[rows] = distance[nearer]
@@ -179,7 +181,7 @@ class FootGround:
     def move_places(
         self, world: World, thing_numbers: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors
     ) -> None:
-        """Move positions [3, …] on moving things to their current position."""
+        """Update positions `place` [3, …] on moving things to the current positions of these things."""
         for k in self.moving_numbers:
             rows = thing_numbers == k
             if rows.any():
@@ -207,11 +209,11 @@ class FootGround:
         near_rows: Rows,
         rays: tuple[Vectors, Vectors],
         hits: GroundHits,
-        most_hit: bool,
+        is_hit_likely: bool,
     ) -> None:
         a, w = (each[:, near_rows] for each in rays)
         begin, step = np.ascontiguousarray(a.T), np.ascontiguousarray(w.T)
-        which, part, _, face = obstacle.find_hits_along_step(begin, step, world.options.threads, most_hit)
+        which, part, _, face = obstacle.find_hits_along_step(begin, step, world.options.threads, is_hit_likely)
         nearer = part < hits.ray_part[near_rows[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
         hits.replace_rows(near_rows[which], self._make_hits(world, k, part, a[:, which] + w[:, which] * part, face))
@@ -300,7 +302,7 @@ def _search_around(
         _MIN_RAYS_PER_THREAD,
     )
     starts = requests.start_faces[rows]
-    level = foot_ground.cast_rays(world, hips, to_above, starts, most_hit=False)
+    level = foot_ground.cast_rays(world, hips, to_above, starts, is_hit_likely=False)
     below = foot_ground.cast_rays(world, above, down, starts)
     lost = np.empty(count, np.int64)
     choose_inputs = requests.columns, rows, hits.columns, is_reachable, level.columns, below.columns, lost, reach
@@ -327,7 +329,7 @@ def _find_rays_at_box(box: tuple[Vectors, Vectors], origin: Vectors, displacemen
 def _find_rays_near_mesh(obstacle: RayScene, rows: Rows, origin: Vectors, displacement: Vectors) -> Rows:
     """Return the rays that may hit a mesh, by a test with the bounding sphere of each ray."""
     half = displacement * 0.5
-    return _find_points_near_mesh(obstacle, rows, origin + half, _vector_lengths(half))
+    return _find_points_near_mesh(obstacle, rows, origin + half, _compute_lengths(half))
 
 
 def _find_points_near_mesh(obstacle: RayScene, rows: Rows, points: Vectors, reach: NDArray[np.float64]) -> Rows:
@@ -357,7 +359,7 @@ def _cast_on_solid(
 ) -> None:
     """Write the hits on a solid, if they are nearer than previous hits."""
     a, w = origin[:, near_rows], displacement[:, near_rows]
-    length = _vector_lengths(w)
+    length = _compute_lengths(w)
     unit = w / np.maximum(length, 1e-300)
     hits = obstacle.cast_feelers(a, unit, length)
     part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
@@ -376,7 +378,7 @@ def _cast_on_solid(
     ground_hits.replace_rows(near_rows[hit_rows], solid_hits)
 
 
-def _vector_lengths(v: Vectors) -> NDArray[np.float64]:
+def _compute_lengths(v: Vectors) -> NDArray[np.float64]:
     return np.asarray(np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2]))
 
 

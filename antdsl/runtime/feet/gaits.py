@@ -23,13 +23,13 @@ _REST_CYCLE_SECONDS = 0.5  # s: cycle in which feet return to rest, if the slowe
 _MIN_FRAMES_PER_CYCLE = _F(1 / MAX_CYCLES_PER_FRAME)
 
 # Rows of `Gaits.legs`, float32[10, L], in body lengths.
-REST_X, REST_Z = 0, 1  # rest position of a foot, ahead and aside
-REST_OFFSET = 2  # maximum distance from the rest position while the body stands
-LEG_LENGTH = 3  # from hip to foot joint when the leg is straight
-LEG_REACH = 4  # maximum distance ahead of or behind the rest position
-HIP_POSITION = 5  # position of the hip, three rows
-FOOT_Y = 8  # the height of the foot joint above its ground
-SQUARED_LENGTH = 9  # square of the maximum distance of a standing foot from its hip
+REST_X_ROW, REST_Z_ROW = 0, 1  # rest position of a foot, ahead and aside
+REST_OFFSET_ROW = 2  # maximum distance from the rest position while the body stands
+LEG_LENGTH_ROW = 3  # from hip to foot joint when the leg is straight
+LEG_REACH_ROW = 4  # maximum distance ahead of or behind the rest position
+HIP_POSITION_ROW = 5  # position of the hip, three rows
+FOOT_Y_ROW = 8  # the height of the foot joint above its ground
+SQUARED_LENGTH_ROW = 9  # square of the maximum distance of a standing foot from its hip
 
 
 class Gaits:
@@ -70,7 +70,7 @@ class Gaits:
 
 
 class Gait(NamedTuple):
-    """A gait by number, with its stride and lift (body lengths) and its duty factor."""
+    """A gait: its number, its stride (body lengths), its duty factor, and the lift of its feet (body lengths)."""
 
     number: I64
     stride: F32

@@ -32,19 +32,26 @@ from antdsl.machine_code.kernels import (
 )
 from antdsl.numerics.kernel_vectors import dot, minus
 from antdsl.runtime.feet import trunk
-from antdsl.runtime.feet.body_tables import PLAY, local_to_world, orthonormal_axes, prefetch_columns, read_body, world_to_local
+from antdsl.runtime.feet.body_tables import (
+    PLAY,
+    compute_orthonormal_axes,
+    local_to_world,
+    prefetch_columns,
+    read_body,
+    world_to_local,
+)
 from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
 from antdsl.runtime.feet.gaits import (
-    FOOT_Y,
-    HIP_POSITION,
-    LEG_LENGTH,
-    LEG_REACH,
+    FOOT_Y_ROW,
+    HIP_POSITION_ROW,
+    LEG_LENGTH_ROW,
+    LEG_REACH_ROW,
     MAX_CYCLES_PER_FRAME,
     MAX_LEG_STRETCH,
     MAX_SINK_SHARE,
-    REST_OFFSET,
-    REST_X,
-    REST_Z,
+    REST_OFFSET_ROW,
+    REST_X_ROW,
+    REST_Z_ROW,
     find_gait,
 )
 
@@ -98,13 +105,13 @@ def measure_ground_covered(
         place, ahead, _, aside, size = read_body(bodies, i)
         forward = np.float64(heading[0, i]), np.float64(heading[1, i]), np.float64(heading[2, i])
         above = np.float64(up[0, i]), np.float64(up[1, i]), np.float64(up[2, i])
-        ahead_before, _, aside_before = orthonormal_axes(forward, above)
+        ahead_before, _, aside_before = compute_orthonormal_axes(forward, above)
         displacement = minus((position[0, i], position[1, i], position[2, i]), place)
         away = displacement[0] / size, displacement[1] / size, displacement[2] / size
         moved_x, along_x, across_x = _F(dot(away, ahead)), _F(dot(ahead_before, ahead)), _F(dot(aside_before, ahead))
         moved_z, along_z, across_z = _F(dot(away, aside)), _F(dot(ahead_before, aside)), _F(dot(aside_before, aside))
         for leg in range(legs.shape[1]):
-            rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
+            rest_x, rest_z = legs[REST_X_ROW, leg], legs[REST_Z_ROW, leg]
             x = rest_x - ((moved_x + along_x * rest_x) + across_x * rest_z)
             z = rest_z - ((moved_z + along_z * rest_x) + across_z * rest_z)
             covered_ground[0, leg, i] = x if np.isfinite(x) and not new[i] else _ZERO
@@ -128,11 +135,10 @@ def plan_steps(
 ) -> tuple[I64, I64]:
     """Advance the phase of agents from `begin` to before `end`, and decide which of their feet lift and land, and where.
 
-    `times`: frame duration (s), cycles per frame of an agent that puts its feet back, least share of a swing per frame, and least
-    reach of a leg (body lengths).
-    `undermined`: feet that lost their ground to digging.
-    `requests`: receives, from index L * `begin` on, the feet that need ground, encoded as `LEG_BITS` describes. Returns the index
-    of the first request, and the number of requests."""
+    Returns the index of the first request in `requests`, and the number of requests. `requests`: receives, from index
+    L * `begin` on, the feet that need ground, encoded as `LEG_BITS` describes. `undermined`: feet that lost their ground to
+    digging. `times`: frame duration (s), cycles per frame of an agent that puts its feet back, least share of a swing per frame,
+    and least reach of a leg (body lengths)."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
@@ -175,9 +181,9 @@ def plan_steps(
                 away = _rest_distance(legs, leg, local_foot, _hip_position(legs, leg, lean, raised))
                 off[leg, i] = away
                 down = swing[leg, i] == STANDING_SWING
-                if swing[leg, i] >= _ZERO or (down and away > legs[REST_OFFSET, leg] + rest_offset[leg, i]):
+                if swing[leg, i] >= _ZERO or (down and away > legs[REST_OFFSET_ROW, leg] + rest_offset[leg, i]):
                     restless = True
-                if not down or not away <= legs[REST_OFFSET, leg]:
+                if not down or not away <= legs[REST_OFFSET_ROW, leg]:
                     stands = False
             if still and restless:
                 ahead = max(ahead, rests)
@@ -195,7 +201,7 @@ def plan_steps(
             for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
                 hip = _hip_position(legs, leg, lean, raised)
-                x, z = local_foot[0] - legs[REST_X, leg], local_foot[2] - legs[REST_Z, leg]
+                x, z = local_foot[0] - legs[REST_X_ROW, leg], local_foot[2] - legs[REST_Z_ROW, leg]
                 cover_x, cover_z = covered_ground[0, leg, i], covered_ground[1, leg, i]
                 leg_phase = _wrap_phase(phase[i] + gaits[2][gait, leg])
                 next_phase = leg_phase + advance
@@ -204,10 +210,10 @@ def plan_steps(
                 # swing.
                 behind = x * cover_x + z * cover_z < _ZERO
                 late = leg_phase >= duty and leg_phase < duty + _MAX_LATE_LIFT_SWING_SHARE * (_ONE - duty)
-                late = late and behind and off[leg, i] > _MISSED_LIFT_REACH_SHARE * legs[LEG_REACH, leg]
-                due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[REST_OFFSET, leg] + rest_offset[leg, i])
+                late = late and behind and off[leg, i] > _MISSED_LIFT_REACH_SHARE * legs[LEG_REACH_ROW, leg]
+                due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[REST_OFFSET_ROW, leg] + rest_offset[leg, i])
                 lost = (
-                    off[leg, i] > _MAX_OFFSET_REACHES * legs[LEG_REACH, leg]
+                    off[leg, i] > _MAX_OFFSET_REACHES * legs[LEG_REACH_ROW, leg]
                     or undermined[leg, i]
                     or _is_too_far(legs, leg, local_foot, hip, _STRETCHED_LEG_SHARE)
                 )
@@ -230,15 +236,15 @@ def plan_steps(
                     min(stance, _MAX_STANCE_FRAMES) * cover_x * _HALF,
                     min(stance, _MAX_STANCE_FRAMES) * cover_z * _HALF,
                 )
-                by = min(_ONE, legs[LEG_REACH, leg] / max(np.sqrt(half_x * half_x + half_z * half_z), _MIN_DIVISOR))
-                to_x = legs[REST_X, leg] + cover_x * frames + half_x * by
-                to_z = legs[REST_Z, leg] + cover_z * frames + half_z * by
+                by = min(_ONE, legs[LEG_REACH_ROW, leg] / max(np.sqrt(half_x * half_x + half_z * half_z), _MIN_DIVISOR))
+                to_x = legs[REST_X_ROW, leg] + cover_x * frames + half_x * by
+                to_z = legs[REST_Z_ROW, leg] + cover_z * frames + half_z * by
                 lands = flies and progress >= _ONE
                 past = ((_ZERO if lifts else swing[leg, i]) + increment - _ONE if lands else _ZERO) / rate  # frames since landing
                 to_x, to_z = to_x - cover_x * past, to_z - cover_z * past
                 target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, progress
                 miss_x, miss_z = local_foot[0] - to_x, local_foot[2] - to_z
-                most = legs[REST_OFFSET, leg] if still else _NEW_SEARCH_LEG_SHARE * legs[LEG_LENGTH, leg]
+                most = legs[REST_OFFSET_ROW, leg] if still else _NEW_SEARCH_LEG_SHARE * legs[LEG_LENGTH_ROW, leg]
                 again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NO_GROUND
                 again = lands and (again or _is_too_far(legs, leg, local_foot, hip, _MAX_LEG_STRETCH))
                 what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
@@ -266,9 +272,8 @@ def take_steps(
 ) -> None:
     """Swing feet to their new footholds, move the trunks over them, and write the positions of all feet.
 
-    `trunk_steps`: three numbers. The first is the share per frame of a change of tilt, or to a lower height. The second is the
-    share of a change to a greater height. The third is the largest difference from the height at rest. `last`: receives position,
-    heading and up of bodies for the next frame."""
+    `trunk_steps`: the share per frame of a change of tilt or to a lower height, the share of a change to a greater height, and
+    the largest difference from the height at rest. `last`: receives position, heading and up of bodies for the next frame."""
     count = legs.shape[1]
     slower, faster, highest = trunk_steps
     place, start, current_place = feet[0]
@@ -337,14 +342,16 @@ def take_steps(
 
 @inlined
 def _wrap_phase(turns: Any) -> Any:
-    """Return the phase (0 to 1) in the current cycle after a number of cycles."""
+    """Return the phase (0 to 1) in the current gait cycle after `turns` cycles."""
     return turns - np.floor(turns)
 
 
 @inlined
 def _hip_position(legs: Any, leg: Any, slope: Any, rise: Any) -> Any:
     """Return the position of a leg's hip, for a trunk that leans by `slope` and is raised."""
-    x, y, z = trunk.tilt_point(slope, (legs[HIP_POSITION, leg], legs[HIP_POSITION + 1, leg], legs[HIP_POSITION + 2, leg]))
+    x, y, z = trunk.tilt_point(
+        slope, (legs[HIP_POSITION_ROW, leg], legs[HIP_POSITION_ROW + 1, leg], legs[HIP_POSITION_ROW + 2, leg])
+    )
     return x, y + rise, z
 
 
@@ -353,9 +360,9 @@ def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
     """Return the distance (body lengths) of a foot from its rest position.
 
     This is the lesser of two distances: along the ground, and from the line from the hip through the rest position."""
-    rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
+    rest_x, rest_z = legs[REST_X_ROW, leg], legs[REST_Z_ROW, leg]
     x, z = local_foot[0] - rest_x, local_foot[2] - rest_z
-    by = hip[1] / max(hip[1] - local_foot[1], _MIN_HIP_HEIGHT_SHARE * legs[LEG_LENGTH, leg])
+    by = hip[1] / max(hip[1] - local_foot[1], _MIN_HIP_HEIGHT_SHARE * legs[LEG_LENGTH_ROW, leg])
     a, c = hip[0] + (local_foot[0] - hip[0]) * by - rest_x, hip[2] + (local_foot[2] - hip[2]) * by - rest_z
     return np.sqrt(min(x * x + z * z, a * a + c * c))
 
@@ -364,9 +371,9 @@ def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
 def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, max_share: Any) -> Any:
     """Return whether a foot is farther from its hip than the share `max_share` of its leg length, with the trunk as low as
     allowed."""
-    length = legs[LEG_LENGTH, leg]
+    length = legs[LEG_LENGTH_ROW, leg]
     x, z = local_foot[0] - hip[0], local_foot[2] - hip[2]
-    y = local_foot[1] - hip[1] + legs[FOOT_Y, leg]
+    y = local_foot[1] - hip[1] + legs[FOOT_Y_ROW, leg]
     high = max(abs(y) - (_MAX_SINK_SHARE * length if y < _ZERO else _ZERO), _ZERO)
     far = max_share * length
     return (x * x + high * high) + z * z > far * far
@@ -381,8 +388,8 @@ def _swing_position(legs: Any, leg: Any, end_points: Any, progress: Any, stride:
     far = np.sqrt((dx * dx + dy * dy) + dz * dz)
     arc = lift * min(_ONE, far / (stride * _SMALL_SWING_STRIDE_SHARE)) * (_FOUR * progress * (_ONE - progress))
     # The foot joint is above the ground. For the distance test, the hip is lowered by the joint's height.
-    a, b, c = hip[0], hip[1] - legs[FOOT_Y, leg], hip[2]
+    a, b, c = hip[0], hip[1] - legs[FOOT_Y_ROW, leg], hip[2]
     x, y, z = swing_start[0] + dx * eased - a, swing_start[1] + dy * eased + arc - b, swing_start[2] + dz * eased - c
     long = np.sqrt((x * x + y * y) + z * z)
-    by = min(_ONE, legs[LEG_LENGTH, leg] * _MAX_LEG_STRETCH / max(long, _MIN_DIVISOR))
+    by = min(_ONE, legs[LEG_LENGTH_ROW, leg] * _MAX_LEG_STRETCH / max(long, _MIN_DIVISOR))
     return a + x * by, b + y * by, c + z * by

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import inlined
 from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
-from antdsl.runtime.feet.gaits import FOOT_Y, HIP_POSITION, SQUARED_LENGTH
+from antdsl.runtime.feet.gaits import FOOT_Y_ROW, HIP_POSITION_ROW, SQUARED_LENGTH_ROW
 
 Floats = NDArray[np.float32]
 _F = np.float32
@@ -62,11 +62,13 @@ def lower_trunk(points: Any, swing_phases: Any, legs: Any, rise: Any, slope: Any
     """Return the rise of a trunk, lowered as far as the legs of its standing feet require. The trunk leans by `slope`."""
     most = _INFINITE
     for leg in range(legs.shape[1]):
-        x, y, z = tilt_point(slope, (legs[HIP_POSITION, leg], legs[HIP_POSITION + 1, leg], legs[HIP_POSITION + 2, leg]))
+        x, y, z = tilt_point(
+            slope, (legs[HIP_POSITION_ROW, leg], legs[HIP_POSITION_ROW + 1, leg], legs[HIP_POSITION_ROW + 2, leg])
+        )
         dx, dz = points[0, leg, i] - x, points[2, leg, i] - z
-        square = legs[SQUARED_LENGTH, leg] - dx * dx - dz * dz
+        square = legs[SQUARED_LENGTH_ROW, leg] - dx * dx - dz * dz
         if swing_phases[leg, i] == STANDING_SWING and square > _ZERO:
-            most = min(most, points[1, leg, i] + legs[FOOT_Y, leg] + np.sqrt(max(square, _ZERO)) - y)
+            most = min(most, points[1, leg, i] + legs[FOOT_Y_ROW, leg] + np.sqrt(max(square, _ZERO)) - y)
     return max(min(rise, most), min(rise, min_rise))
 
 

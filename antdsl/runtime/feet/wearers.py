@@ -1,4 +1,4 @@
-"""The agents that have one body, in the form in which feet read them."""
+"""The agents that have the same body, called its wearers, in the form in which feet read them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing
 from antdsl.runtime.body_positions import LIFT_REGISTERS
-from antdsl.runtime.body_rows import numbers_by_row, rows_by_body
+from antdsl.runtime.body_rows import find_body_numbers, group_rows_by_body
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key
 
@@ -31,7 +31,7 @@ class Wearers(Protocol):
 
     @property
     def now(self) -> Mapping[str, NDArray[Any]]:
-        """Return registers by name: at least heading, up and size, and the shift if the species has one."""
+        """Return the current values of registers by name: at least heading, up and size, and the body's shift if it exists."""
 
     def __len__(self) -> int: ...
 
@@ -40,12 +40,12 @@ class Wearers(Protocol):
 
     @property
     def footing(self) -> Footing:
-        """Return where the agents stand."""
+        """Return the footings of the agents: where they stand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SomeWearers:
-    """The agents in some rows of a population, all with the body `key`."""
+    """The agents of a population in the given `rows`, which all have the body `key`. Implements `Wearers`."""
 
     population: Population
     key: str
@@ -65,10 +65,10 @@ class SomeWearers:
         return self.population.footing.take_rows(self.rows)
 
 
-def wearers_of(world: World, key: str) -> Wearers:
+def find_wearers(world: World, key: str) -> Wearers:
     """Return the agents that have the body `key`."""
     population = world.populations[find_species_of_key(key)]
-    parts = rows_by_body(population, world.setting)
+    parts = group_rows_by_body(population, world.setting)
     rows = dict(parts)[key]
     if rows is None:
         return population
@@ -77,11 +77,11 @@ def wearers_of(world: World, key: str) -> Wearers:
     return SomeWearers(population, key, rows, population.ids.take(rows), population.position.take(rows, axis=0), registers)
 
 
-def sorted_ids_of(world: World, key: str) -> NDArray[np.int64]:
+def find_sorted_ids(world: World, key: str) -> NDArray[np.int64]:
     """Return the ids of the agents that have the body `key`, ascending."""
     population = world.populations[find_species_of_key(key)]
     if len(world.setting.list_body_keys(population.name)) < 2:
         return population.sorted_ids()[0]
-    numbers = numbers_by_row(population, world.setting)[population.rows_by_id()]
+    numbers = find_body_numbers(population, world.setting)[population.rows_by_id()]
     own: NDArray[np.int64] = population.sorted_ids()[0][numbers == find_number_of_key(key)]
     return own

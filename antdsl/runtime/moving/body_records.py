@@ -16,7 +16,7 @@ MAX_LIFT_PER_BODY = 0.6  # body lengths; the largest shift of a body
 
 
 class BodyPoses(NamedTuple):
-    """Up and heading of bodies."""
+    """The up directions and the headings of bodies, x, y, z each."""
 
     up: VectorColumns
     heading: VectorColumns
@@ -25,9 +25,10 @@ class BodyPoses(NamedTuple):
 class BodyLimits(NamedTuple):
     """Limits of bodies in a step.
 
-    `max_tilts`: the largest tilt (radians). `max_turn` (rad/s). `dt` (s). `size` (mm). `shapes`: the numbers of a `BodyShape` of
-    1 mm for each body of the species. `body`: the index of each agent's body. `ease`, `max_shift`: how far a body shifts by
-    choice, and at most (body lengths)."""
+    `max_tilts`: the largest tilt of each agent in this step (radians). `max_turn`: its largest turn (rad/s).
+    `size`: its size (mm). `body`: the number of its body. `dt`: the duration of the step (s).
+    `shapes`: the numbers of a `BodyShape` of 1 mm, for each body of the species.
+    `ease`: how far a body may shift even if it need not (body lengths). `max_shift`: the largest shift (body lengths)."""
 
     max_tilts: Array1[F32]
     max_turn: Array1[F32]
@@ -42,8 +43,8 @@ class BodyLimits(NamedTuple):
 class BodyRegisters(NamedTuple):
     """Values that a body retains from step to step.
 
-    `lift`: its shift (mm). `wait_share`: how strongly its feet wait for it, 0 to 1. `depth`: its depth inside a surface (body
-    lengths). `outward_direction`: the direction out of the surface that it touched."""
+    `lift`: its shift from the feet (mm). `wait_share`: how strongly its feet wait for it, from 0 to 1.
+    `depth`: its depth inside a surface (body lengths). `outward_direction`: the direction out of the surface that it touched."""
 
     lift: VectorColumns
     wait_share: Array1[F32]
@@ -52,7 +53,7 @@ class BodyRegisters(NamedTuple):
 
 
 class BodyRows(NamedTuple):
-    """Rows of agents, and the bend of the ground around each; see `MeshGround.mark_bends`."""
+    """Rows of agents. `levels`: how sharply the ground around each agent bends; see `MeshGround.mark_bends`."""
 
     rows: Array1[I64]
     levels: Array1[U8]
@@ -75,7 +76,7 @@ class FaceBuffers(NamedTuple):
 
 
 class ContactFaces(NamedTuple):
-    """Faces that bodies stay outside of: the packed `table`, the piece of each face, a tree of boxes, and buffers."""
+    """Faces that bodies must stay outside of: their packed `table`, the mesh piece of each face, a tree of boxes, and buffers."""
 
     table: Array1[F64]
     pieces: Array1[I32]
@@ -84,10 +85,11 @@ class ContactFaces(NamedTuple):
 
 
 class FaceSearch(NamedTuple):
-    """Tables for a search of faces: `piece` and the cuts of the topology, a tree of boxes, and buffers.
+    """Tables for a search of the faces near a path.
 
-    `has_several_pieces`: whether a path may meet another piece, or a face that cuts its own piece. `clearances`: the distances to
-    those."""
+    `has_several_pieces`: whether a path may meet another mesh piece, or a face that cuts its own piece.
+    `clearances`: lower bounds of the distances to such faces. `pieces`: the piece of each face. `cuts`: which faces are cut.
+    `boxes`: a tree of the faces' boxes. `buffers`: work memory."""
 
     has_several_pieces: BOOL
     clearances: ClearanceTables
@@ -99,6 +101,6 @@ class FaceSearch(NamedTuple):
 
 @inlined
 def get_shape(limits: BodyLimits, i: I64, size: F64) -> BodyShape:
-    """Return the shape of the body of agent i, for a body of `size` mm."""
+    """Return the capsule of agent i, scaled to a body of `size` mm."""
     k, shapes = limits.body[i], limits.shapes
     return BodyShape(shapes[k, 0] * size, shapes[k, 1] * size, shapes[k, 2] * size, shapes[k, 3] * size)

@@ -1,4 +1,4 @@
-"""Walks for the displacements that contacts request. Agents move over their ground and along obstacles.
+"""The walks by which agents make the displacements that contacts request, over their ground and along obstacles.
 
 No agent moves farther than it can walk in the step's duration."""
 
@@ -35,7 +35,9 @@ _FLOAT32_ZERO, _FLOAT32_ONE, _MIN_VECTOR_LENGTH, _MIN_MASS = np.float32(0), np.f
 
 
 class CorrectionWalker:
-    """Walker for agents of a crowd within one substep of `dt` s. `began`: start positions (n, 3) mm, by species."""
+    """The walks of a crowd's agents that contacts displace within one substep of `dt` s.
+
+    `began`: the positions (n, 3) mm at the start of the substep, by species."""
 
     def __init__(self, crowd: CapsuleCrowd, start_positions: Mapping[str, Floats], dt: float) -> None:
         self._crowd, self._start_positions, self._dt = crowd, start_positions, dt
@@ -71,9 +73,10 @@ class CorrectionWalker:
     def _prepare_walk(
         self, population: Population, rows: Rows, displacement: Floats
     ) -> tuple[VectorArrays, VectorComponents, Floats, Floats, Floats]:
-        """Return the inputs of a walk by (3, k) mm for the given rows.
+        """Return the inputs of a walk by `displacement` (3, k) mm for the given rows.
 
-        These are: step and ground normal, float32; the same normal and the headings, float64 (k, 3); sizes (mm)."""
+        They are the steps (float32), the ground normals (float32), the same normals and the headings (float64 (k, 3)), and the
+        sizes (mm)."""
         now = population.now
         step, feet = np.empty((2, 3, len(rows)), np.float32)
         up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
@@ -111,8 +114,9 @@ class CorrectionWalker:
         return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
     def _measure_reach(self, population: Population, rows: Rows, move: GroundMove) -> tuple[Floats | None, Floats]:
-        """Return the distances (mm) of agents from their start, and the largest allowed distances. Instead of the distances,
-        return None if no agent exceeds its limit."""
+        """Return the distances (mm) of agents from their start, and the largest allowed distances.
+
+        The first result is None if no agent is farther than allowed."""
         began, max_speed = self._start_positions[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
         is_too_far = _has_row_out_of_range(rows, move.position, began, population.position, max_speed, self._dt, far, most)
@@ -142,10 +146,10 @@ def _to_float32(v: Vec3) -> Vec3F32:
 
 
 class FootPositions(NamedTuple):
-    """Feet of the agents of a species.
+    """Positions and abilities of the agents of a species.
 
-    `start`, `current` (n, 3) mm: positions at the start and now. `normal` (n, 3): normal of the ground.
-    `max_speed` (mm/s), `mass`: of each agent."""
+    `start`, `current` (n, 3) mm: positions at the start of the substep, and current positions. `normal` (n, 3): ground normals.
+    `max_speed` (mm/s), `mass` (n): the speed limit and the mass of each agent."""
 
     start: Strided2[F64]
     current: Strided2[F64]
@@ -289,7 +293,7 @@ def select_displaced(corrections: Floats) -> tuple[Rows, Floats]:
 def find_unresolved_rows(
     nearby_pairs: NearbyPairs, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats, is_held: Flags
 ) -> Flags:
-    """Return which rows (k) must be measured again, and update their positions.
+    """Return which rows (k) must be measured again, because they moved or could not move. Update their capsules.
 
     `moved_rows`: the rows to move. `requested_moves`, `reached_moves` (3, ..) mm: their requested and actual displacements.
     `is_held` (k): set for rows that advanced too little; flags that are already set stay."""
@@ -299,7 +303,7 @@ def find_unresolved_rows(
 
 
 def find_overlapping_pairs(nearby_pairs: NearbyPairs, is_touched: Flags) -> Flags | None:
-    """Return which pairs (m) have a `is_touched` row (k). Return None if no such pair overlaps enough for another pass."""
+    """Return which pairs (m) have a row with `is_touched` (k); None if no such pair overlaps enough for another pass."""
     which = np.empty(len(nearby_pairs.i), np.bool_)
     return (
         which
@@ -345,8 +349,9 @@ def _mark_unresolved_rows(
 def _mark_overlapping_pairs(
     i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], is_touched: Array1[BOOL], is_overlapping: Array1[BOOL]
 ) -> BOOL:
-    """Write to `is_overlapping` the pairs that have a `is_touched` row. Return whether any of them overlaps enough for another
-    pass."""
+    """Write to `is_overlapping` which pairs have a row with `is_touched`.
+
+    Returns whether any of them overlaps enough for another pass."""
     for pair in simd_range(0, i.size):
         is_overlapping[pair] = is_touched[i[pair]] | is_touched[j[pair]]
     has_overlap = False

@@ -35,9 +35,15 @@ from antdsl.runtime.moving.falling import limit_fall_speed
 from antdsl.runtime.moving.obstacles import slide_steps, slow_velocities
 from antdsl.runtime.moving.orienting import orient_bodies
 from antdsl.runtime.moving.pacing import find_paces
-from antdsl.runtime.moving.postures import Posture, posture_of
+from antdsl.runtime.moving.postures import Posture, find_posture
 from antdsl.runtime.moving.scripted_walks import compute_guided_velocities, find_guided_agents, find_walks_by_line
-from antdsl.runtime.moving.slopes import SlopeStart, deflect_steps, find_walls_of_slope, has_slope_limit, lay_pushes
+from antdsl.runtime.moving.slopes import (
+    SlopeStart,
+    deflect_steps,
+    find_rows_blocked_by_slope,
+    has_slope_limit,
+    turn_pushes_along_slopes,
+)
 from antdsl.runtime.moving.substep_kernels import IntendedMotion, PendingWalks, prepare_steps, walk_plane, walk_triangles
 from antdsl.runtime.moving.tilting import BodyPosture, TurnLimits, follow_ground, limit_steps
 from antdsl.runtime.moving.velocities import (
@@ -47,14 +53,14 @@ from antdsl.runtime.moving.velocities import (
     AgentAbilities,
     AgentDrives,
     ArrivalArrays,
-    BodiesAfterWalk,
-    GazeDirections,
-    LimitsAfterWalk,
+    ArrivedBodies,
+    FacingDirections,
     MotionRegisters,
     PushTimes,
+    SpeedAndTurnLimits,
     TurnTimes,
     WalkedPoses,
-    heading_share,
+    compute_heading_share,
     update_arrived_rows,
 )
 from antdsl.runtime.world import Population, World
@@ -74,13 +80,13 @@ def move_agents(world: World, population: Population, substep: int) -> ClearStep
     clear = _move_clear(world, population, dt, substep) if has_clearance(world, population) else None
     if clear is not None:
         return clear
-    posture = posture_of(world, population)
+    posture = find_posture(world, population)
     others = world.setting.orient != "normal"
     crowd = _CrowdSubstep.build(world, population, dt, others or posture.is_set or has_slope_limit(population))
     previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
     slopes = SlopeStart.from_population(population) if has_slope_limit(population) else None
     if slopes is not None:
-        lay_pushes(world, population)
+        turn_pushes_along_slopes(world, population)
     crowd.prepare_steps(substep)
     crowd.deflect_at_obstacles()
     up = crowd.registers[3]
@@ -116,7 +122,7 @@ def _move_clear(world: World, population: Population, dt: np.float32, substep: i
     outset = population.footing, population.position, population.normal
     crowd.walk(world.ground)
     clear.follow(BodyPoses(*crowd.previous_axes), outset)
-    crowd.follow_feet(outset[1], NO_WALLS, posture_of(world, population))
+    crowd.follow_feet(outset[1], NO_WALLS, find_posture(world, population))
     clear.lift_climbers(clear.climbers)
     return clear
 
@@ -221,17 +227,17 @@ class _CrowdSubstep:
         parallel.run_in_parts(work, n, self.threads)
 
     def walk(self, ground: Ground) -> ArrivalArrays:
-        """Walk all agents over a ground to their new positions, and update their registers. Return what it read and wrote."""
+        """Walk all agents over a ground to their new positions, and update their registers. Return the arrays for this."""
         now = self.population.now
-        limits = LimitsAfterWalk(now["max_speed"], now["max_turn"], now["response"])
-        times = TurnTimes(self.frame_time * KINEMATIC_STEPS, self.dt, heading_share(self.dt))
-        facing = GazeDirections(
+        limits = SpeedAndTurnLimits(now["max_speed"], now["max_turn"], now["response"])
+        times = TurnTimes(self.frame_time * KINEMATIC_STEPS, self.dt, compute_heading_share(self.dt))
+        facing = FacingDirections(
             FACE_REGISTER in now,
             vec.get_vector_registers(now, "~face") if FACE_REGISTER in now else self.registers[1],
             self.must_align_all,
         )
         bodies, registers = (
-            BodiesAfterWalk(self.max_tilts, self.state, *self.previous_axes),
+            ArrivedBodies(self.max_tilts, self.state, *self.previous_axes),
             MotionRegisters._make(self.registers),
         )
         normals, old = np.empty((len(self.population), 3), np.float32), self.population.position
@@ -245,7 +251,7 @@ class _CrowdSubstep:
     def stop_at_slopes(self, start: SlopeStart, arrival: ArrivalArrays) -> None:
         """Walk again, along the slope, the agents that would step onto ground that is too steep for them."""
         p = self.population
-        rows = find_walls_of_slope(self.world, p, start)
+        rows = find_rows_blocked_by_slope(self.world, p, start)
         if not len(rows):
             return
         step, moved = deflect_steps(self.world, p, start, rows, vec.stack_rows(vec.take_rows(self.step, rows)))
@@ -271,7 +277,7 @@ class _CrowdSubstep:
         p.footing, p.position, p.normal = Footing.from_plane(place), place, arrival.normals
 
     def _walk_meshes(self, ground: MeshGround, arrival: ArrivalArrays) -> bool:
-        """Walk all agents over the triangles of the ground. Return None if the ground does not consist of triangles."""
+        """Walk all agents over the triangles of the ground. Return False if the ground does not consist of triangles."""
         p, n = self.population, len(self.population)
         walk = ground.build_crowd_walk(self.max_step_length, self.max_size)
         if walk is None:

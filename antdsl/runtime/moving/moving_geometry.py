@@ -1,5 +1,4 @@
-"""Moving things of the world: placing them for a frame, carrying agents with their ground, and pushing agents out of
-obstacles.
+"""The moving things of a world: their positions at a frame, and the agents that they carry or push.
 
 All results are functions of the frame and of the agents' positions."""
 
@@ -48,8 +47,8 @@ def pose_world(world: World, frame: int) -> None:
     for name in moves.meshes:
         if name in world.obstacles:
             world.obstacles[name] = _make_ray_scene(world, name, frame)
-            if world.detail is not None and name in world.setting.obstacles:
-                world.detail.move_boxes(name, compute_vertices(world, name, frame))
+            if world.detail_levels is not None and name in world.setting.obstacles:
+                world.detail_levels.move_boxes(name, compute_vertices(world, name, frame))
     for name, tracks in moves.items.items():
         if name in world.items:
             items = world.items[name]
@@ -69,7 +68,7 @@ def get_moving_ground(world: World) -> MovingGround | None:
 
 
 def pose_ground(world: World, frame: int) -> None:
-    """Move only the ground to a frame, with NumPy alone, for callers that read a world and cast no rays."""
+    """Move only the ground to a frame, without ray scenes. This is for callers that read a world and cast no rays."""
     ground = get_moving_ground(world)
     if ground is not None:
         moved = [name for name in world.setting.motion.meshes if name in world.setting.surfaces]
@@ -126,8 +125,7 @@ def compute_rest_positions(world: World, footing: Footing, place: NDArray[np.flo
 
 
 def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: VectorArrays) -> VectorArrays:
-    """Return vectors at the ground's rest pose (three float32 arrays), rotated to the current pose of the ground below each
-    agent."""
+    """Return vectors near agents, given at the ground's rest pose, rotated to its current pose (three float32 arrays each)."""
     ground = get_moving_ground(world)
     if ground is None:
         return vectors

@@ -35,7 +35,7 @@ _RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # larger tha
 
 def slide_steps(world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: Floats) -> VectorArrays:
     """Return the step (mm) of every agent, deflected along the obstacles ahead. `up` is the normal of the ground."""
-    names = _obstacle_names(world)
+    names = _list_obstacle_names(world)
     if names:
         place, began = vec.get_vector_registers(population.now, "position"), _is_at_start(population, world.options.threads)
     for name in names:
@@ -47,7 +47,7 @@ def slide_steps(world: World, population: Population, step: VectorArrays, up: Ve
 
 def slide_rows(world: World, population: Population, rows: Rows, step: VectorArrays, up: VectorComponents) -> VectorArrays:
     """Return steps as `slide_steps` does, for agents that have already moved within the step and continue from there."""
-    names = _obstacle_names(world)
+    names = _list_obstacle_names(world)
     if names:
         place, radius, drift = _measure_drift(population, rows)
     for name in names:
@@ -57,14 +57,14 @@ def slide_rows(world: World, population: Population, rows: Rows, step: VectorArr
 
 
 def _measure_drift(population: Population, rows: Rows) -> tuple[VectorArrays, Floats, Floats]:
-    """Return positions of some agents, their radii, and an upper bound of their distance (mm) from the start of the step."""
+    """Return the positions (mm) of some agents, their radii (mm), and upper bounds of their distances from the step's start."""
     positions, start = (vec.get_vector_registers(registers, "position") for registers in (population.now, population.start))
     place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
     measure_drift(rows, positions, start, population.now["radius"], place, radius, drift)
     return (place[0], place[1], place[2]), radius, drift
 
 
-def _obstacle_names(world: World) -> list[str]:
+def _list_obstacle_names(world: World) -> list[str]:
     """Return the names of the obstacles."""
     return [name for name in world.plan.obstacles if name in world.obstacles]
 
@@ -79,7 +79,7 @@ def find_obstacle_mesh(world: World, name: str) -> RayScene:
 def _is_at_start(population: Population, threads: int) -> bool:
     """Return whether all agents are still where the step began; this is false after a first substep."""
     now, start = vec.get_vector_registers(population.now, "position"), vec.get_vector_registers(population.start, "position")
-    work, least = partial(is_unchanged, now, start), parallel.MIN_LIGHT_ITEMS_PER_THREAD
+    work, least = partial(are_vectors_equal, now, start), parallel.MIN_LIGHT_ITEMS_PER_THREAD
     return all(parallel.run_in_parts(work, len(population), threads, least))
 
 
@@ -124,7 +124,7 @@ def _deflect_at_hits(
     scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], columns: Floats, hit_rows: NDArray[np.int64],
     hits: Floats, parts: list[tuple[int, int, int, int]], threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return the steps with those deflected by `deflect_steps` replaced. Steps that still hit a face are deflected along it."""
+    """Return the steps with the results of `deflect_steps`. Steps that still hit a face are deflected along that face."""
     rows, columns = parallel.join_parts(parts, rows, columns)
     if not len(rows):
         return step
@@ -185,7 +185,7 @@ def _find_hits(
 
 
 @kernel
-def is_unchanged(first: VectorColumns, second: VectorColumns, begin: I64, end: I64) -> BOOL:
+def are_vectors_equal(first: VectorColumns, second: VectorColumns, begin: I64, end: I64) -> BOOL:
     """Return whether two sets of vectors are equal from `begin` to before `end`, without any NaN."""
     is_same = True
     for i in range(begin, end):
@@ -195,7 +195,7 @@ def is_unchanged(first: VectorColumns, second: VectorColumns, begin: I64, end: I
 
 @inlined
 def _measure_step(step: VectorColumns, radius: Array1[F32], clearance: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
-    """Return the length of a step (mm), its margin (mm), and whether it may touch an obstacle."""
+    """Return the length (mm) of agent i's step, the margin (mm) from obstacles, and whether the step may touch an obstacle."""
     vector = (step[0][i], step[1][i], step[2][i])
     size = np.sqrt(dot(vector, vector))
     margin = (_FLOAT32_ZERO if radius[i] <= 0 else radius[i]) * _CENTRE_MARGIN_SHARE
@@ -206,7 +206,7 @@ def _measure_step(step: VectorColumns, radius: Array1[F32], clearance: Array1[F3
 def _keep_margin(
     step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clearance: F32, gap: F32, direction: Vec3F32
 ) -> tuple[Vec3F32, F32, BOOL]:
-    """Return a step that keeps the margin from a face `gap` mm away along `direction`, its length, and if it may hit a face."""
+    """Return a step that keeps the margin from a face at a distance `gap` (mm), its length, and whether it may hit a face."""
     wall = minus(direction, times(up, dot(direction, up)))
     long = np.sqrt(dot(wall, wall))
     if long > _MIN_VECTOR_LENGTH and np.isfinite(long):

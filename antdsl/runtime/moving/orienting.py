@@ -1,4 +1,4 @@
-"""Orient bodies by another method than the ground's smooth normal. Where a method fails, the normal is used.
+"""Methods that orient bodies by something else than the ground's smooth normal. If a method fails, the normal is used.
 
 Both methods follow the sources (R15). `turns` (method 1 in the source) does not query the ground. Two successive directions of
 motion span the plane of flat ground, and their cross product is its normal. `probes` (method 2) finds two points on the surface,

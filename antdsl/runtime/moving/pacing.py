@@ -40,7 +40,7 @@ class Paces:
             _divide_velocities(vec.get_vector_registers(registers, "velocity"), self.rows, self.previous_shares)
 
     def begin_move(self, population: Population) -> None:
-        """Give the start of the step its velocities in the scene again, and record the limits of speed and turn."""
+        """Set velocities at the start of the step to those of the visible motion, and record the limits of speed and turn."""
         assert self._velocities is not None
         for register, values in zip(vec.get_vector_registers(population.start, "velocity"), self._velocities, strict=True):
             register[self.rows] = values

@@ -1,4 +1,4 @@
-"""How bodies stand and turn: between the normal of their ground and the up of the world.
+"""The postures of bodies: they stand between the normal of their ground and the up direction of the world.
 
 The register exists for species that set `upright`. With 0, bodies stand along the normal of the ground; with 1, along the up of
 the world. Values between turn bodies by that share of the angle."""
@@ -35,10 +35,10 @@ _OPPOSITE_SINE = 1e-6  # sine of an angle near half a turn, without a rotation a
 
 
 class Posture(NamedTuple):
-    """How the bodies of a species stand.
+    """How upright the bodies of a species stand.
 
-    `is_set`: whether the species defines it. `upright`: share of the angle from the normal of the ground to `world_up`, the unit
-    vector up of the world."""
+    `is_set`: whether the species sets `upright`. `upright`: for each agent, the share of the angle from the normal of the ground
+    to `world_up`. `world_up`: the up direction of the world, a unit vector."""
 
     is_set: BOOL
     upright: Array1[F32]
@@ -50,7 +50,7 @@ def has_posture(population: Population) -> bool:
     return UPRIGHT_REGISTER in population.plan.settings
 
 
-def posture_of(world: World, population: Population) -> Posture:
+def find_posture(world: World, population: Population) -> Posture:
     """Return the posture of a population."""
     is_set = has_posture(population)
     upright = population.now[UPRIGHT_REGISTER if is_set else "size"]
@@ -59,7 +59,7 @@ def posture_of(world: World, population: Population) -> Posture:
 
 @kernel_helper
 def stand_up(up: Vec3, posture: Posture, i: I64) -> Vec3:
-    """Return the up of body i: `up`, turned by the body's share of the angle to the up of the world."""
+    """Return the up direction of body i: `up`, rotated by the body's share `upright` of the angle to the up of the world."""
     share = posture.upright[i]
     if not share > 0:
         return up
@@ -93,8 +93,8 @@ def compute_perpendicular_direction(v: Vec3, up: Vec3) -> Vec3:
 
 
 @kernel_helper
-def turn_axis(first: Vec3, second: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
-    """Return the axis of the least rotation from one unit vector to another, and the cosine and sine of its angle.
+def find_rotation_axis(first: Vec3, second: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
+    """Return the axis of the least rotation from one unit vector to another, the cosine of its angle, and the sine.
 
     Near half a turn, where the axis is undefined, the rotation passes through `ahead`."""
     axis, cosine = cross(first, second), min(max(dot(first, second), -1.0), 1.0)
@@ -106,18 +106,17 @@ def turn_axis(first: Vec3, second: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
 
 @kernel_helper
 def turn_heading(heading: Vec3, first_normal: Vec3, second_normal: Vec3) -> Vec3:
-    """Return a heading after the rotation from the normal `first_normal` to the normal `second_normal`; it is perpendicular to
-    `second_normal`."""
-    axis, cosine, sine = turn_axis(first_normal, second_normal, heading)
+    """Return `heading` after the least rotation from `first_normal` to `second_normal`, perpendicular to `second_normal`."""
+    axis, cosine, sine = find_rotation_axis(first_normal, second_normal, heading)
     return compute_perpendicular_direction(rotate_about_axis(heading, axis, cosine, sine), second_normal)
 
 
 @kernel_helper
-def tilt_within(body_up: Vec3, look: Vec3, goal: Vec3, max_angle: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
-    """Return the up `body_up` turned towards a goal by at most `max_angle` radians, and the heading `look` turned with it.
+def tilt_by_at_most(body_up: Vec3, look: Vec3, goal: Vec3, max_angle: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
+    """Rotate a body's up direction `body_up` towards `goal` by at most `max_angle` radians, and its heading `look` with it.
 
-    Also returns the angle of this turn and the angle of the full turn (radians)."""
-    axis, cosine, sine = turn_axis(body_up, goal, look)
+    Returns the new up direction, the new heading, and two angles (radians): that of this rotation, and that to `goal`."""
+    axis, cosine, sine = find_rotation_axis(body_up, goal, look)
     full_tilt = atan2(_F(sine), _F(cosine))
     tilt, c, s, up = full_tilt, cosine, sine, goal
     if not full_tilt <= max_angle:
@@ -128,8 +127,8 @@ def tilt_within(body_up: Vec3, look: Vec3, goal: Vec3, max_angle: F32) -> tuple[
 
 
 @kernel_helper
-def turn_within(heading: Vec3, goal: Vec3, up: Vec3, max_angle: F64) -> Vec3:
-    """Return the heading turned towards a goal by at most `max_angle` radians. Both are perpendicular to `up`."""
+def turn_by_at_most(heading: Vec3, goal: Vec3, up: Vec3, max_angle: F64) -> Vec3:
+    """Return `heading` rotated towards `goal` by at most `max_angle` radians. Both are perpendicular to `up`."""
     left = cross(up, heading)
     yaw, most_yaw, result = atan2(_F(dot(left, goal)), _F(dot(heading, goal))), _F(max_angle), goal
     if not abs(yaw) <= most_yaw:

@@ -29,7 +29,7 @@ _NUDGE = 0.3  # share of the step by which an agent turns away from a wall that 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeStart:
-    """Stances of the agents of a species before a substep: footings, positions (n, 3) mm, smooth normals, and headings (n, 3)."""
+    """The agents of a species before a substep: footings, positions (n, 3) mm, smooth ground normals, and headings (n, 3)."""
 
     footing: Footing
     position: Floats
@@ -41,17 +41,17 @@ class SlopeStart:
         return SlopeStart(population.footing, population.position, population.normal, population.read_vector("heading"))
 
     def find_steep(self, world: World, population: Population, rows: Rows, footing: Footing, pose: tuple[Floats, Floats]) -> Rows:
-        """Return the indices in `rows` of agents with a too steep step to a footing.
+        """Return the indices in `rows` of agents for which the step from the start to `footing` is too steep.
 
         `pose`: positions (k, 3) mm and smooth normals (k, 3) at the footing."""
-        up, limit = np.asarray(world.up, np.float64), steepest_cosines(population, rows)
+        up, limit = np.asarray(world.up, np.float64), find_steepest_cosines(population, rows)
         position, smooth = pose
         displacement = position - self.position[rows]
         distance = np.sqrt(_dot_vectors(displacement, displacement))
-        which = np.flatnonzero((_dot_vectors(face_normals(world, footing, smooth), up) < limit) & (distance > 0))
+        which = np.flatnonzero((_dot_vectors(find_face_normals(world, footing, smooth), up) < limit) & (distance > 0))
         is_rising = _dot_vectors(displacement, up)[which] > _MIN_RISE_SHARE * distance[which]
         start = self.footing.take_rows(rows[which])
-        normal = face_normals(world, start, self.normal[rows[which]].astype(np.float64))
+        normal = find_face_normals(world, start, self.normal[rows[which]].astype(np.float64))
         was_steep = _dot_vectors(normal, up) < limit[which]
         steep: Rows = which[is_rising | ~was_steep]
         return steep
@@ -63,7 +63,7 @@ def _dot_vectors(a: Floats, b: Floats) -> Floats:
     return product
 
 
-def face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
+def find_face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
     """Return the unit normals (k, 3) of the faces below agents, on the side of the smooth normals. Agents without a footing get
     the smooth normals."""
     normal = world.ground.normal(footing)
@@ -72,7 +72,7 @@ def face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
     return facing
 
 
-def steepest_cosines(population: Population, rows: Rows) -> Floats:
+def find_steepest_cosines(population: Population, rows: Rows) -> Floats:
     """Return the cosines of the steepest slopes that agents can walk, slightly reduced because of rounding."""
     angle = np.clip(population.now[MAX_SLOPE_REGISTER][rows], np.float32(0), np.float32(np.pi))
     cosine: Floats = elementary.cos(angle).astype(np.float64)
@@ -84,13 +84,13 @@ def has_slope_limit(population: Population) -> bool:
     return MAX_SLOPE_REGISTER in population.plan.settings
 
 
-def lay_pushes(world: World, population: Population) -> None:
-    """Turn the pushes of agents on steep ground along that ground, so that a push ahead leads over steps of stairs.
+def turn_pushes_along_slopes(world: World, population: Population) -> None:
+    """Rotate the pushes of agents on steep ground into that ground, so that a push ahead leads over steps of stairs.
 
-    The part of a push across the ground turns into a push up or down along it."""
+    The part of a push across the ground becomes a push up or down along it."""
     up, every = np.asarray(world.up, np.float64), np.arange(len(population))
-    normal = face_normals(world, population.footing, population.normal.astype(np.float64))
-    rows = np.flatnonzero(_dot_vectors(normal, up) < steepest_cosines(population, every))
+    normal = find_face_normals(world, population.footing, population.normal.astype(np.float64))
+    rows = np.flatnonzero(_dot_vectors(normal, up) < find_steepest_cosines(population, every))
     if not len(rows):
         return
     normal, push = normal[rows], population.read_vector("push")[rows].astype(np.float64)
@@ -102,8 +102,8 @@ def lay_pushes(world: World, population: Population) -> None:
         population.now[f"push.{axis}"][rows] = laid[:, k]
 
 
-def find_walls_of_slope(world: World, population: Population, start: SlopeStart) -> Rows:
-    """Return the agents with a too steep step that cannot cross the steep part as a step of stairs."""
+def find_rows_blocked_by_slope(world: World, population: Population, start: SlopeStart) -> Rows:
+    """Return the rows of agents with a too steep step, except those that can cross the steep part as a step of stairs."""
     every, pose = np.arange(len(population)), (population.position, population.normal.astype(np.float64))
     rows = start.find_steep(world, population, every, population.footing, pose)
     if not len(rows):
@@ -131,7 +131,7 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
     is_free[hit] = False
     down = -up * tread * (2 + 2 * _CLEARANCE_PER_STEP)
     hit, _, normal = meshes.find_hit_normals(origin + ahead, down, threads)
-    limit = steepest_cosines(population, rows)
+    limit = find_steepest_cosines(population, rows)
     crosses[hit] = np.abs(_dot_vectors(normal.T, up)) >= limit[hit]
     return crosses & is_free
 
@@ -141,7 +141,7 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
 
     `step` (k, 3) mm: the steps that were too steep. Agents that would meet steep ground again do not move."""
     up = np.asarray(world.up, np.float64)
-    wall = face_normals(world, population.footing.take_rows(rows), population.normal[rows].astype(np.float64))
+    wall = find_face_normals(world, population.footing.take_rows(rows), population.normal[rows].astype(np.float64))
     wall = wall - _dot_vectors(wall, up)[:, None] * up
     wall = wall / np.maximum(np.sqrt(_dot_vectors(wall, wall))[:, None], 1e-12)
     into = _dot_vectors(step, wall)[:, None]

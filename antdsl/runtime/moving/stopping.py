@@ -24,8 +24,9 @@ def bend_paths(
     stopped_rows: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
-    """Deflect paths at the impacts of `pairs`: a body continues from there along the other one. Return the number of stopped
-    rows.
+    """Deflect paths at the impacts of `pairs`: a body continues from the impact along the other body.
+
+    Returns the number of rows that are stopped.
 
     `approach` (3, n) mm: displacements in the previous period of equal length. A body follows a body that withdraws. The other
     arguments are as in `step_clamping.bend_along`."""
@@ -48,9 +49,9 @@ def bend_paths(
 def find_next_impacts(
     pairs: PathPairs, paths: PathArrays, is_touched: Array1[BOOL], latest: Array1[BOOL], first: Array1[F64]
 ) -> I64:
-    """Write the impacts of the pairs with a `is_touched` row, and to `first` (n) the first impact of each row. Return the number
-    of impacts.
+    """Write the impacts of pairs with a row that `is_touched` to `pairs`, and the time of each row's first impact to `first` (n).
 
+    Returns the number of impacts.
     `latest` (n): rows that have changed since the last call. Only impacts of their pairs are computed again."""
     for pair in range(pairs.i.size):
         p, q = pairs.i[pair], pairs.j[pair]
@@ -100,8 +101,7 @@ def shorten_paths(
 
 @kernel
 def list_corrections(displacement: Array2[F64], travel: Array2[F64], rows: Array1[I64], corrections: Array2[F64]) -> I64:
-    """Write the rows that do not end at `travel` (3, n) mm, and the displacements (mm) from there. Return their
-    number."""
+    """Write the rows of which the displacement differs from `travel` (3, n) mm, and the differences. Return their number."""
     for k in simd_range(0, rows.size):
         path, step = get_column(displacement, k), get_column(travel, k)
         rows[k] = 1 if (path[0] != step[0]) | (path[1] != step[1]) | (path[2] != step[2]) else 0

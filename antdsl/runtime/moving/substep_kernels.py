@@ -43,9 +43,9 @@ _FLOAT32_ZERO = _F(0)
 
 
 class IntendedMotion(NamedTuple):
-    """The intended motion of agents.
+    """The intended motion of agents in a substep.
 
-    `velocity` (mm/s). `step`: the displacement in `dt` (mm). `length`: the length of the step (mm).
+    `velocity`: in mm/s. `step`: the displacement in `dt` (mm). `length`: the length of the step (mm).
     `level_heading`: heading along the ground, for agents that lean.
     `max_tilt`: the largest tilt (radians). `wall_reach`: how far ahead the agent searches for walls (mm).
     `state`: how the body stands, see `velocities`."""
@@ -60,9 +60,9 @@ class IntendedMotion(NamedTuple):
 
 
 class PendingWalks(NamedTuple):
-    """Values of the agents that `walk_triangles` leaves to a later walk.
+    """The agents that `walk_triangles` leaves to a later walk.
 
-    `float_values`, `integer_values`: their values. `statuses`: the status of every agent."""
+    `float_values`, `integer_values`: the states of their walks. `statuses`: the status of every agent."""
 
     float_values: Array2[F64]
     integer_values: Array2[I64]
@@ -86,7 +86,7 @@ def prepare_steps(
     applies.
 
     Returns the longest finite step and the greatest size (mm), -inf if there is no finite number."""
-    heading, up, normal = drive.heading, drive.up, drive.normal
+    heading, up, normal = drive.heading, drive.up, drive.ground_normal
     max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, times_of.dt
     to, step, looking, long, most, reach, state = motion
     for i in simd_range(begin, end):

@@ -34,12 +34,12 @@ from antdsl.runtime.moving.clearance.walls_ahead import find_walls, write_wall_r
 from antdsl.runtime.moving.postures import (
     Posture,
     compute_perpendicular_direction,
-    posture_of,
+    find_posture,
     read_vector,
     stand_up,
-    tilt_within,
+    tilt_by_at_most,
+    turn_by_at_most,
     turn_heading,
-    turn_within,
 )
 from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE, maximum
 from antdsl.runtime.world import Population, World
@@ -62,7 +62,7 @@ def tilt_new_bodies(world: World, population: Population, rows: NDArray[np.intp]
     *walls, _ = find_walls(world, population, (x, y, z), (rest, rest, rest), reach, state)
     start = population.start
     poses = *_pose_registers(start), *_pose_registers(now)
-    tilt_rows(rows, state, population.normal, (x, y, z), tuple(walls), posture_of(world, population), *poses)
+    tilt_rows(rows, state, population.normal, (x, y, z), tuple(walls), find_posture(world, population), *poses)
 
 
 def level_headings(population: Population, threads: int = 1) -> None:
@@ -346,13 +346,13 @@ def follow_ground(
             target_up = _tilt_up(normal, get_column64(wall, j), get_column64(ahead, j), angle[j], far[j], over[j], displacement)
         if posture.is_set:
             target_up = stand_up(target_up, posture, i)
-        up, one, (tilt, _) = tilt_within(stands, look, target_up, most[i])
+        up, one, (tilt, _) = tilt_by_at_most(stands, look, target_up, most[i])
         other = turn_heading(turn_heading(looking, normal, target_up), target_up, up)
         yaw_limit = 4.0
         if np.isfinite(max_turn[i]):
             turn = np.float64(max(max_turn[i], _F(0)) * dt)
             yaw_limit = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0))
-        facing = turn_within(one, other, up, min(yaw_limit, 4.0))
+        facing = turn_by_at_most(one, other, up, min(yaw_limit, 4.0))
         if j >= 0:
             w, a = get_column64(wall, j), get_column64(ahead, j)
             middle = plus(times(up, 2 * rise * half[j]), times(a, _measure_approach(displacement, w, a) - far[j]))

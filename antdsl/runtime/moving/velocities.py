@@ -35,19 +35,19 @@ LEANING_STATE, STANDING_STATE, HURRYING_STATE = -1, -2, -3
 
 
 @cache
-def heading_share(dt: np.float32) -> np.float32:
+def compute_heading_share(dt: np.float32) -> np.float32:
     """Return the share of the turn towards the movement that is made in a substep of `dt` s."""
     return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_SECONDS))))
 
 
 class AgentDrives(NamedTuple):
-    """The inputs of an agent's motion: push, velocity (mm/s), heading, up, and the normal (n, 3) of the ground."""
+    """What determines the motion of agents: push, velocity (mm/s), heading, up, and the normals (n, 3) of the ground."""
 
     push: VectorColumns
     velocity: VectorColumns
     heading: VectorColumns
     up: VectorColumns
-    normal: Array2[F32]
+    ground_normal: Array2[F32]
 
 
 class AgentAbilities(NamedTuple):
@@ -71,17 +71,17 @@ class PushTimes(NamedTuple):
     dt: F32
 
 
-class LimitsAfterWalk(NamedTuple):
-    """Abilities of agents that limit their velocity and turn after a walk."""
+class SpeedAndTurnLimits(NamedTuple):
+    """The limits of agents' speeds and turns after a walk. Names are those that programs use."""
 
     max_speed: Array1[F32]
     max_turn: Array1[F32]
     response: Array1[F32]
 
 
-class BodiesAfterWalk(NamedTuple):
-    """Bodies after a walk: tilt limits `max_tilt` (radians), states, and buffers for the previous `previous_up` and
-    `previous_heading`."""
+class ArrivedBodies(NamedTuple):
+    """The bodies of agents after a walk: tilt limits `max_tilt` (radians), states, and buffers for the up direction and the
+    heading before the walk."""
 
     max_tilt: Array1[F32]
     state: Array1[I32]
@@ -100,8 +100,8 @@ class TurnTimes(NamedTuple):
     turn_share: F32
 
 
-class GazeDirections(NamedTuple):
-    """Directions to face. `is_set`: whether there are any. `direction`: the directions.
+class FacingDirections(NamedTuple):
+    """The directions that agents face. `is_set`: whether the species sets them. `direction`: the directions.
     `must_align_all`: whether all bodies must be aligned with their feet."""
 
     is_set: BOOL
@@ -127,16 +127,16 @@ class ArrivalArrays(NamedTuple):
     start: Strided2[F64]
     step: VectorColumns
     velocity: VectorColumns
-    limits: LimitsAfterWalk
-    bodies: BodiesAfterWalk
+    limits: SpeedAndTurnLimits
+    bodies: ArrivedBodies
     times: TurnTimes
-    gaze: GazeDirections
+    gaze: FacingDirections
     registers: MotionRegisters
     normals: Array2[F32]
 
 
 class WalkedPoses(NamedTuple):
-    """Poses after a walk: position, up, heading and direction (3, n), and which agents are `is_blocked`."""
+    """Poses after a walk: position, up, heading and direction of motion (3, n), and whether something blocked the walk."""
 
     position: Strided2[F64]
     up: Strided2[F64]
@@ -304,7 +304,7 @@ def update_arrived_rows(rows: Array1[I64], walked_poses: WalkedPoses, arrival: A
 
 @inlined
 def _squared_angle(square: F32) -> F32:
-    """Return the square of an angle between unit vectors from their squared chord, by the first terms of its series.
+    """Return the squared angle (rad²) between two unit vectors from their squared distance, by the first terms of its series.
 
     Beyond 1 rad the result is too small."""
     return square * (_FLOAT32_ONE + square * (ANGLE_COEFFICIENT_1_12 + square * ANGLE_COEFFICIENT_1_90))

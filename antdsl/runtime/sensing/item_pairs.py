@@ -1,4 +1,4 @@
-"""Items near agents: pairs of a requesting row and an item, sorted by both, with offset (mm, float32) and distance (mm).
+"""Items near agents, as pairs of a requesting row and an item. A pair has an offset and a distance (mm, float32).
 
 With few items, all are measured from all rows. With many items, those too far away along two axes are excluded first. Both
 methods give the same bits."""
@@ -27,11 +27,13 @@ _RADIUS_SLACK_FACTOR, _MIN_DISTANCE_MM = 1 + 1e-5, 1e-15
 
 
 def find_items_within(items: Items, own_positions: tuple[Floats, ...], radius: Any) -> ItemPairColumns:
-    """Return pairs of positions (three float32[n]) and items within a radius (mm, one number or float[n])."""
+    """Return the pairs of agents and items within a radius (mm, one number or float[n]) of the agents' positions.
+
+    The columns are: agent, item, offset x, y, z, and distance. They are sorted by agent, then by item."""
     reach = np.full(len(own_positions[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
     if len(items) > _MIN_ITEMS_TO_FILTER:
-        return measure_filtered(items, own_positions, reach)
-    return measure_all(items, own_positions, reach)
+        return find_pairs_among_near_items(items, own_positions, reach)
+    return find_pairs_among_all_items(items, own_positions, reach)
 
 
 def _visible_positions(items: Items) -> VectorArrays:
@@ -40,8 +42,8 @@ def _visible_positions(items: Items) -> VectorArrays:
     return x, y, z
 
 
-def measure_all(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
-    """Return the pairs within `reach` (mm), after measuring all items from all rows."""
+def find_pairs_among_all_items(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
+    """Return the pairs within `reach` (mm) by measuring the distances of all items from all agents."""
     item_points, agent_points, (reach,) = (
         make_contiguous(*_visible_positions(items)),
         make_contiguous(*own_positions),
@@ -55,9 +57,10 @@ def measure_all(items: Items, own_positions: tuple[Floats, ...], reach: Floats) 
     return tuple(a[:used] for a in pairs)
 
 
-def measure_filtered(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
-    """Return the pairs within `reach` (mm). Only items in reach along the two axes with the widest spread of items are
-    measured."""
+def find_pairs_among_near_items(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
+    """Return the pairs within `reach` (mm) by measuring only items that are in reach along two axes.
+
+    These are the axes along which the items are spread most widely."""
     n, item_points = len(own_positions[0]), _visible_positions(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]
@@ -100,7 +103,7 @@ def _join_columns(parts: list[ItemPairColumns]) -> ItemPairColumns:
 def _fill_pairs(
     items: VectorColumns, agent_points: VectorColumns, reach: Array1[F32], pairs: PairColumns, row: I64, used_count: I64
 ) -> tuple[I64, I64]:
-    """Write pairs from a row on, after `used_count` earlier pairs, until all rows are done or the arrays are full.
+    """Write the pairs of agents from `row` on, after `used_count` earlier pairs, until all are done or the arrays are full.
 
     Returns the next row and the number of pairs."""
     ix, iy, iz = items

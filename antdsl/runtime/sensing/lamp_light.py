@@ -14,7 +14,7 @@ from antdsl.casting.tolerances import MIN_VECTOR_LENGTH
 from antdsl.numerics.vector_rows import dot
 from antdsl.numerics.vectors import split_columns
 from antdsl.plan import ir
-from antdsl.runtime.sensing.thing_senses import Rows, read_places
+from antdsl.runtime.sensing.thing_senses import Rows, read_exact_positions
 from antdsl.runtime.world import Population, World
 from antdsl.scene.looks import choose_drawn_shape, compute_drawn_radius, compute_remaining_share, is_lamp_look
 
@@ -26,8 +26,9 @@ Floats = NDArray[np.float64]
 
 
 def sense_light(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> NDArray[np.float32]:
-    """Return the light of the lamps at the positions of rows (n,). Light 1 is about that of the sun in pictures."""
-    place = read_places(world, population, rows)
+    """Return the light of the lamps at the positions of `rows`, float32[n]. A value of 1 is about the light of the sun in
+    pictures."""
+    place = read_exact_positions(world, population, rows)
     normal = population.normal[rows].astype(np.float64)
     start = place + normal * (population.start["size"][rows].astype(np.float64) * _START_HEIGHT)[:, None]
     total = np.zeros(len(place))

@@ -30,10 +30,11 @@ def find_nearest_agents(
 ) -> PairColumns | None:
     """Return the nearest other of each requesting agent.
 
+    The columns are: ascending indices of requesting agents with a result, rows of the others, offsets x, y, z from the requesting
+    agent, and distances. The result is None if a position is not finite or its square exceeds float32.
     `own_positions`: x, y and z of the requesting agents, float32[n] mm. `ids`: their ids if both are of the same species, so
-    that no agent finds itself. The result is: ascending indices of agents with a result, rows of the others, offsets x, y, z
-    from the requesting agent, distances. It is None if a position is not finite or its square exceeds float32."""
-    mine, sites = np.stack(own_positions, axis=1).astype(np.float64), _cached_sites(world, other)
+    that no agent finds itself."""
+    mine, sites = np.stack(own_positions, axis=1).astype(np.float64), _get_sites(world, other)
     if sites is None or not (np.abs(mine) < _MAX_DISTANCE_MM).all():
         return None
     every = len(sites.first)
@@ -101,15 +102,15 @@ def _measure_pairs(other: Population, own_positions: tuple[Floats, ...], i: NDAr
 class _AgentSites:
     """The distinct positions of agents of a species.
 
-    `tree`: a k-d tree of the positions. `first`, `second_rows`: the rows of the two least ids at each position; the second is -1
-    for a single agent. It is used if the first is the requesting agent."""
+    `tree`: a k-d tree of the positions. `first`: the row of the agent with the least id at each position. `second_rows`: the row
+    with the second least id, -1 if there is only one agent; it is used if the first is the requesting agent."""
 
     tree: Any
     first: NDArray[np.intp]
     second_rows: NDArray[np.intp]
 
 
-def _cached_sites(world: World, other: Population) -> _AgentSites | None:
+def _get_sites(world: World, other: Population) -> _AgentSites | None:
     """Return the positions of a species at the start of the step, cached for the step.
 
     Return None if there is no agent, or if a position is not finite or too far from the origin."""
@@ -120,7 +121,7 @@ def _cached_sites(world: World, other: Population) -> _AgentSites | None:
 
 
 def _build_sites(other: Population) -> _AgentSites | None:
-    """Return the distinct positions of a species, or None in the cases of `_cached_sites`."""
+    """Return the distinct positions of a species, or None in the cases of `_get_sites`."""
     from scipy.spatial import cKDTree
 
     x, y, z = (other.start[f"position.{axis}"] for axis in AXES)

@@ -68,17 +68,17 @@ def build_nearest_search(
     widest = float(np.max(radius, initial=0.0, where=np.isfinite(radius)))
     grid = _find_grid(world, _EVERY_SPECIES, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
-    positions = grid.order.at.take(grid.first_rows[population.name] + rows)
+    positions = grid.order.position_by_row.take(grid.first_rows[population.name] + rows)
     return grid.crowd, Requesters(positions, rows, radius, max_count, vec.get_vector_registers(population.start, "heading"))
 
 
 class _CrowdGrid(CellGrid):
-    """All agents of a world in cells. `first_rows`: the first row of each species. `crowd`: the agents as kernels read them."""
+    """All agents of a world, sorted into cells. `first_rows`: the first row of each species. `crowd`: the tables for kernels."""
 
     def __init__(self, world: World, cell: float) -> None:
         populations, threads = world.populations, world.options.threads
-        self.first_rows = _first_rows(populations, list(populations))
-        named = _first_rows(populations, sorted(populations))
+        self.first_rows = _find_first_rows(populations, list(populations))
+        named = _find_first_rows(populations, sorted(populations))
 
         def join_arrays(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
             return np.concatenate(arrays) if len(arrays) > 1 else np.ascontiguousarray(arrays[0])
@@ -94,7 +94,10 @@ class _CrowdGrid(CellGrid):
         up, motion = np.empty((2, 4 * (x.size + LANE_COUNT)), np.float32)
         sensed = join_vectors("up"), join_vectors("velocity"), radius, numbers
         parallel.run_in_parts(
-            partial(store_up_and_motion, self.order.at, *sensed, up, motion), x.size, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+            partial(store_up_and_motion, self.order.position_by_row, *sensed, up, motion),
+            x.size,
+            threads,
+            parallel.MIN_LIGHT_ITEMS_PER_THREAD,
         )
         by_name = np.empty(0, np.int32)
         if len(populations) > 1:
@@ -102,7 +105,7 @@ class _CrowdGrid(CellGrid):
         self.crowd = CrowdTables(self.table(), up, motion, by_name)
 
 
-def _first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:
+def _find_first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:
     """Return the first row of each species in an array of all species in the order of `names`."""
     ends = accumulate(len(populations[name]) for name in names)
     return {name: end - len(populations[name]) for name, end in zip(names, ends, strict=True)}

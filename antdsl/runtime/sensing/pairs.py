@@ -107,7 +107,7 @@ def _advise_on_radius(other: Population, radius: Any) -> str:
 
 
 def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
-    """Return whether a set is a complete species of which only the nearest agent is used. Only that agent is then in the set."""
+    """Return whether a set is a complete species, but only its nearest agent is used. Then the set has only that agent."""
     return node.op == "set.every" and count_nearest(species, node) == 1
 
 
@@ -142,7 +142,7 @@ def _shorten_radii(
 
 
 def _find_set_use(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
-    """Return the smallest part of the species' own source that uses a set, because the set may be defined in a library."""
+    """Return the shortest text in the species' own source that uses a set. The set itself may be defined in a library."""
     if _is_own_text(node.span):
         return node.span
     for _, block in list_blocks(species):
@@ -209,7 +209,7 @@ def _make_all_pairs(other: Population, own_positions: tuple[Floats, ...], ids: N
 
 
 def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
-    """Return the requesting rows of the pairs that satisfy the condition, and the indices of these pairs (None: all)."""
+    """Return the requesting rows of the pairs that satisfy a condition, and the indices of these pairs (None for all)."""
     if np.ndim(condition) == 0:
         return (pairs.i, None) if condition else (pairs.i[:0], np.empty(0, np.intp))
     keep = np.flatnonzero(condition)
@@ -241,7 +241,7 @@ def _find_row_starts(i: Index) -> NDArray[np.intp]:
     return np.flatnonzero(np.concatenate(([True], i[1:] != i[:-1])))
 
 
-def _row_minimum(i: Index, body: Floats, count: int) -> Floats:
+def _find_row_minima(i: Index, body: Floats, count: int) -> Floats:
     """Return the least `body` of each row, ignoring NaN; inf for rows without pairs."""
     result = np.full(count, np.inf, np.float32)
     if len(i):
@@ -252,23 +252,25 @@ def _row_minimum(i: Index, body: Floats, count: int) -> Floats:
 
 def _reduce_min(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     i, keep = _select_rows(pairs, condition)
-    return _row_minimum(i, _select_body_values(pairs, body, keep), pairs.count)
+    return _find_row_minima(i, _select_body_values(pairs, body, keep), pairs.count)
 
 
 def _reduce_max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     i, keep = _select_rows(pairs, condition)
-    return -_row_minimum(i, -_select_body_values(pairs, body, keep), pairs.count) + np.float32(0)
+    return -_find_row_minima(i, -_select_body_values(pairs, body, keep), pairs.count) + np.float32(0)
 
 
-def _best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
-    """Return the label of the pair with the least `body` for each row. Among equals, the least label is chosen."""
+def _find_best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
+    """Return the label (id or number) of the pair with the least `body` for each row. Among equals, it is the least label.
+
+    `none`: the result for rows without pairs."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
     if not len(i):
         return result
     body = _select_body_values(pairs, body, keep)
     label = label if keep is None else label.take(keep)
-    best = np.flatnonzero(body == _row_minimum(i, body, pairs.count).take(i))
+    best = np.flatnonzero(body == _find_row_minima(i, body, pairs.count).take(i))
     if len(best):
         i, label = i.take(best), label.take(best)
         starts = _find_row_starts(i)
@@ -276,17 +278,19 @@ def _best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any],
     return result
 
 
-def _best_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+def _find_best_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     assert isinstance(pairs.others, Population)
-    return _best_label(pairs, condition, body, pairs.others.ids.take(pairs.j), NO_AGENT)
+    return _find_best_label(pairs, condition, body, pairs.others.ids.take(pairs.j), NO_AGENT)
 
 
-def _best_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
-    return _best_label(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
+def _find_best_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    return _find_best_label(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
 
 
-def _nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
-    """Return the label of the pair with the n-th least `body` for each row. Equals are ordered by label."""
+def _find_nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
+    """Return the label (id or number) of the pair with the n-th least `body` for each row. Equals are sorted by label.
+
+    `number`: n for each row. `none`: the result for rows with fewer pairs."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
     body, number = _select_body_values(pairs, body, keep), np.floor(_select_body_values(pairs, number, keep))
@@ -302,13 +306,13 @@ def _nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: N
     return result
 
 
-def _nth_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
+def _find_nth_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
     assert isinstance(pairs.others, Population)
-    return _nth_label(pairs, condition, body, number, pairs.others.ids.take(pairs.j), NO_AGENT)
+    return _find_nth_label(pairs, condition, body, number, pairs.others.ids.take(pairs.j), NO_AGENT)
 
 
-def _nth_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
-    return _nth_label(pairs, condition, body, number, pairs.j.astype(np.int32), NO_ITEM)
+def _find_nth_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
+    return _find_nth_label(pairs, condition, body, number, pairs.j.astype(np.int32), NO_ITEM)
 
 
 REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
@@ -317,10 +321,10 @@ REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "reduce.any": _reduce_any,
     "reduce.min": _reduce_min,
     "reduce.max": _reduce_max,
-    "reduce.agent": _best_agent,
-    "reduce.item": _best_item,
-    "reduce.nth_agent": _nth_agent,
-    "reduce.nth_item": _nth_item,
+    "reduce.agent": _find_best_agent,
+    "reduce.item": _find_best_item,
+    "reduce.nth_agent": _find_nth_agent,
+    "reduce.nth_item": _find_nth_item,
 }
 
 

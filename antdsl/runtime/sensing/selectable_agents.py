@@ -13,7 +13,7 @@ def collect_selectable_frame(world: World) -> SelectableFrame:
     single = {item: points[name][k : k + 1] for name, items in world.items.items() for k, item in enumerate(items.names)}
     return SelectableFrame(
         {name: _collect_agents(world, population) for name, population in world.populations.items()},
-        {crowd.name: line for crowd, line in zip(world.setting.crowds, world.lines, strict=True) if crowd.name},
+        {crowd.name: line for crowd, line in zip(world.setting.crowds, world.crowd_lines, strict=True) if crowd.name},
         single | points,
         world.setting.seed,
         world.setting.unit_mm,

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 class ViewPyramid(NamedTuple):
-    """What a camera sees: all between four planes through the `eye` (3,).
+    """The space that a camera sees: everything between four planes through the `eye` (3,).
 
     `ahead` (3,): the unit axis of the view. `sides`: the unit axes (3,) to the right and the top of the picture, each with the
     tangent of half the angle of view along it."""

@@ -1,4 +1,4 @@
-"""The senses of curves, flows, maps and cameras at the agents' own positions, and what all senses need of rows."""
+"""The senses of curves, flows, maps and cameras at the agents' own positions, and helpers of all senses for rows."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ SenseValue = Any
 Rows = slice | NDArray[np.intp]
 
 
-def row_count(rows: Rows) -> int:
+def count_rows(rows: Rows) -> int:
     return rows.stop - rows.start if isinstance(rows, slice) else len(rows)
 
 
-def spread_rows(value: SenseValue, rows: Rows) -> NDArray[Any]:
-    """Return an array with one value for each row."""
-    return np.full(row_count(rows), value) if np.ndim(value) == 0 else value
+def expand_to_rows(value: SenseValue, rows: Rows) -> NDArray[Any]:
+    """Return `value` as an array with one value for each row."""
+    return np.full(count_rows(rows), value) if np.ndim(value) == 0 else value
 
 
 def read_positions(world: World, population: Population, rows: Rows) -> tuple[NDArray[np.float32], ...]:
     return tuple(population.start[f"position.{axis}"][rows] for axis in AXES)
 
 
-def read_places(world: World, population: Population, rows: Rows) -> NDArray[np.float64]:
-    """Return the positions (n, 3) of rows at the start of the step."""
+def read_exact_positions(world: World, population: Population, rows: Rows) -> NDArray[np.float64]:
+    """Return the positions (n, 3; mm, float64) of rows at the start of the step."""
     return np.stack(read_positions(world, population, rows), axis=1).astype(np.float64)
 
 
@@ -40,13 +40,13 @@ def _sense_curve_closest(world: World, population: Population, node: ir.PlanNode
 
 
 def _sense_flow_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    place = read_places(world, population, rows)
+    place = read_exact_positions(world, population, rows)
     up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].sample(world.ground.meshes, population.footing.take_rows(rows), place, up)
 
 
 def _sense_flow_reachable(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    place = read_places(world, population, rows)
+    place = read_exact_positions(world, population, rows)
     up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].has_flow_at(world.ground.meshes, population.footing.take_rows(rows), place, up)
 
@@ -63,12 +63,12 @@ def _find_camera(world: World, node: ir.PlanNode) -> SensedCamera:
 
 def _sense_camera_position(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     place = _find_camera(world, node).find_position(world.frame).astype(np.float32)
-    return tuple(np.full(row_count(rows), part) for part in place)
+    return tuple(np.full(count_rows(rows), part) for part in place)
 
 
 def _sense_camera_view(world: World, population: Population, node: ir.PlanNode, rows: Rows, margin: SenseValue) -> SenseValue:
-    place = read_places(world, population, rows)
-    return _find_camera(world, node).find_in_view(world.frame, place, np.float64(1) * spread_rows(margin, rows))
+    place = read_exact_positions(world, population, rows)
+    return _find_camera(world, node).find_in_view(world.frame, place, np.float64(1) * expand_to_rows(margin, rows))
 
 
 PLACED_THING_SENSES: Mapping[str, Callable[..., SenseValue]] = {

@@ -19,13 +19,13 @@ from antdsl.ground.protocol import Footing, GroundMove
 from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
-from antdsl.runtime.clip_values import clip_value
+from antdsl.runtime.clip_values import read_clip_value
 from antdsl.runtime.collisions import find_new_contacts
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.clearance.obstacle_clearance import get_clearance, may_touch
 from antdsl.runtime.sensing.lamp_light import sense_light
 from antdsl.runtime.sensing.neighbourhood import compute_clear_velocity, find_widest_gap
-from antdsl.runtime.sensing.thing_senses import PLACED_THING_SENSES, Rows, SenseValue, read_positions, row_count, spread_rows
+from antdsl.runtime.sensing.thing_senses import PLACED_THING_SENSES, Rows, SenseValue, count_rows, expand_to_rows, read_positions
 from antdsl.runtime.world import AXES, Population, World
 
 FLOAT32_MIN_VECTOR_LENGTH = np.float32(MIN_VECTOR_LENGTH)
@@ -33,7 +33,7 @@ NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float3
 _PULL_INSIDE_SHARE = 1e-6  # share of the path from a border point to the middle of its face
 
 
-def constant_scalar(node: ir.PlanNode) -> SenseValue:
+def make_constant_scalar(node: ir.PlanNode) -> SenseValue:
     """Return a constant as a NumPy scalar."""
     match node.op:
         case "const":
@@ -48,9 +48,9 @@ def constant_scalar(node: ir.PlanNode) -> SenseValue:
 
 
 def compute_uniform_leaf(world: World, node: ir.PlanNode) -> SenseValue:
-    """Return a constant, a param, or a value of the run or step as a NumPy scalar."""
+    """Return the value of a leaf node that is equal for all agents, such as a constant, a param or the time, as a scalar."""
     if node.rate is ir.UpdateRate.CONST:
-        return constant_scalar(node)
+        return make_constant_scalar(node)
     match node.op:
         case "param":
             return world.params[node.attrs[0]]
@@ -71,10 +71,10 @@ def _sense_id(world: World, population: Population, node: ir.PlanNode, rows: Row
 
 
 def _sense_age(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
-    return _age_from_birth(world, population.born[rows])
+    return _compute_age(world, population.born[rows])
 
 
-def _age_from_birth(world: World, birth_frames: NDArray[np.int64]) -> SenseValue:
+def _compute_age(world: World, birth_frames: NDArray[np.int64]) -> SenseValue:
     """Return the age (s) of agents from their frame of birth."""
     steps = np.maximum(world.frame - birth_frames, 0)  # at birth, `born` is the next frame
     return (steps * world.dt).astype(np.float32)
@@ -93,7 +93,7 @@ def _sense_drawn_agent(world: World, population: Population, node: ir.PlanNode, 
 
 def _sense_event(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     flags = population.events.get(node.attrs[0])
-    return np.zeros(row_count(rows), np.bool_) if flags is None else flags[rows]
+    return np.zeros(count_rows(rows), np.bool_) if flags is None else flags[rows]
 
 
 def _sense_touched_surface(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
@@ -104,7 +104,7 @@ def _sense_agent_register(world: World, population: Population, node: ir.PlanNod
     """Return a register of other agents at the start of the step, by id; 0 for none and for dead agents."""
     species, register = node.attrs
     other = world.populations[species]
-    at = other.find_rows(spread_rows(ids, rows))
+    at = other.find_rows(expand_to_rows(ids, rows))
     source = other.start[register]
     is_alive = at >= 0
     return (
@@ -116,20 +116,20 @@ def _sense_agent_register(world: World, population: Population, node: ir.PlanNod
 
 def _sense_agent_age(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
     other = world.populations[node.attrs[0]]
-    at = other.find_rows(spread_rows(ids, rows))
+    at = other.find_rows(expand_to_rows(ids, rows))
     if not len(other):
         return np.zeros(len(at), np.float32)
-    return np.where(at >= 0, _age_from_birth(world, other.born[np.where(at >= 0, at, 0)]), np.float32(0))
+    return np.where(at >= 0, _compute_age(world, other.born[np.where(at >= 0, at, 0)]), np.float32(0))
 
 
 def _sense_agent_alive(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
-    return world.populations[node.attrs[0]].find_rows(spread_rows(ids, rows)) >= 0
+    return world.populations[node.attrs[0]].find_rows(expand_to_rows(ids, rows)) >= 0
 
 
 def _sense_item_amount(world: World, population: Population, node: ir.PlanNode, rows: Rows, item: SenseValue) -> SenseValue:
     items, attribute = node.attrs
     source = world.items[items].visible_values[attribute]
-    item = spread_rows(item, rows)
+    item = expand_to_rows(item, rows)
     has_item = (item >= 0) & (item < len(source))
     return (
         np.where(has_item, source[np.where(has_item, item, 0)], np.float32(0)) if len(source) else np.zeros(len(item), np.float32)
@@ -137,7 +137,7 @@ def _sense_item_amount(world: World, population: Population, node: ir.PlanNode, 
 
 
 def _sense_item_alive(world: World, population: Population, node: ir.PlanNode, rows: Rows, item: SenseValue) -> SenseValue:
-    item = spread_rows(item, rows)
+    item = expand_to_rows(item, rows)
     return (item >= 0) & (item < len(world.items[node.attrs[0]]))
 
 
@@ -152,8 +152,8 @@ def _sense_ray(
     reach: SenseValue,
 ) -> SenseValue:
     """Return the result of one feeler of each row, as `_sense_rays` does."""
-    n = row_count(rows)
-    rays = tuple(np.ascontiguousarray(spread_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
+    n = count_rows(rows)
+    rays = tuple(np.ascontiguousarray(expand_to_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
     hits = tuple(np.full(n, value) for value in NO_HIT)
     _sense_rays(world, population, node, rows, [(np.ones(n, np.bool_), rays, hits)])
     return hits
@@ -167,12 +167,15 @@ def _sense_rays(world: World, population: Population, node: ir.PlanNode, rows: R
     name, start = node.attrs[0], population.start
     place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
     clear = get_clearance(world, population, name)
-    levels = None if world.detail is None else world.detail.find_levels(world, population, name)
+    levels = None if world.detail_levels is None else world.detail_levels.find_levels(world, population, name)
     which = [(world.obstacles[name], clear[rows])]
-    if levels is not None and world.detail is not None:
+    if levels is not None and world.detail_levels is not None:
         far = np.float32(np.inf)
-        boxes = np.where(levels == 1, world.detail.box_clearance(world, population, name), far)
-        which = [(world.obstacles[name], np.where(levels == 0, clear, far)[rows]), (world.detail.box_scene(name), boxes[rows])]
+        boxes = np.where(levels == 1, world.detail_levels.get_box_clearance(world, population, name), far)
+        which = [
+            (world.obstacles[name], np.where(levels == 0, clear, far)[rows]),
+            (world.detail_levels.get_box_scene(name), boxes[rows]),
+        ]
     for scene, near in which:
         left = scene.cast_feeler_batch((*place, near), queries, world.options.threads)
         if left:
@@ -209,7 +212,7 @@ def _cast_remaining_feelers(
 
 
 def _sense_obstacle_near(world: World, population: Population, node: ir.PlanNode, rows: Rows, reach: SenseValue) -> SenseValue:
-    reach = spread_rows(reach, rows)
+    reach = expand_to_rows(reach, rows)
     x, y, z = read_positions(world, population, rows)
     hits = world.obstacles[node.attrs[0]].find_nearest_within(x, y, z, reach, threads=world.options.threads)
     return hits.hit, hits.t, hits.nx, hits.ny, hits.nz
@@ -227,7 +230,7 @@ def _sense_field_ahead(
     Headings are along the ground below the feet; `up` is the normal of this ground."""
     up = vec.split_columns(population.normal[rows], np.float32)
     heading = vec.take_rows(vec.get_vector_registers(population.start, "heading"), rows)
-    ahead, turn = (spread_rows(each, rows) for each in (ahead, turn))
+    ahead, turn = (expand_to_rows(each, rows) for each in (ahead, turn))
     with np.errstate(all="ignore"):
         sound = np.isfinite(ahead) & np.isfinite(turn)
         ahead, turn = np.where(sound, ahead, np.float32(0)), np.where(sound, turn, np.float32(0))
@@ -251,7 +254,7 @@ def _sense_field_ahead(
 
 
 def _pull_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
-    """Return the ends of paths. A path that ends at an open border is moved slightly into the face.
+    """Return the footings and positions at the ends of paths. An end at an open border is moved slightly into the face.
 
     A border may lie between two cells. Exactly on it, one side of a strip would read its own cells, the other side cells outside
     the surface."""
@@ -283,16 +286,16 @@ def _sense_field_gradient(world: World, population: Population, node: ir.PlanNod
 
 def _sense_noise(world: World, population: Population, node: ir.PlanNode, rows: Rows, *arguments: SenseValue) -> SenseValue:
     """Return noise at the agents' positions in the scene's axes, at the time of the step. `arguments`: scale, seed and period."""
-    scale, seed, period = (np.float64(1) * spread_rows(each, rows) for each in arguments)
+    scale, seed, period = (np.float64(1) * expand_to_rows(each, rows) for each in arguments)
     place = np.stack(read_positions(world, population, rows)).astype(np.float64) + world.origin[:, None]
-    step_time = np.full((1, row_count(rows)), world.display_frame * world.dt)
+    step_time = np.full((1, count_rows(rows)), world.display_frame * world.dt)
     unit = np.stack((scale, scale, scale, period))
     cells = np.concatenate((place, step_time)) / np.where(unit > 0, unit, np.nan)
     which = np.floor(np.where(np.abs(seed) < noise.MAX_LATTICE_COORDINATE, seed, 0.0)).astype(np.int64)
     return noise.compute_noise(cells, which).astype(np.float32)
 
 
-def _row_numbers(rows: Rows) -> NDArray[np.intp]:
+def _list_row_numbers(rows: Rows) -> NDArray[np.intp]:
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else np.asarray(rows)
 
 
@@ -301,27 +304,27 @@ def _sense_clear_velocity(
 ) -> SenseValue:
     """Return a collision-free velocity. `arguments`: the wish x y z (mm/s), `within` (mm), `horizon` (s) and the largest number
     of others."""
-    which = _row_numbers(rows)
-    wx, wy, wz = (spread_rows(each, rows) for each in arguments[:3])
-    within, horizon, most = (spread_rows(np.float64(1) * each, rows) for each in arguments[3:])
+    which = _list_row_numbers(rows)
+    wx, wy, wz = (expand_to_rows(each, rows) for each in arguments[:3])
+    within, horizon, most = (expand_to_rows(np.float64(1) * each, rows) for each in arguments[3:])
     return compute_clear_velocity(world, population, which, (wx, wy, wz), within, horizon, most)
 
 
 def _sense_widest_gap(
     world: World, population: Population, node: ir.PlanNode, rows: Rows, radius: SenseValue, max_count: SenseValue
 ) -> SenseValue:
-    radius, max_count = (spread_rows(np.float64(1) * each, rows) for each in (radius, max_count))
-    return find_widest_gap(world, population, _row_numbers(rows), radius, max_count)
+    radius, max_count = (expand_to_rows(np.float64(1) * each, rows) for each in (radius, max_count))
+    return find_widest_gap(world, population, _list_row_numbers(rows), radius, max_count)
 
 
 def _sense_clip_value(world: World, population: Population, node: ir.PlanNode, rows: Rows, clip: SenseValue) -> SenseValue:
-    return clip_value(world, population, node.attrs[0], clip, rows)
+    return read_clip_value(world, population, node.attrs[0], clip, rows)
 
 
 def _sense_contact(world: World, population: Population, node: ir.PlanNode, rows: Rows, *touched: SenseValue) -> SenseValue:
     """Return the new contact and all touched ids. `touched`: the ids of agents touched so far."""
-    known = np.stack([np.asarray(spread_rows(each, rows), np.int64) for each in touched], axis=1)
-    contact_ids, known = find_new_contacts(world, population, node.attrs[0], _row_numbers(rows), known)
+    known = np.stack([np.asarray(expand_to_rows(each, rows), np.int64) for each in touched], axis=1)
+    contact_ids, known = find_new_contacts(world, population, node.attrs[0], _list_row_numbers(rows), known)
     return contact_ids, *(np.ascontiguousarray(ids) for ids in known.T)
 
 

@@ -20,14 +20,17 @@ NO_LABEL = (1 << 63) - 1
 
 @dataclass(slots=True, eq=False)
 class RunningReduction:
-    """Running values of one reduction, in stack slots: one lane per agent, or eight lanes for parts of one agent."""
+    """The running values of one reduction over pairs, in stack slots.
+
+    The eight lanes are eight requesting agents, or eight parts of one agent's pairs. A label is the id or the number that a
+    reduction such as `nearest` returns."""
 
     builder: LaneBuilder
     node: ir.PlanNode
     needs_two_words: bool  # whether there are more terms than float64 adds exactly
     _parts: list[tuple[Number, str]] = field(default_factory=list)  # stack slots with their kinds
 
-    def start(self) -> None:
+    def allocate_values(self) -> None:
         """Allocate the running values, and set them to their initial values."""
         for k, row in enumerate(INITIAL_VALUES[self.node.op]):
             if k == 0 or self.needs_two_words or self.node.op != "reduce.sum":
@@ -35,7 +38,7 @@ class RunningReduction:
                 self._write_part(k, self.builder.make_constant(row[1], row[0]))
 
     def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
-        """Emit code that adds a term of each lane in the mask."""
+        """Emit code that adds a term to the running values of each lane in the mask: `body`, or `label` with key `body`."""
         e = self.builder
         match self.node.op:
             case "reduce.sum":
@@ -76,7 +79,7 @@ class RunningReduction:
         self.builder.store_number(self._parts[part][0], value)
 
     def _round_term(self, body: Lanes) -> Lanes:
-        """Return a term rounded to a multiple of the quantum, as `exact_sums.quantise` does."""
+        """Return a term rounded to a multiple of the reduction's quantum, as `exact_sums.quantise` does."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # then clamping before the conversion gives the same result
@@ -87,8 +90,8 @@ class RunningReduction:
         rounded: Lanes = (wide + magic) - magic
         return rounded
 
-    def result(self) -> Lanes:
-        """Return the result of the reduction for each lane."""
+    def emit_result(self) -> Lanes:
+        """Emit code that computes the result from the running values. Return the result of each lane."""
         e = self.builder
         match self.node.op:
             case "reduce.sum":
@@ -107,12 +110,12 @@ class RunningReduction:
         return label if self.node.op == "reduce.agent" else e.convert(label, I32)
 
     def combine_lanes(self) -> None:
-        """Combine the eight parts and store the result in each."""
+        """Emit code that combines the running values of all eight lanes, and stores the result in each lane."""
         for half in (4, 2, 1):
             self._combine_with([self.builder.rotate_lanes(self._read_part(k), half) for k in range(len(self._parts))])
 
     def _combine_with(self, other: list[Lanes]) -> None:
-        """Combine the running values with other ones."""
+        """Emit code that combines the running values with those of `other`, lane by lane."""
         e, a = self.builder, other[0]
         match self.node.op:
             case "reduce.sum" | "reduce.count":

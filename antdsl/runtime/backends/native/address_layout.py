@@ -16,25 +16,25 @@ AddressKey = tuple[Hashable, ...]
 
 @dataclass(slots=True, eq=False)
 class AddressLayout:
-    """Indices in the tables of addresses and numbers.
+    """The index of each input of a block's machine code, in a table of addresses and a table of numbers.
 
-    `pointer_indices`: indices in the table of addresses. The first entry is the address of the numbers.
-    `number_indices`: indices in the table of numbers, eight bytes each.
-    `array_kinds`: kinds of the values stored between stages or for calls, by slot and part."""
+    `pointer_indices`: for each key, the index in the table of addresses. Entry 0 is the address of the table of numbers.
+    `number_indices`: for each key, the index in the table of numbers, eight bytes each.
+    `array_kinds`: the kind of each value that is stored between stages or for calls, by slot and part."""
 
     pointer_indices: dict[AddressKey, int] = field(default_factory=lambda: {("numbers",): 0})
     number_indices: dict[AddressKey, int] = field(default_factory=dict)
     array_kinds: dict[tuple[int, int], str] = field(default_factory=dict)
 
-    def pointer_index(self, *key: Hashable) -> int:
-        """Return the index of an address; a new one for a new key."""
+    def find_pointer_index(self, *key: Hashable) -> int:
+        """Return the index of the address with this key; for a new key, a new index."""
         return self.pointer_indices.setdefault(key, len(self.pointer_indices))
 
-    def number_index(self, *key: Hashable) -> int:
-        """Return the index of a number; a new one for a new key."""
+    def find_number_index(self, *key: Hashable) -> int:
+        """Return the index of the number with this key; for a new key, a new index."""
         return self.number_indices.setdefault(key, len(self.number_indices))
 
-    def array_index(self, slot: int, part: int, kind: str) -> int:
-        """Return the index of the address of a stored value."""
+    def find_array_index(self, slot: int, part: int, kind: str) -> int:
+        """Return the index of the address of the array in which part `part` of a slot's value is stored. `kind`: its kind."""
         self.array_kinds[slot, part] = kind
-        return self.pointer_index("array", slot, part)
+        return self.find_pointer_index("array", slot, part)

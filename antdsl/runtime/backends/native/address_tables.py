@@ -25,7 +25,7 @@ from antdsl.runtime.backends.native.address_layout import AddressKey
 from antdsl.runtime.backends.native.block_writer import BlockCode
 from antdsl.runtime.backends.native.lane_memory import LaneMemories, LaneMemory
 from antdsl.runtime.backends.native.padded_arrays import PaddedArrays, PaddedCopy
-from antdsl.runtime.clip_values import clip_table, table_starts
+from antdsl.runtime.clip_values import find_table_starts, make_clip_table
 from antdsl.runtime.moving.clearance.obstacle_clearance import get_clearance
 from antdsl.runtime.world import Population, World
 
@@ -36,12 +36,13 @@ TableWords = NDArray[np.int64]
 
 
 class WatchedArrays:
-    """Arrays of one object of the world.
+    """The arrays of one object of the world, of which machine code needs the current addresses.
 
-    `find_holder`: finds the object. `get`: returns its arrays, or an object that changes when they change.
-    `put`: writes the addresses of all arrays if the result of `get` differs from `seen`. It may replace arrays by padded ones."""
+    `find_holder`: returns the object. `get_arrays`: returns its arrays, or an object that changes when they change.
+    `write_addresses`: writes the addresses, and may replace arrays by padded ones. It is called if the result of `get_arrays`
+    differs from `previous_arrays`."""
 
-    __slots__ = ("find_holder", "get", "put", "seen")
+    __slots__ = ("find_holder", "get_arrays", "previous_arrays", "write_addresses")
 
     def __init__(
         self,
@@ -49,13 +50,14 @@ class WatchedArrays:
         get: Callable[[Any], Iterable[NDArray[Any]]],
         store_words: Callable[[World, Population, Any, TableWords], None],
     ) -> None:
-        self.find_holder, self.get, self.put = find_holder, get, store_words
-        self.seen: Iterable[Any] = repeat(None)
+        self.find_holder, self.get_arrays, self.write_addresses = find_holder, get, store_words
+        self.previous_arrays: Iterable[Any] = repeat(None)
 
 
 class AddressTables:
-    """The inputs of one block of one species: addresses and numbers that all threads read, and `lanes` for the parts of the
-    block."""
+    """The inputs of the machine code of one block of one species.
+
+    They are the tables of addresses and numbers, which all threads read, and `lanes`, the memories of the block's parts."""
 
     def __init__(self, code: BlockCode, padded_arrays: PaddedArrays) -> None:
         self.code, self._padded_arrays = code, padded_arrays
@@ -90,7 +92,7 @@ class AddressTables:
         groups: dict[AddressKey, list[tuple[AddressKey, int]]] = {}
         self._finder_entries: list[tuple[AddressFinder, int]] = []
         for key, place in pointers:
-            holder = self._holder_key(key)
+            holder = self._find_holder_key(key)
             if holder is not None:
                 groups.setdefault(holder, []).append((key, place))
             elif key[0] in _FINDER_MAKERS:
@@ -107,17 +109,17 @@ class AddressTables:
         stored_senses: Any,
         grids: Any,
     ) -> None:
-        """Fill all entries except those of a single lane.
+        """Write all entries of both tables, except those that differ between the lanes.
 
-        `values`: the values of the step, including those of the run, which stay valid while `run_values` is the same object.
-            `grids`: a cell grid for each search."""
+        `values`: by node, the values that are equal for all agents. Those of the run stay valid while `run_values` is the same
+        object. `stored_senses`: the arrays of senses that are stored for the step. `grids`: a cell grid for each search."""
         self._update_numbers(world, values, run_values)
         words, changed = self.pointers, False
         for held in self._watched_arrays:
             holder = held.find_holder(world, population)
-            if any(map(is_not, held.seen, held.get(holder))):
-                held.put(world, population, holder, words)
-                held.seen, changed = held.get(holder), True
+            if any(map(is_not, held.previous_arrays, held.get_arrays(holder))):
+                held.write_addresses(world, population, holder, words)
+                held.previous_arrays, changed = held.get_arrays(holder), True
         if stored_senses is not self._written_sources[0]:
             self._written_sources[0], changed = stored_senses, True
             for number, part, place in self._sense_entries:
@@ -136,18 +138,18 @@ class AddressTables:
                 changed = True
         self.version += changed
 
-    def largest_species(self, world: World) -> int:
-        """Return the number of agents of the largest species, or 0 if the block does not search for other agents."""
+    def count_largest_species(self, world: World) -> int:
+        """Return the number of agents of the largest species that the block searches, or 0 if it searches none."""
         return max([len(other) for other in world.populations.values()]) if self.code.searches else 0
 
     def prepare_lanes(self, parts: int, rows: int, others: int) -> list[LaneMemory]:
-        """Return lanes for `parts` parts of `rows` rows each, ready to run with the filled tables.
+        """Return the memories of `parts` parts of a block with `rows` rows each, with the addresses of the tables.
 
         `others`: the number of agents of the largest searched species."""
         return self.lanes.prepare_lanes(parts, rows, others, self.pointers)
 
     def _update_numbers(self, world: World, values: Mapping[ir.PlanNode, Any], constant_values: Any) -> None:
-        """Write the numbers of the step. Unchanged numbers, and those of the run, are not written again."""
+        """Write the numbers that have changed since the last step."""
         if constant_values is not self._written_values:
             self._written_values = constant_values
             for node, place in self._run_entries:
@@ -177,8 +179,8 @@ class AddressTables:
 
     # --- arrays with names in the world: keys grouped by the object that contains them -----------------------------------------
 
-    def _holder_key(self, key: AddressKey) -> AddressKey | None:
-        """Return the key of the object that contains a named array, or None."""
+    def _find_holder_key(self, key: AddressKey) -> AddressKey | None:
+        """Return the key of the object of the world that contains the array with key `key`, or None if no object does."""
         match key[0]:
             case "start" | "now" | "cell":
                 return (key[0],)
@@ -187,11 +189,11 @@ class AddressTables:
             case "item" | "field":
                 return key[:2]
             case "other" if key[2] not in _SORTED_ID_NAMES:
-                return ("other" if key[2] in _OTHER_FIXED else "start of", key[1])
+                return ("other" if key[2] in _FIXED_COLUMN_BY_OTHER_KEY else "start of", key[1])
         return None
 
     def _watch_arrays(self, holder: AddressKey, keys: list[tuple[AddressKey, int]]) -> WatchedArrays:
-        """Return the watcher of all arrays that one object contains."""
+        """Return the watched arrays of the object with key `holder`. `keys`: the keys of the arrays, and their indices."""
         of, names = str(holder[-1]), [(str(key[-1]), place) for key, place in keys]
         match holder[0]:
             case "start" | "now" as when:
@@ -199,7 +201,7 @@ class AddressTables:
             case "own":
                 return self._watch_mapping(lambda world, population: population.columns, names)
             case "other":
-                names = [(_OTHER_FIXED[name], place) for name, place in names]
+                names = [(_FIXED_COLUMN_BY_OTHER_KEY[name], place) for name, place in names]
                 return self._watch_mapping(lambda world, population: world.populations[of].columns, names)
             case "start of":
                 return self._watch_mapping(lambda world, population: world.populations[of].start, names)
@@ -210,23 +212,23 @@ class AddressTables:
         return self._watch_mapping(lambda world, population: population.cells, names)
 
     def _watch_registers(self, names: NamedIndices, *, start: bool) -> WatchedArrays:
-        """Return the watcher of registers, at the start of the step or now."""
+        """Return the watched registers `names`: their values at the start of the step if `start`, else their current values."""
 
         def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
                 words[place] = self._padded_arrays.move_register(population, name, start=start)[1]
 
         find: HolderFinder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
-        return WatchedArrays(find, _make_getter(names), write_addresses)
+        return WatchedArrays(find, _make_array_getter(names), write_addresses)
 
     def _watch_mapping(self, find_holder: HolderFinder, names: NamedIndices) -> WatchedArrays:
-        """Return the watcher of the arrays in a mapping."""
+        """Return the watched arrays `names` of the mapping that `find_holder` returns."""
 
         def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
                 holder[name], words[place] = self._padded_arrays.pad_array(holder[name])
 
-        return WatchedArrays(find_holder, _make_getter(names), write_addresses)
+        return WatchedArrays(find_holder, _make_array_getter(names), write_addresses)
 
     # --- functions for other kinds of keys, which find the address in each step
     # --------------------------------------------------
@@ -236,7 +238,7 @@ class AddressTables:
         return lambda world, population: copy.update(population.footing.mesh, np.int64)
 
     def _make_event_finder(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the flags of agents that an event has reached, as a new array in each step.
+        """Return a function that finds the address of the flags of agents that an event has reached.
 
         For a species that does not handle the event, no flag is set."""
         name = str(key[1])
@@ -251,7 +253,7 @@ class AddressTables:
         return find_event_address
 
     def _make_sorted_ids_finder(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the sorted ids of another species, or their rows."""
+        """Return a function that finds the address of the sorted ids of another species, or of the rows of these ids."""
         copy, species, which = self._padded_arrays.copy(*key), str(key[1]), key[2] != "sorted ids"
 
         def find_sorted_ids(world: World, population: Population) -> int:
@@ -266,21 +268,21 @@ class AddressTables:
 
     def _make_clip_finder(self, key: AddressKey) -> AddressFinder:
         copy, what = self._get_copy(key), str(key[1])
-        return lambda world, population: copy.derived_address(world.setting, lambda: clip_table(world, population, what))
+        return lambda world, population: copy.update_derived_copy(world.setting, lambda: make_clip_table(world, population, what))
 
     def _find_clip_body(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds where the entries of each agent's body begin in the tables of clips."""
+        """Return a function that finds the address of `clip_values.find_table_starts`: where each agent's clip values begin."""
         copy = self._get_copy(key)
 
         def find_clip_table(world: World, population: Population) -> int:
-            return copy.update(table_starts(world, population), np.int32, (population.version, len(population)))
+            return copy.update(find_table_starts(world, population), np.int32, (population.version, len(population)))
 
         return find_clip_table
 
     def _make_threshold_finder(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the cells near which a field reaches a threshold."""
+        """Return a function that finds the address of the counts that tell near which cells a field reaches a threshold."""
         _, name, count, bound = key
-        numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.number_index("node", bound)
+        numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.find_number_index("node", bound)
         reached: CellsAboveThreshold | None = None
 
         def find_threshold_cells(world: World, population: Population) -> int:
@@ -297,14 +299,14 @@ class AddressTables:
         return self._padded_arrays.copy(self.code.species.name, *key)
 
 
-def _make_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[Any]]]:
-    """Return a function that gets the arrays with these names."""
+def _make_array_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[Any]]]:
+    """Return a function that returns the arrays with these names of a mapping."""
     get_arrays = itemgetter(*(name for name, _ in names))
     return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
 
 
 def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> WatchedArrays:
-    """Return the watcher of a field's arrays, which change with the field's version. They are indexed by cell and need no
+    """Return the watched arrays `names` of a field. They change with the field's version, have entries for cells, and need no
     padding."""
 
     def get_version(field: PheromoneField) -> tuple[Any, ...]:
@@ -322,13 +324,13 @@ def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> Watche
     return WatchedArrays(lambda world, population: world.fields[field_name], get_version, write_field_addresses)
 
 
-def _power_of_2_below(count: int) -> int:
-    """Return the greatest power of 2 below a count; 0 for counts 0 and 1."""
+def _find_power_of_2_below(count: int) -> int:
+    """Return the greatest power of 2 that is less than a count; 0 for counts 0 and 1."""
     return 1 << ((count - 1).bit_length() - 1) if count > 1 else 0
 
 
 _SORTED_ID_NAMES = frozenset(("sorted ids", "rows of sorted ids"))
-_OTHER_FIXED = {"frame of birth": "born", "unsorted ids": "ids"}  # key of a fixed column of another species
+_FIXED_COLUMN_BY_OTHER_KEY = {"frame of birth": "born", "unsorted ids": "ids"}  # key of a fixed column of another species
 _FINDER_MAKERS: dict[str, Callable[[AddressTables, AddressKey], AddressFinder]] = {
     "mesh": AddressTables._make_mesh_finder,
     "event": AddressTables._make_event_finder,
@@ -343,8 +345,8 @@ _NUMBER_GETTERS: dict[str, Callable[[World, str], int | float]] = {
     "dt": lambda world, name: float(world.dt),
     "items": lambda world, name: len(world.items[name]),
     "agents": lambda world, name: len(world.populations[name]),
-    "half": lambda world, name: _power_of_2_below(len(world.populations[name])),
-    "turns": lambda world, name: _power_of_2_below(len(world.populations[name])).bit_length(),
+    "half": lambda world, name: _find_power_of_2_below(len(world.populations[name])),
+    "turns": lambda world, name: _find_power_of_2_below(len(world.populations[name])).bit_length(),
     "cells": lambda world, name: len(world.fields[name].cells),
     "threads": lambda world, name: world.options.threads,
     "surface": lambda world, name: world.surface_index.get(name, -1),

@@ -1,4 +1,5 @@
-"""Runs one block as machine code. Its rows are divided into parts, which run through its stages, possibly in several threads.
+"""The run of one block as machine code. Its rows are divided into parts, which run through its stages, possibly in several
+threads.
 
 Between stages, calls without machine code run. At the end, requests to the world are collected."""
 
@@ -56,7 +57,7 @@ class BlockRunner:
         self._prepared_for: tuple[int, ...] = ()
         self._part_groups: list[PartGroup] = []
         self.stages: list[tuple[Any, StageCalls]] = []  # the function of each stage, and the calls after it
-        for stage, function in enumerate(self.code.names):
+        for stage, function in enumerate(self.code.function_names):
             groups = ready_code.call_groups[species, name, stage]
             calls = [(_is_batched_sense(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
             self.stages.append((ready_code.function(function), calls))
@@ -66,35 +67,35 @@ class BlockRunner:
     ) -> list[tuple[int, int]]:
         """Run the block for all agents, and add their requests to the population's effects in the order of rows.
 
+        Returns the ranges of rows (first row, end row) that NumPy must run, because an agent in them has too many neighbours.
         `values`: by node, the values that are equal for all agents. `metered_block`: receives the time of each source line; None
-        without profiling. Returns the ranges of rows (first row, end row) that must run again in another way, because an agent
-        in them has too many neighbours."""
-        count, others = len(population), self.tables.largest_species(world)
+        without profiling."""
+        count, others = len(population), self.tables.count_largest_species(world)
         of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
         if of != self._prepared_for:
             self._prepare_lanes(*of)
             self._prepared_for = of
         if metered_block is not None:
-            return self._run_timed(world, population, values, metered_block)
+            return self._run_with_line_times(world, population, values, metered_block)
         return self._run_parts(world, population, values)
 
     def _prepare_lanes(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
-        """Divide the rows into parts and prepare their lanes."""
+        """Divide the rows into parts, and prepare the memories of these parts."""
         threads = max(1, min(threads, count_available_cores()))
-        size = _part_size(count, chunk, threads)
+        size = _choose_part_size(count, chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
         lanes = self.tables.prepare_lanes(min(len(bounds), PARTS_PER_THREAD * threads if threads > 1 else 1), size, others)
         chunks = [RowChunk(self, lane) for lane in lanes]
         firsts = range(0, len(bounds), len(lanes))
         self._part_groups = [PartGroup(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
 
-    def _run_timed(
+    def _run_with_line_times(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock
     ) -> list[tuple[int, int]]:
-        """Run all rows, and add the times by line to `metered_block`."""
+        """Run all rows, and add the time of each source line to `metered_block`. Return the ranges of rows that `run` returns."""
         lines, chunks, began = self.code.lines, self._part_groups[0].chunks, perf_counter()
         for each in chunks:
-            each.line_times = None if lines is None else LineTimes(lines, each.lane.ticks, metered_block.new_counters())
+            each.line_times = None if lines is None else LineTimes(lines, each.lane.ticks, metered_block.make_counters())
         bad = self._run_parts(world, population, values)
         counted = [each.line_times for each in chunks if each.line_times is not None]
         if counted:
@@ -113,7 +114,7 @@ class BlockRunner:
 
 
 def _is_batched_sense(instruction: BlockInstruction) -> bool:
-    """Return whether a sense reads and writes the arrays of machine code itself."""
+    """Return whether an instruction is a sense that runs for all parts in one call, and reads and writes their arrays."""
     return (
         instruction.kind is InstructionKind.VALUE
         and isinstance(instruction.subject, ir.PlanNode)
@@ -121,11 +122,11 @@ def _is_batched_sense(instruction: BlockInstruction) -> bool:
     )
 
 
-def _part_size(count: int, chunk: int, threads: int) -> int:
-    """Return the number of rows of a part.
+def _choose_part_size(count: int, chunk: int, threads: int) -> int:
+    """Return the number of rows of a part, for `count` rows in total.
 
-    It is at most a chunk, and smaller if several parts per thread improve the balance. In one round, the parts of a thread have
-    at most a chunk of rows together. So their data stays in the processor's cache from stage to stage."""
+    It is at most `chunk`, and smaller if several parts per thread balance the threads better. The parts that a thread runs
+    together have at most `chunk` rows, so that their data stays in the processor's cache from stage to stage."""
     most = chunk if threads < 2 else chunk // PARTS_PER_THREAD
     parts = max(
         -(-count // max(LANE_COUNT, most)),
@@ -149,7 +150,7 @@ class PartGroup:
     def run(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
         """Run the parts through all stages, and add their requests to the population's effects.
 
-        Returns the parts in which an agent has too many others within a radius."""
+        Returns the ranges of rows (first row, end row) of parts in which an agent has too many others within a radius."""
         chunks, timed = self.chunks, self.chunks[0].line_times is not None
         for each, part in zip(chunks, self._bounds, strict=True):
             each.begin(world, population, values, *part)
@@ -184,18 +185,18 @@ class PartGroup:
         for in_place, group in stage_calls:
             needed = [each for each, number in group if number < 0 or needs[number]]
             if needed and in_place:
-                self._answer_calls(world, population, values, needed)
+                self._run_calls_of_all_parts(world, population, values, needed)
             elif needed:
                 others.append(group)
         if others:
             self._run_in_threads(partial(RowChunk.run_calls, stage_calls=others))
 
-    def _answer_calls(
+    def _run_calls_of_all_parts(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], instructions: list[BlockInstruction]
     ) -> None:
-        """Run one call, or several calls of one sense with one name.
+        """Run one call, or several calls of one sense with one name, for all parts at once.
 
-        Inputs are read from the arrays of the previous stage; results are written to the arrays that the next stage reads."""
+        Inputs are read from the arrays of the previous stage. Results are written to the arrays that the next stage reads."""
         began, block, node = perf_counter(), self._block, instructions[0].subject
         assert isinstance(node, ir.PlanNode)
         answer, nothing = BATCHED_SENSES[node.op]
@@ -212,7 +213,7 @@ class PartGroup:
 
 
 class RowChunk:
-    """Runs rows of a block through its stages, in one thread. If `line_times` is set, it collects times."""
+    """Rows of a block that one thread runs through its stages. If `line_times` is set, it collects times."""
 
     world: World
     population: Population
@@ -227,7 +228,7 @@ class RowChunk:
         self._slots: list[Any] | None = None
 
     def begin(self, world: World, population: Population, values: dict[ir.PlanNode, Any], first: int, last: int) -> None:
-        """Set the rows to run (from the first to before the last)."""
+        """Set the world, the values and the rows (from `first` to before `last`) of the next run."""
         self.world, self.population, self.values = world, population, values
         self.first, self.last = first, last
         self._slots = None
@@ -251,7 +252,9 @@ class RowChunk:
             for number, count in enumerate(counts):
                 if count:
                     record_request(
-                        self.runner.code.lists[number], [column[:count].copy() for column in lane.list_columns[number]], effects
+                        self.runner.code.list_instructions[number],
+                        [column[:count].copy() for column in lane.list_columns[number]],
+                        effects,
                     )
             if lane.fault_notes[0]:
                 self._record_faults()
@@ -277,7 +280,7 @@ class RowChunk:
 
     # --- calls ---------------------------------------------------------------------------------------------------------
 
-    def _numpy_slots(self) -> list[Any]:
+    def _make_numpy_slots(self) -> list[Any]:
         """Return the list of slots that NumPy calls expect."""
         if self._slots is None:
             compiler = self.runner.compiler
@@ -290,35 +293,35 @@ class RowChunk:
         return self._slots
 
     def _find_masked_rows(self, slot: int) -> NDArray[np.intp]:
-        """Return the rows, counted within the chunk, for which a mask holds."""
+        """Return the rows for which the mask in a slot holds, counted from the first row of the chunk."""
         if slot not in self._rows_by_mask:
             (self._rows_by_mask[slot],) = self.lane.arrays[slot, 0][: self.last - self.first].nonzero()
         return self._rows_by_mask[slot]
 
-    def _scope_rows(self, scope: RowScope) -> NDArray[np.intp]:
-        rows, v = self._find_masked_rows(self.runner.code.schedule.resolve_slot(scope.rows)), self._numpy_slots()
+    def _find_scope_rows(self, scope: RowScope) -> NDArray[np.intp]:
+        rows, v = self._find_masked_rows(self.runner.code.schedule.resolve_slot(scope.rows)), self._make_numpy_slots()
         is_complete = len(rows) == self.last - self.first
         v[scope.rows], v[scope.row_count] = (slice(self.first, self.last) if is_complete else rows + self.first), len(rows)
         return rows
 
-    def _operand_values(self, slot: int, rows: NDArray[np.intp]) -> Any:
-        """Return a value that a stage stored, for the given rows; or a value that is equal for all agents."""
+    def _read_operand_values(self, slot: int, rows: NDArray[np.intp]) -> Any:
+        """Return the value of a slot for the given rows, as a stage stored it; one number if it is equal for all agents."""
         source = self.runner.code.schedule.resolve_slot(slot)
         array = self.lane.arrays.get((source, 0))
         if array is not None:
             return array.take(rows)
-        return self._numpy_slots()[source]
+        return self._make_numpy_slots()[source]
 
     def _run_call(self, instruction: BlockInstruction, rows: NDArray[np.intp]) -> Any:
         """Return the result of a NumPy call for the given rows."""
-        v = self._numpy_slots()
+        v = self._make_numpy_slots()
         for slot in instruction.inputs:
-            v[slot] = self._operand_values(slot, rows)
+            v[slot] = self._read_operand_values(slot, rows)
         self.runner.numpy_calls[instruction](v)
         return v[instruction.slot]
 
     def run_calls(self, stage_calls: Sequence[list[tuple[BlockInstruction, int]]]) -> None:
-        """Run calls, each for the rows that need it."""
+        """Run groups of calls, each call for the rows that need it."""
         needs = self.lane.needed_calls.tolist()
         for group in stage_calls:
             needed = [each for each, number in group if number < 0 or needs[number]]
@@ -330,18 +333,18 @@ class RowChunk:
         """Run one call, or several calls of one sense with one name. A row appears once for each of its requests."""
         code, began = self.runner.code, perf_counter()
         if len(instructions) == 1 and instructions[0] not in code.mask_slot_by_call:
-            rows = self._scope_rows(instructions[0].scope)
+            rows = self._find_scope_rows(instructions[0].scope)
             if len(rows):
                 self._store_results(instructions[0], rows, self._run_call(instructions[0], rows))
                 self.add_call_time(began, instructions, [len(rows)])
             return
-        chosen = [self._find_masked_rows(code.call_mask_slot(each)) for each in instructions]
+        chosen = [self._find_masked_rows(code.find_call_mask_slot(each)) for each in instructions]
         ends = list(accumulate(len(rows) for rows in chosen))
         if not ends[-1]:
             return
         columns = []
         for place in range(len(instructions[0].inputs)):
-            parts = [self._operand_values(each.inputs[place], rows) for each, rows in zip(instructions, chosen, strict=True)]
+            parts = [self._read_operand_values(each.inputs[place], rows) for each, rows in zip(instructions, chosen, strict=True)]
             pairs = zip(parts, chosen, strict=True)
             spread = [part if isinstance(part, np.ndarray) and part.ndim else np.full(len(rows), part) for part, rows in pairs]
             columns.append(np.concatenate(spread))

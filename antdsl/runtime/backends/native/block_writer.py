@@ -18,16 +18,16 @@ from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
 from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstruction, InstructionKind, RowScope
 from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND, AddressKey, AddressLayout
-from antdsl.runtime.backends.native.field_threshold import limit_strength, may_reach_bound
+from antdsl.runtime.backends.native.field_threshold import limit_strength, may_reach_threshold
 from antdsl.runtime.backends.native.line_profiling import LineCounters, add_marks
-from antdsl.runtime.backends.native.stage_schedule import StageSchedule, reduction_operands
+from antdsl.runtime.backends.native.stage_schedule import StageSchedule, list_reduction_operands
 
 _OUT_OF_LINE_FUNCTIONS = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # called as functions of the module, not inlined
 _FIRST_GUARD_SLOT = -1_000_000  # slots from here downward are masks of agents that need a call
 
 
 class FunctionWriter:
-    """The context for writing one function: a builder, and the table indices of arrays and numbers."""
+    """The writer of one function: a builder of instructions, and the layout of the tables of addresses and numbers."""
 
     def __init__(self, module: LlvmModule, layout: AddressLayout) -> None:
         self.module, self.layout = module, layout
@@ -36,23 +36,23 @@ class FunctionWriter:
         self._loaded_addresses: dict[AddressKey, Lanes] = {}
 
     def array_address(self, *key: Any) -> Lanes:
-        """Return the address of an array, which is read once per call of the function."""
+        """Return the address of the array with this key. Code at the start of the function loads it from the table."""
         if key not in self._loaded_addresses:
-            at = self.builder.make_constant(self.layout.pointer_index(*key), I64, 1)
+            at = self.builder.make_constant(self.layout.find_pointer_index(*key), I64, 1)
             place = self.builder.add_at_entry("element", PTR, self.table, at, x=PTR)
             self._loaded_addresses[key] = self.builder.add_at_entry("load", PTR, place)
         return self._loaded_addresses[key]
 
     def stage_array_address(self, slot: int, part: int, kind: str) -> Lanes:
-        """Return the address of a stored value for the current rows."""
-        self.layout.array_index(slot, part, kind)
+        """Return the address at which part `part` of a slot's value is stored for the current eight rows."""
+        self.layout.find_array_index(slot, part, kind)
         return self.array_address("array", slot, part)
 
     def read_uniform(self, kind: str, *key: Any, is_scalar: bool = False) -> Lanes:
         """Return a value that is equal for all agents: in every lane, or (`is_scalar`) as a single number."""
 
         def load_uniform() -> Lanes:
-            place = self.builder.address(self.array_address("numbers"), self.layout.number_index(*key), I64)
+            place = self.builder.address(self.array_address("numbers"), self.layout.find_number_index(*key), I64)
             return self.builder.load_scalar(place, 0, kind)
 
         single: Lanes = self.builder.get_or_make(("number", kind, *key), load_uniform)
@@ -77,7 +77,7 @@ class FunctionWriter:
 
 @dataclass(slots=True, eq=False)
 class NeighbourSearch:
-    """Reductions over neighbours of one species that share one search. `sets`: the sets that they reduce.
+    """One search for neighbours of a species, which several reductions share. `sets`: the sets that they reduce.
     `extra_registers`: registers of the others, needed in the order of the cell grid; each text names up to four."""
 
     species: str
@@ -87,22 +87,22 @@ class NeighbourSearch:
 
 @dataclass(slots=True, eq=False)
 class BlockCode:
-    """A compiled block: the names of its stages' functions, and the tables, calls and lists that running them needs."""
+    """A compiled block: the names of its stages' functions, and the data that is needed to run them."""
 
     species: ir.SpeciesPlan
-    names: list[str]
+    function_names: list[str]
     layout: AddressLayout
     schedule: StageSchedule
     lines: LineCounters | None = None  # only for code that is timed by line
     faults: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name of the value and its instruction
     searches: list[NeighbourSearch] = field(default_factory=list)
     lazy_nodes: list[ir.PlanNode] = field(default_factory=list)
-    scent_bounds: dict[int, ir.PlanNode] = field(default_factory=dict)  # `scents.bounds`
-    lists: list[BlockInstruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
+    scent_thresholds: dict[int, ir.PlanNode] = field(default_factory=dict)  # by slot: see `field_threshold`
+    list_instructions: list[BlockInstruction] = field(default_factory=list)  # statements with lists of rows, from slot -1 down
     optional_calls: list[BlockInstruction] = field(default_factory=list)  # calls for which the code records if agents need them
     mask_slot_by_call: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that only some agents need
 
-    def call_mask_slot(self, instruction: BlockInstruction) -> int:
+    def find_call_mask_slot(self, instruction: BlockInstruction) -> int:
         """Return the slot of the mask of rows for which a call is made."""
         guarded = self.mask_slot_by_call.get(instruction)
         return self.schedule.resolve_slot(instruction.scope.rows) if guarded is None else guarded
@@ -128,13 +128,13 @@ class BlockWriter(FunctionWriter):
         self._cached_senses: dict[int, ir.PlanNode] = {}
         self._kinds_by_slot: dict[int, tuple[str, ...]] = {}
         self._reductions: list[BlockInstruction] = []
-        self._index_scope(compiler.root_scope)
+        self._index_slots_of_scope(compiler.root_scope)
         self.mask: list[Lanes] = []
         self._cleared_masks: list[int] = []  # mask slots that are cleared first, in case their scope is skipped
         self.top_writers: list[Callable[[], None]] = []  # write code that runs first for each eight rows; called at the end
         self.groups: dict[BlockInstruction, Any] = {}  # reductions over neighbours, by the search that finds them
 
-    def _index_scope(self, scope: RowScope) -> None:
+    def _index_slots_of_scope(self, scope: RowScope) -> None:
         for each in scope.code:
             if each.kind is InstructionKind.REDUCE and each in self.schedule.native_instructions:
                 self._reductions.append(each)
@@ -146,7 +146,7 @@ class BlockWriter(FunctionWriter):
                     self._cached_senses[each.slot] = each.subject
             if each.inner is not None:
                 self._kinds_by_slot[each.inner.rows] = (BOOL,)
-                self._index_scope(each.inner)
+                self._index_slots_of_scope(each.inner)
 
     def write_function(self, name: str) -> None:
         """Add the function to the module."""
@@ -177,7 +177,7 @@ class BlockWriter(FunctionWriter):
     # --- instructions --------------------------------------------------------------------------------------------------
 
     def _timed_instruction(self, instruction: BlockInstruction) -> AbstractContextManager[None]:
-        """Return a context in which written code is timed for an instruction, if lines are timed."""
+        """Return a context. If lines are timed, the time of code written in it counts for the instruction."""
         return nullcontext() if self.code.lines is None else self._time_with_counter(self.code.lines.find_counter(instruction))
 
     @contextmanager
@@ -201,9 +201,9 @@ class BlockWriter(FunctionWriter):
                         self._write_guard(each)
                     case InstructionKind.VALUE | InstructionKind.REDUCE if each in self.schedule.native_instructions:
                         if self.schedule.stage_by_slot.get(each.slot) == self.stage:
-                            self.slot_value(each.slot)
+                            self.find_slot_value(each.slot)
 
-    def _write_need_note(self, instruction: BlockInstruction, mask: Lanes) -> None:
+    def _write_call_request(self, instruction: BlockInstruction, mask: Lanes) -> None:
         """Emit code that records whether any agent needs a call."""
         e = self.builder
         place = e.address(self.array_address("needs"), len(self.code.optional_calls), I8)
@@ -215,11 +215,11 @@ class BlockWriter(FunctionWriter):
         assert isinstance(instruction.subject, ir.PlanNode)
         guard = self.guards.get(instruction.subject.op)
         if guard is None:
-            self._write_need_note(instruction, self.mask[-1])
+            self._write_call_request(instruction, self.mask[-1])
             return
         asks, others = guard
-        needed = self.mask[-1] & asks(self, instruction.subject, tuple(self.slot_value(k) for k in instruction.inputs))
-        self._write_need_note(instruction, needed)
+        needed = self.mask[-1] & asks(self, instruction.subject, tuple(self.find_slot_value(k) for k in instruction.inputs))
+        self._write_call_request(instruction, needed)
         slot = self.code.mask_slot_by_call.setdefault(instruction, _FIRST_GUARD_SLOT - len(self.code.mask_slot_by_call))
         self._cleared_masks.append(slot)
         self.builder.store_lanes(self.stage_array_address(slot, 0, BOOL), self.offset, needed)
@@ -232,17 +232,17 @@ class BlockWriter(FunctionWriter):
         assert inner is not None
         if not self.schedule.is_run_in_stage(inner, self.stage):
             return
-        mask = self._find_scope_mask(inner, lambda: self.mask[-1] & self.slot_value(instruction.inputs[0]))
+        mask = self._find_scope_mask(inner, lambda: self.mask[-1] & self.find_slot_value(instruction.inputs[0]))
         with self.builder.write_if(self.builder.any_lane(mask)):
             self.mask.append(mask)
             self._write_scope(inner)
             self.mask.pop()
 
     def _find_scope_mask(self, inner: RowScope, make: Callable[[], Lanes]) -> Lanes:
-        """Return the mask of an inner scope: computed in this stage, or stored by an earlier stage."""
+        """Return the mask of an inner scope, computed by `make` in this stage or stored by an earlier stage."""
         mask: Lanes
         if self.schedule.stage_by_slot[inner.rows] != self.stage:
-            mask = self.slot_value(inner.rows)
+            mask = self.find_slot_value(inner.rows)
             return mask
         mask = self.builder.known[-1][inner.rows] = make()
         if inner.rows in self.schedule.stored_slots:
@@ -265,26 +265,26 @@ class BlockWriter(FunctionWriter):
 
         def find_missing_rows() -> Lanes:
             asks = self.mask[-1] & ~e.load_lanes(has, self.row, BOOL)
-            bound = self.code.scent_bounds.get(instruction.slot)
-            return asks if bound is None else asks & may_reach_bound(self, node, bound)
+            bound = self.code.scent_thresholds.get(instruction.slot)
+            return asks if bound is None else asks & may_reach_threshold(self, node, bound)
 
         mask = self._find_scope_mask(inner, find_missing_rows)
         with e.write_if(e.any_lane(mask)):
             self.mask.append(mask)
             self._write_scope(inner)
             if self.schedule.stage_by_instruction[instruction] == self.stage:
-                result = self.slot_value(instruction.result)
+                result = self.find_slot_value(instruction.inner_result_slot)
                 for part, value in enumerate(result if isinstance(result, tuple) else (result,)):
                     e.store_masked(mask, self.array_address("kept", number, part), self.row, value)
                 e.store_masked(mask, has, self.row, e.make_constant(True, BOOL))
             self.mask.pop()
         if self.schedule.stage_by_instruction[instruction] == self.stage and instruction.slot in self.schedule.stored_slots:
-            self.slot_value(instruction.slot)
+            self.find_slot_value(instruction.slot)
 
     # --- values --------------------------------------------------------------------------------------------------------
 
-    def slot_value(self, slot: int) -> Any:
-        """Return the value of a slot: known, loop-invariant, loaded from an earlier stage, or computed by new code."""
+    def find_slot_value(self, slot: int) -> Any:
+        """Return the value of a slot. Emit code that computes it, or loads it from an earlier stage, if this is needed."""
         slot = self.schedule.resolve_slot(slot)
         if slot in self._uniform_nodes:
             node = self._uniform_nodes[slot]
@@ -297,8 +297,8 @@ class BlockWriter(FunctionWriter):
             parts = tuple(
                 self.builder.load_lanes(self.array_address("kept", number, k), self.row, kind) for k, kind in enumerate(kinds)
             )
-            if slot in self.code.scent_bounds:
-                parts = (limit_strength(self, self._cached_senses[slot], self.code.scent_bounds[slot], parts[0]), *parts[1:])
+            if slot in self.code.scent_thresholds:
+                parts = (limit_strength(self, self._cached_senses[slot], self.code.scent_thresholds[slot], parts[0]), *parts[1:])
             self._store_slot(slot, parts)
             return parts if len(parts) > 1 else parts[0]
         each = self._instruction_by_slot.get(slot)
@@ -317,16 +317,16 @@ class BlockWriter(FunctionWriter):
                 return self.builder.known[-1][slot]
             assert isinstance(node, ir.PlanNode)
             if node.op == "get":
-                value = self.slot_value(each.inputs[0])[node.attrs[0]]
+                value = self.find_slot_value(each.inputs[0])[node.attrs[0]]
             elif node.op in FUNCTION_BY_NAME:
-                value = self.apply_operation(node.op, *(self.slot_value(k) for k in each.inputs))
+                value = self.apply_operation(node.op, *(self.find_slot_value(k) for k in each.inputs))
             else:
-                value = self.senses[node.op](self, node, tuple(self.slot_value(k) for k in each.inputs))
+                value = self.senses[node.op](self, node, tuple(self.find_slot_value(k) for k in each.inputs))
             self._store_slot(slot, value)
         return value
 
-    def known(self, slot: int, value: Any) -> None:
-        """Record the value of a slot that other code has computed already, and store it if a later stage needs it."""
+    def record_slot_value(self, slot: int, value: Any) -> None:
+        """Record that `value` is the value of a slot, and emit code that stores it if a later stage needs it."""
         self.builder.known[-1][slot] = value
         self._store_slot(slot, value)
 
@@ -350,12 +350,12 @@ class BlockWriter(FunctionWriter):
                 continue
             if each.scope is not first.scope and of.op != "set.agents":
                 continue
-            if all(self._is_ready(slot) for slot in reduction_operands(each)):
+            if all(self._is_ready(slot) for slot in list_reduction_operands(each)):
                 reductions.append(each)
         return reductions
 
     def _is_ready(self, slot: int) -> bool:
-        """Return whether a value is known or needs only operations, without any reduction or register that changes."""
+        """Return whether a slot's value is recorded, or can be computed without a reduction or a register that changes."""
         slot = self.schedule.resolve_slot(slot)
         if slot in self._uniform_nodes or any(slot in names for names in self.builder.known):
             return True
@@ -376,7 +376,7 @@ class BlockWriter(FunctionWriter):
             self.write_request(self, instruction)
 
     def _write_store(self, instruction: BlockInstruction, store: ir.Store) -> None:
-        value, mask = self.slot_value(instruction.inputs[0]), self.mask[-1]
+        value, mask = self.find_slot_value(instruction.inputs[0]), self.mask[-1]
         if value.kind == F32:
             good = np.isfinite(value)
             if store.allows_infinity:

@@ -1,4 +1,4 @@
-"""Makes a plan's blocks ready to run as machine code: text, loaded code, and the calls between stages.
+"""The queue that compiles the blocks of plans to machine code: their text, their loaded code, and the calls between stages.
 
 Each function that is called from outside is compiled separately, in a thread parallel to the run. Code is cached by its text:
 in memory, and in a folder for later runs (`object_cache`). The numbers of a program are not part of the text, so changing a
@@ -64,13 +64,15 @@ def find_ready_code(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
 def _build_ready(
     plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, stored: stored_blocks.StoredBlocks | None
 ) -> Generator[None, None, ReadyCode]:
-    """Compile a plan's blocks for this processor. The generator does one piece of work per step. Raises CodeUnavailable."""
+    """Compile a plan's blocks for this processor, and return the code. Each `next` does one piece of the work.
+
+    Raises CodeUnavailable."""
     if why := llvm_compiler.unavailability_reason():
         raise CodeUnavailable(why)
     host = llvm_compiler.host_target()
     text = cache(lambda: write_program(plan, blocks, facts, host))
     if stored is None:
-        subject = stored_blocks.make_subject(plan, blocks, facts, host)
+        subject = stored_blocks.number_plan(plan, blocks, facts, host)
         stored = {name: stored_blocks.text_key(each) for name, each in text().units.items()}, dict(text().blocks)
         if subject is not None:
             stored_blocks.write_blocks(subject, text())
@@ -85,7 +87,7 @@ def _build_ready(
             calls[each] = numpy_calls.make_call(each, blocks[key])(each.slot, each.inputs, None)
     machine_codes = {}
     for name, named in units.items():
-        machine_codes[name] = code_cache.load_code(named, partial(_unit_text, text, name))
+        machine_codes[name] = code_cache.load_code(named, partial(_get_unit_text, text, name))
         yield
     ready = ReadyCode(blocks, facts, written, machine_codes, calls, together)
     with _requests_lock:
@@ -93,14 +95,14 @@ def _build_ready(
     return ready
 
 
-def _unit_text(text: Callable[[], NativeProgram], name: str) -> str:
+def _get_unit_text(text: Callable[[], NativeProgram], name: str) -> str:
     return text().units[name]
 
 
 def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored_blocks.StoredBlocks | None:
-    """Return the compiled blocks of a plan that an earlier run stored, or None. With them, code is loaded at once."""
+    """Return the compiled blocks of a plan that an earlier run stored, or None. They make it unnecessary to write the text."""
     subject = (
-        stored_blocks.make_subject(plan, blocks, facts, llvm_compiler.host_target()) if llvm_compiler.is_available() else None
+        stored_blocks.number_plan(plan, blocks, facts, llvm_compiler.host_target()) if llvm_compiler.is_available() else None
     )
     return None if subject is None else stored_blocks.read_blocks(subject)
 
@@ -108,7 +110,7 @@ def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts)
 def start_building(
     plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, stored: stored_blocks.StoredBlocks | None = None
 ) -> Future[ReadyCode]:
-    """Build machine code for a plan's blocks in a thread, and return a future. Its result may be the error CodeUnavailable.
+    """Build machine code for a plan's blocks in a thread. Return the future of the code; its exception may be CodeUnavailable.
 
     The latest request is built first, because a user waits for it. Building stops once the caller drops the future, for
     example because the program was saved again.
@@ -116,7 +118,7 @@ def start_building(
     coming: Future[ReadyCode] = Future()
     with _requests_lock:
         _pending_requests.append((ref(coming), _build_ready(plan, blocks, facts, stored)))
-    _compile_thread().submit(_run_next_piece)
+    _get_compile_thread().submit(_run_next_piece)
     return coming
 
 
@@ -136,11 +138,11 @@ def _run_next_piece() -> None:
         why = problem
         _finish_request(future_reference, lambda future: future.set_exception(why))
     with suppress(RuntimeError):  # the program is exiting, so no caller waits
-        _compile_thread().submit(_run_next_piece)
+        _get_compile_thread().submit(_run_next_piece)
 
 
 def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], set_outcome: Callable[[Future[ReadyCode]], None]) -> None:
-    """Complete a request by setting its result or its error. `set_outcome` sets it on the future."""
+    """Complete a request: call `set_outcome`, which sets its result or its error, if the future still exists."""
     with _requests_lock:
         _pending_requests[:] = [each for each in _pending_requests if each[0] is not future_reference]
     coming = future_reference()
@@ -156,12 +158,12 @@ def release_code() -> None:
 
 
 @cache
-def _compile_thread() -> ThreadPoolExecutor:
+def _get_compile_thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "machine code")
 
 
 def _group_calls(calls: list[BlockInstruction]) -> list[list[BlockInstruction]]:
-    """Return the calls in their order, in groups. Calls of one sense with one name run together."""
+    """Return the calls in groups, in their order. Calls of one sense with one name are one group."""
     groups: list[list[BlockInstruction]] = []
     known: dict[Any, list[BlockInstruction]] = {}
     for each in calls:

@@ -1,4 +1,4 @@
-"""Scents that are only compared with a bound. If no nearby cell reaches the bound, no cell is read."""
+"""Scents that are only compared with a threshold. If no nearby cell reaches the threshold, no cell is read."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge"))
 
 
 def read_own_cell(w: Any, field: str) -> Lanes:
-    """Return the agent's own cell; the index after the last cell if it has none."""
+    """Return the cell of each of the eight agents in a field; the number of cells for an agent without a cell."""
     cell = w.builder.load_lanes(w.array_address("cell", field), w.row, I32)
     cell_number: Lanes = w.builder.select_lanes(cell < 0, w.read_uniform(I32, "cells", field), cell)
     return cell_number
 
 
-def may_reach_bound(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
-    """Return the lanes for which a nearby cell may reach the bound."""
+def may_reach_threshold(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
+    """Return the mask of agents for which a nearby cell may reach the threshold."""
 
     def load_reached() -> Lanes:
         is_reached: Lanes = w.builder.gather(
@@ -36,33 +36,33 @@ def may_reach_bound(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
 
 
 def limit_strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strength: Lanes) -> Lanes:
-    """Return `stored_strength` for lanes that may reach the bound, and 0 for other lanes.
+    """Return `stored_strength` for agents near a cell that may reach the threshold, and 0 for other agents.
 
-    For the other lanes, the true value is also below the bound."""
+    For the other agents, the true strength is also below the threshold."""
     bounded_strength: Lanes = w.builder.select_lanes(
-        may_reach_bound(w, node, bound), stored_strength, w.builder.make_constant(0.0, stored_strength.kind)
+        may_reach_threshold(w, node, bound), stored_strength, w.builder.make_constant(0.0, stored_strength.kind)
     )
     return bounded_strength
 
 
-def find_bounds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, ir.PlanNode]:
-    """Return the bounds of scents, by slot.
+def find_scent_thresholds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, ir.PlanNode]:
+    """Return, by the slot of a scent, the node of the threshold that the scent is compared with.
 
     Only scents count that are stored for the step and compared with a single number, which must be equal for all agents."""
     uniform = {slot: node for node, slot in compiler.uniform_slots.items()}
     readers: dict[int, list[BlockInstruction]] = {}
     scents: list[int] = []
-    for each in _all_instructions(compiler.root_scope):
+    for each in _iterate_instructions(compiler.root_scope):
         if each.kind is not InstructionKind.GATHER:  # a gather has the slot of its source
-            for slot in (*each.inputs, each.result):
+            for slot in (*each.inputs, each.inner_result_slot):
                 readers.setdefault(schedule.resolve_slot(slot), []).append(each)
         if (
             each.kind is InstructionKind.CACHED_SENSE
-            and _operation_name(each) == "field.strongest"
+            and _get_operation_name(each) == "field.strongest"
             and each.slot not in schedule.stored_slots
         ):
             scents.append(each.slot)
-    scent_bounds = {}
+    scent_thresholds = {}
     for scent in scents:
         parts = readers.get(scent, [])
         numbers = {schedule.resolve_slot(part.slot) for part in parts}
@@ -70,16 +70,16 @@ def find_bounds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, i
         if (
             not compared
             or not all(_is_strength_part(part) for part in parts)
-            or not all(_operation_name(by) in _COMPARISON_OPERATIONS for by in compared)
+            or not all(_get_operation_name(by) in _COMPARISON_OPERATIONS for by in compared)
         ):
             continue
         others = {schedule.resolve_slot(slot) for by in compared for slot in by.inputs} - numbers
         if len(others) == 1 and (slot := others.pop()) in uniform:
-            scent_bounds[scent] = uniform[slot]
-    return scent_bounds
+            scent_thresholds[scent] = uniform[slot]
+    return scent_thresholds
 
 
-def _operation_name(instruction: BlockInstruction) -> str:
+def _get_operation_name(instruction: BlockInstruction) -> str:
     return instruction.subject.op if isinstance(instruction.subject, ir.PlanNode) else ""
 
 
@@ -93,8 +93,8 @@ def _is_strength_part(instruction: BlockInstruction) -> bool:
     )
 
 
-def _all_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
+def _iterate_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
     for each in scope.code:
         yield each
         if each.inner is not None:
-            yield from _all_instructions(each.inner)
+            yield from _iterate_instructions(each.inner)

@@ -9,7 +9,7 @@ _FLOAT4_TYPE = f"<4 x {F32}>"
 
 
 def load_quadruples(e: LaneBuilder, base: Lanes, index: Lanes) -> list[Lanes]:
-    """Return four values per lane, from an array of four floats per index; `index` is i32."""
+    """Return four values per lane, loaded from an array with four adjacent floats for each index. `index`: i32."""
     fours = (quadruple_address(e, base, e.extract_lane(index, lane)) for lane in range(LANE_COUNT))
     return e.transpose_rows([e.op("load", F32, each, x=", align 4", lanes=4) for each in fours])
 

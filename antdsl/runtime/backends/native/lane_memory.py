@@ -23,14 +23,14 @@ _LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candid
 
 
 class LaneMemory:
-    """The memory of one part of a block.
+    """The memory that machine code uses for one part of a block's rows.
 
-    `counts`: first, above 0 if an agent has too many neighbours; then the length of each list.
-    `needed_calls`: for each call, above 0 if an agent needs it.
-    `list_columns`: for each list, rows and the values stored for them.
-    `ticks`: counters by line, for timed code.
+    `counts`: entry 0 is above 0 if an agent has too many neighbours; then the length of each list of requests.
+    `needed_calls`: for each optional call, above 0 if an agent needs it.
+    `list_columns`: for each list of requests, the rows, and the values stored for them.
+    `ticks`: the time counters by source line, for timed code.
     `deposit_flags`: by field, whether anything was deposited.
-    `widest`: the greatest radius of each search."""
+    `max_radii`: the greatest radius (mm) of each search, for eight agents at a time."""
 
     def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
         self.code, self.pointers = code, np.zeros_like(pointers)
@@ -39,12 +39,12 @@ class LaneMemory:
         self.list_columns: list[list[NDArray[Any]]] = []
         self.fault_notes = np.zeros(1, np.int64)
         self.counts, self.needed_calls = (
-            np.zeros(1 + len(code.lists), np.int64),
+            np.zeros(1 + len(code.list_instructions), np.int64),
             np.zeros(max(len(code.optional_calls), 1), np.uint8),
         )
         self.ticks = np.zeros(0 if code.lines is None else len(code.lines.instruction_numbers), np.int64)
         self.deposit_flags: dict[str, NDArray[np.bool_]] = {}
-        self.widest = [np.zeros(LANE_COUNT, np.float32) for _ in code.searches]
+        self.max_radii = [np.zeros(LANE_COUNT, np.float32) for _ in code.searches]
         self._candidates = np.zeros(0, np.int32)
         self._keys = [
             (key, place)
@@ -55,7 +55,7 @@ class LaneMemory:
         self._lane_addresses = np.zeros(len(self._keys), np.int64)
 
     def copy_pointers(self, pointers: NDArray[np.int64]) -> None:
-        """Set the addresses that are common to all lanes."""
+        """Copy the addresses that are common to all parts from the table `pointers`."""
         self.pointers[:] = pointers
         self.pointers[self._lane_entries] = self._lane_addresses
 
@@ -72,7 +72,7 @@ class LaneMemory:
         `others`: the number of agents of the largest searched species, for which buffers are allocated."""
         self.arrays = arrays
         self.list_columns.clear()
-        for number in range(len(self.code.lists)):
+        for number in range(len(self.code.list_instructions)):
             parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
             self.list_columns.append([self.arrays[-1 - number, part] for part in parts])
         notes, candidates = (
@@ -87,12 +87,12 @@ class LaneMemory:
             self._lane_addresses[number] = array_address(self._find_array(key))
 
     def _find_array(self, key: AddressKey) -> NDArray[Any]:
-        """Return the lane's own array for a layout key."""
+        """Return the array of this part for a key of the layout."""
         match key[0]:
             case "array":
                 return self.arrays[int(str(key[1])), int(str(key[2]))]
             case "grid":
-                return self.widest[int(str(key[1]))]
+                return self.max_radii[int(str(key[1]))]
             case "laid":
                 return self.deposit_flags.setdefault(str(key[1]), np.zeros(1, np.bool_))
             case "notes":
@@ -109,7 +109,7 @@ class LaneMemory:
 class LaneMemories:
     """The memories of all parts of a block that run at the same time.
 
-    Stage results of all parts are contiguous, part after part: the arrays of each lane are slices of `arrays`."""
+    The results of a stage are contiguous for all parts: the arrays of a part are slices of `arrays`."""
 
     def __init__(self, code: BlockCode) -> None:
         self.code = code
@@ -121,9 +121,9 @@ class LaneMemories:
         ] = {}  # the query of each call, with its uniform operands and their values
 
     def prepare_lanes(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
-        """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts), with the shared
-        addresses.
+        """Return the memories of `parts` parts with `rows` rows each, with the common addresses `pointers`.
 
+        `rows` is a multiple of eight if there are several parts.
         `others`: the number of agents of the largest searched species, for which buffers are allocated."""
         while len(self.every) < parts:
             self.every.append(LaneMemory(self.code, pointers))
@@ -140,7 +140,7 @@ class LaneMemories:
         return lanes
 
     def _allocate_arrays(self) -> None:
-        """Allocate the arrays of all parts, and assign each lane its slices."""
+        """Allocate the arrays for all parts, and give each part its slices."""
         rows, length = self._part_rows, self._part_count * self._part_rows + LANE_COUNT
         self._queries.clear()
         for key, kind in self.code.layout.array_kinds.items():
@@ -156,7 +156,7 @@ class LaneMemories:
         """Return the query for a call: which of `rows` rows of all parts need it, its arguments, and the arrays for its
         results.
 
-        `uniform`: by slot, the nodes that have one value for all agents."""
+        `uniform`: by slot, the node of each argument that is equal for all agents. `values`: the values of these nodes."""
         known = self._queries.get(instruction)
         if known is not None:
             request, same = known
@@ -171,6 +171,6 @@ class LaneMemories:
         results = [
             self.arrays[instruction.slot, part][:rows] for part in range(len(ir.TUPLE_KINDS_BY_OPERATION[instruction.subject.op]))
         ]
-        request = (self.arrays[self.code.call_mask_slot(instruction), 0][:rows], tuple(operands), tuple(results))
+        request = (self.arrays[self.code.find_call_mask_slot(instruction), 0][:rows], tuple(operands), tuple(results))
         self._queries[instruction] = (request, same)
         return request

@@ -1,4 +1,4 @@
-"""Times machine code by line: marks in the code read the processor's counter where the source line changes.
+"""The time of machine code by source line. Where the line changes, a mark in the code reads the processor's time counter.
 
 Only code compiled for timing has marks (`programs.WorldFacts.timed`). The time between two marks is added to the counter of
 the line before the second mark. The total duration of the functions converts counters to seconds. A call, such as a search
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class LineCounters:
-    """Counters of a block: one for each source line within each layer. The first counter is for instructions without a line.
+    """The time counters of a block: one for each source line within each layer. Counter 0 is for instructions without a line.
 
     `number_by_instruction`: the index of each instruction among the instructions of `MeteredBlock`.
     `instruction_numbers`: for each counter, the index of an instruction on its line, -1 for none."""
@@ -35,7 +35,7 @@ class LineCounters:
         self._counters: dict[tuple[str, int, int], int] = {}
 
     def find_counter(self, instruction: BlockInstruction) -> int:
-        """Return the counter of an instruction's line; a new one if the line has none yet."""
+        """Return the number of the counter for an instruction's line; a new number if the line has no counter yet."""
         span = instruction.span
         place = ("", 0) if span is None else (span.source.path, span.source.find_line_column(span.start)[0])
         key = (*place, instruction.layer)
@@ -46,7 +46,7 @@ class LineCounters:
 
 
 class _MarkWriter:
-    """Rewrites a function with marks between instructions that have different counters."""
+    """The writer of marks into a function, between instructions that have different time counters."""
 
     def __init__(self, w: FunctionWriter) -> None:
         self.builder, self._ticks, self._last_time_slot = w.builder, w.array_address("ticks"), w.builder.allocate_slot(I64)
@@ -73,7 +73,7 @@ class _MarkWriter:
         self._add_ticks(current)
 
     def _add_ticks(self, number: int) -> None:
-        """Emit code that adds the time since the last mark to a counter."""
+        """Emit code that adds the time since the last mark to counter `number`."""
         e = self.builder
         self._store_pending()
         last, now = e.load(self._last_time_slot, I64), self._read_counter()
@@ -83,8 +83,9 @@ class _MarkWriter:
         self._add_barrier(now)
 
     def _read_counter(self) -> Lanes:
-        """Return the processor's counter after all earlier instructions have completed. Otherwise divisions and roots of a
-        line would count for a later line."""
+        """Emit code that reads the processor's time counter. Return its value.
+
+        The code first waits for earlier instructions. Otherwise divisions and roots of a line would count for a later one."""
         if self._needs_fence:
             self.builder.do("wait")
         return self.builder.op("ticks", I64, lanes=1)
@@ -116,17 +117,16 @@ class _MarkWriter:
 
 
 def add_marks(w: FunctionWriter) -> None:
-    """Add marks to a function that is complete except for its end."""
+    """Add time marks to a function that is complete except for its end."""
     _MarkWriter(w).write_marks()
 
 
 @dataclass(slots=True, eq=False)
 class LineTimes:
-    """The times of a block's parts in one run.
+    """The times of one part of a block in one run.
 
-    `ticks`: the counters to which its code adds. `counters`: counters from `MeteredBlock.new_counters`. `seconds`: the time of
-    the
-        functions."""
+    `ticks`: the time counters by source line, in ticks of the processor, to which machine code adds.
+    `counters`: the times by instruction, from `MeteredBlock.make_counters`. `seconds`: the time of the functions."""
 
     lines: LineCounters
     ticks: NDArray[np.int64]
@@ -137,11 +137,11 @@ class LineTimes:
         self.ticks[:] = 0
 
     def add_call(self, instruction: BlockInstruction, seconds: float) -> None:
-        """Add the time of an instruction without machine code."""
+        """Add `seconds` to the time of an instruction without machine code."""
         self._add_seconds(self.lines.number_by_instruction[instruction], seconds)
 
     def distribute_to_lines(self) -> None:
-        """Divide the time of the functions among their lines."""
+        """Divide the time of the functions among the source lines, in proportion to their ticks."""
         ticks = np.maximum(self.ticks, 0)  # counters of two processors may differ
         to_seconds = self.seconds / max(int(ticks.sum()), 1)
         for number, count in zip(self.lines.instruction_numbers, ticks.tolist(), strict=True):

@@ -68,8 +68,9 @@ class NativeBackend(NumpyBackend):
         return super().backend_name if self.ready_code is None else "machine code"
 
     def set_timing(self, enabled: bool) -> None:
-        """Time program lines from the next step on, or stop timing. Timing needs separate code; NumPy runs until that code is
-        ready."""
+        """Measure the time of program lines from the next step on, or stop this.
+
+        This needs separate machine code. NumPy runs blocks until that code is ready."""
         if enabled != self._is_timed:
             self._is_timed = enabled
             current = (self.ready_code, self._pending_code, self._runners)
@@ -77,7 +78,7 @@ class NativeBackend(NumpyBackend):
         super().set_timing(enabled)
 
     def begin(self, world: World) -> None:
-        """Begin a step: set its loop-invariant values, clear cached senses, and switch to machine code that has become ready."""
+        """Begin a step: compute values that are equal for all agents, clear cached senses, and use code that has become ready."""
         self._request_code(world, world.options.wait_for_code)
         self._has_begun = True
         versions = [population.version for population in world.populations.values()]
@@ -97,17 +98,21 @@ class NativeBackend(NumpyBackend):
         """Wait until all blocks can run as machine code from the next step on, or until this has failed."""
         self._request_code(world, True)
 
-    def instruction_counts(self) -> dict[str, int]:
+    def count_instructions_by_function(self) -> dict[str, int]:
         """Return the number of LLVM instructions of each function, compiled for a generic processor."""
         if self.ready_code is None:
             return {}
         native_program = write_program(self._plan, self.blocks, self.ready_code.facts, llvm_compiler.PORTABLE_TARGET)
-        return {f"instructions {name}": number for name, number in program_listing.instruction_counts(native_program).items()}
+        return {
+            f"instructions {name}": number
+            for name, number in program_listing.count_instructions_by_function(native_program).items()
+        }
 
     def _request_code(self, world: World, must_wait: bool) -> None:
-        """Start to build missing code after the first step, for which a user waits, if the remaining steps are worth it.
+        """Request machine code that is missing, if the remaining steps are worth it.
 
-        Code that an earlier run has stored is loaded before the step."""
+        Code that an earlier run has stored is loaded before the first step. Other code is requested after the first step, so that
+        the user sees its result soon. With `must_wait`, return when the code is ready."""
         if self.ready_code is not None or self._unavailable_reason is not None:
             return
         if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.host_target().x86:
@@ -159,7 +164,7 @@ class NativeBackend(NumpyBackend):
                     world.fields[field].mark_pending()
                     laid[0] = False
         for number in range(len(near)):
-            key, widest = (name, block, number), [lane.widest[number] for lane in tables.lanes.every]
+            key, widest = (name, block, number), [lane.max_radii[number] for lane in tables.lanes.every]
             self._search_radii[key] = max([max(each.tolist()) for each in widest]) or self._search_radii[key]
             for each in widest:
                 each.fill(0)
@@ -172,8 +177,9 @@ class NativeBackend(NumpyBackend):
         return native_block
 
     def _find_search_grid(self, world: World, population: Population, block: str, search: NeighbourSearch, number: int) -> Arrays:
-        """Return the cell grid for a search. Its cells suit the greatest radius of the previous step, or initially that of
-        `_estimate_radius`."""
+        """Return the arrays of the cell grid for a search.
+
+        Its cells suit the greatest radius of the previous step, or in the first step the result of `_estimate_radius`."""
         key = (population.name, block, number)
         other = world.populations[search.species]
         if key not in self._search_radii:
@@ -191,16 +197,17 @@ def _estimate_radius(world: World, population: Population, other: Population, ra
     cheap = [
         radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in collect_required_nodes([radius]))
     ]
-    lengths = [0.0] if len(cheap) == len(radii) else [_default_cell_size(other)]
+    lengths = [0.0] if len(cheap) == len(radii) else [_choose_cell_size(other)]
     for row in np.linspace(0, len(population) - 1, min(_SAMPLED_RADII, len(population))).astype(int) if cheap else ():
         agent = AgentRun(world, population, int(row), population.now, int(row), EffectRequests(), {})
-        lengths += [float(agent.value(radius)) for radius in cheap]
+        lengths += [float(agent.compute_value(radius)) for radius in cheap]
     return max((each for each in lengths if np.isfinite(each)), default=0.0)
 
 
-def _default_cell_size(population: Population) -> float:
-    """Return the edge (mm) of a cell that contains about `_DEFAULT_AGENTS_PER_CELL` agents, for a crowd along a line, on a
-    sheet or in a volume."""
+def _choose_cell_size(population: Population) -> float:
+    """Return the edge length (mm) of a cell that contains about `_DEFAULT_AGENTS_PER_CELL` agents.
+
+    The crowd may extend along a line, over an area or through a volume."""
     columns = (population.start[f"position.{axis}"] for axis in AXES)
     extents = sorted((float(np.ptp(finite)) for place in columns if len(finite := place[np.isfinite(place)])), reverse=True)
     share = _DEFAULT_AGENTS_PER_CELL / max(len(population), 1)

@@ -25,7 +25,7 @@ _CELL_STRIDE = 4  # neighbour cells are sorted: about this many share a cache li
 
 
 def _emit_register(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Return a register of the agent itself, at the start of the step or now."""
+    """Return a register of the agent itself: its value at the start of the step, or its current value."""
     value: Lanes = w.builder.load_lanes(
         w.array_address("start" if node.op == "snap" else "now", node.attrs[0]), w.row, LANE_TYPE_BY_KIND[node.kind]
     )
@@ -52,7 +52,7 @@ def _emit_age_from_birth(w: Any, birth_frames: Lanes) -> Lanes:
 
 
 def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
-    """Return the four random words of a site for each id."""
+    """Return the four random words of each agent for a site of the program, from its id. `block`: the number of the words."""
 
     def emit_words() -> list[Lanes]:
         e, wide = w.builder, llvm_type(I64, LANE_COUNT)
@@ -62,14 +62,14 @@ def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
             for word in ("first", "low", "last", "k0", "k1")
         ]
         ids = _emit_id(w, None, ())  # type: ignore[arg-type]
-        e.do("call", ids, *shared, out, x=f"@{_philox_function(w)}")
+        e.do("call", ids, *shared, out, x=f"@{_get_philox_function(w)}")
         return [e.load(e.address(out, k, wide), I64, LANE_COUNT) for k in range(4)]
 
     words: list[Lanes] = w.builder.get_or_make(("words", site, block), emit_words)
     return words
 
 
-def _philox_function(w: FunctionWriter) -> str:
+def _get_philox_function(w: FunctionWriter) -> str:
     """Return the name of the function that computes four random words of eight agents."""
     name = "philox"
     if name not in w.module.functions:
@@ -116,7 +116,7 @@ def _emit_touched_surface(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> L
 
 
 def _emit_rows_of_ids(w: Any, species: str, ids: Lanes) -> Lanes:
-    """Return the rows of ids, -1 for none and for dead agents. The sorted ids are bisected in all lanes at once."""
+    """Return the row of each id, -1 for no agent and for dead agents. Bisect the sorted ids in all lanes at once."""
     e: LaneBuilder = w.builder
 
     def emit_rows() -> Lanes:
@@ -168,7 +168,7 @@ def _emit_agent_alive(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes
 
 
 def _emit_item_presence(w: Any, items: str, item: Lanes) -> Lanes:
-    """Return which numbers are those of existing items."""
+    """Return the mask of numbers that belong to existing items."""
     has_item: Lanes = (item >= 0) & (item < w.read_uniform(I32, "items", items))
     return has_item
 
@@ -194,20 +194,19 @@ def _emit_field_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes
 
 
 def _load_later_cells(w: Any, field: str, eights: int) -> Lanes:
-    """Return the cells of the eight agents that are processed `eights` iterations later. Near the end, return the current
-    cells."""
+    """Return the cells of the eight agents that the loop processes `eights` iterations later; near its end, the current cells."""
     e: LaneBuilder = w.builder
     later = w.row + LANE_COUNT * eights
     return e.load_lanes(w.array_address("cell", field), e.select_lanes(later < w.end, later, w.row), I32)
 
 
 def _prefetch_elements(e: LaneBuilder, array: Lanes, at: Lanes, size: int) -> None:
-    """Prefetch `size` bytes of an array from an index on. Any index is allowed."""
+    """Emit code that prefetches `size` bytes of an array from index `at` on. The index may be outside the array."""
     e.prefetch(e.address(array, e.convert(at, I64) * size, I8))
 
 
 def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
-    """Prefetch the array elements (`size` bytes each) for the cells of agents that are processed `eights` iterations later."""
+    """Emit code that prefetches the elements (`size` bytes each) of the cells of agents processed `eights` iterations later."""
     e: LaneBuilder = w.builder
     cells = _load_later_cells(w, field, eights)
     for lane in range(LANE_COUNT):
@@ -215,7 +214,7 @@ def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1)
 
 
 def _prefetch_neighbour_cells(w: Any, field: str, amounts: Lanes, positions: Lanes, block: Lanes, count: int) -> None:
-    """Prefetch amounts and positions of the cells around the next eight agents, and the cell lists of the eight after them."""
+    """Emit code that prefetches amounts and positions around the next eight agents, and cell lists of the eight after them."""
     e: LaneBuilder = w.builder
     prefetch_cells(w, field, block, 4 * count, 2)
     cells = _load_later_cells(w, field, 1)
@@ -229,9 +228,9 @@ def _prefetch_neighbour_cells(w: Any, field: str, amounts: Lanes, positions: Lan
 
 
 def _emit_first_strongest(e: LaneBuilder, cell_amounts: Lanes, cells: Lanes, count: int, own_cells: Lanes) -> tuple[Lanes, Lanes]:
-    """Return the greatest amount in the `count` cells of a list, and the first cell that has it. NaN counts as 0.
+    """Return the greatest amount in the first `count` cells of a list, and the first cell that has it. NaN counts as 0.
 
-    If no amount is above 0, return 0 and the own cell."""
+    If no amount is above 0, return 0 and the agent's own cell."""
     none = e.make_constant(0.0, F64)
     eights = []
     for first in range(0, count, LANE_COUNT):
@@ -318,7 +317,7 @@ NATIVE_LOWERERS: Mapping[str, NodeLowerer] = {
 
 
 def _emit_may_hit(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Return which agents may hit the obstacle with a ray."""
+    """Return the mask of agents that may hit the obstacle with a ray."""
     reach = args[3]
     clear = w.builder.load_lanes(w.array_address("clear", node.attrs[0]), w.row, F32)
     is_near: Lanes = (reach > 0) & (reach < np.inf) & may_touch(clear, reach)

@@ -19,7 +19,7 @@ _MIN_ARRAYS_TO_DROP = 64  # number of arrays below which unused ones are not sea
 
 
 class PaddedArrays:
-    """Padded arrays by content. All blocks that name the same content share one array."""
+    """The padded arrays of a world. All blocks that use the same data share one padded array."""
 
     def __init__(self) -> None:
         self._padded_by_id: dict[
@@ -30,7 +30,7 @@ class PaddedArrays:
         self.step = 0  # number of the step; a copy without stamp is valid for one step
 
     def pad_array(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
-        """Return a padded array with the same content, and its address. If `array` is already padded, it is returned.
+        """Return a padded array with the content of `array`, and its address. If `array` is padded, it is returned itself.
 
         The caller must use the returned array from then on."""
         known = self._padded_by_id.get(id(array))
@@ -44,10 +44,10 @@ class PaddedArrays:
         return known[1:]
 
     def move_register(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
-        """Return a register's array and its address, after moving it into a padded array if needed.
+        """Move a register into a padded array if it is not in one. Return the array and its address.
 
-        If the values for the start of the step and for now shared the old array, they share the new one. Otherwise it would be
-        copied at the end of each step."""
+        `start`: whether to move the values at the start of the step, instead of the current ones. If both shared the old array,
+        they share the new one. Otherwise it would be copied at the end of each step."""
         holders = population.start, population.now
         array = holders[not start][name]
         located_array = self.pad_array(array)
@@ -57,7 +57,7 @@ class PaddedArrays:
         return located_array
 
     def begin_step(self, populations: Iterable[Population]) -> None:
-        """Release unused arrays if they may outnumber those in use. Called at the start of a step."""
+        """Release unused arrays at the start of a step, if they may outnumber those in use."""
         self.step += 1
         if len(self._padded_by_id) > self._max_arrays:
             held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
@@ -69,7 +69,7 @@ class PaddedArrays:
         self._padded_by_id.clear()
 
     def copy(self, *key: Hashable) -> PaddedCopy:
-        """Return the copy for a key. All blocks that use the key share the copy."""
+        """Return the padded copy for a key. All blocks that use the key share it."""
         return self._copies.setdefault(key, PaddedCopy(self))
 
 
@@ -84,8 +84,9 @@ class PaddedCopy:
         self._padded: NDArray[Any] = np.zeros(0)
 
     def update(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
-        """Return the address of a padded copy of an array. The copy stays valid while `stamp` is unchanged; without a stamp,
-        for one step."""
+        """Copy an array if needed, and return the address of the padded copy.
+
+        The copy stays valid while `stamp` is equal; without a stamp, for one step."""
         stamp = self._owner.step if stamp is None else stamp
         if stamp != self._source_stamp or len(self._padded) != len(array) + LANE_COUNT:
             self._resize_copy(len(array), dtype)
@@ -93,8 +94,8 @@ class PaddedCopy:
             self._source_stamp = stamp
         return self._address
 
-    def derived_address(self, source: Any, make: Callable[[], NDArray[Any]]) -> int:
-        """Return the address of an array that `make` derives from `source`. It is made again when `source` is another object."""
+    def update_derived_copy(self, source: Any, make: Callable[[], NDArray[Any]]) -> int:
+        """Return the address of the padded result of `make`. It is made again when `source` is another object."""
         if source is not self._source_stamp:
             self._source_stamp, self._padded = source, make()
             self._address = array_address(self._padded)

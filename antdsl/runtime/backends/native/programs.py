@@ -1,4 +1,4 @@
-"""Converts a plan's blocks to LLVM text: the functions that are compiled separately, and the data that running them needs."""
+"""The conversion of a plan's blocks to LLVM text: the functions that are compiled separately, and the data to run them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstructi
 from antdsl.runtime.backends.native import reduction_loops, search
 from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND, AddressLayout
 from antdsl.runtime.backends.native.block_writer import BlockCode, BlockWriter, NodeLowerer
-from antdsl.runtime.backends.native.field_threshold import find_bounds
+from antdsl.runtime.backends.native.field_threshold import find_scent_thresholds
 from antdsl.runtime.backends.native.line_profiling import LineCounters
 from antdsl.runtime.backends.native.native_senses import (
     GUARDED_SENSES,
@@ -57,8 +57,8 @@ class NativeProgram:
 class WorldFacts:
     """Properties of a world that the code depends on.
 
-    `has_moving_ground`: some ground moves. `has_detail_levels`: agents may sense obstacles as boxes. `is_timed`: lines are timed
-    (`line_profiling`)."""
+    `has_moving_ground`: whether some ground moves. `has_detail_levels`: whether agents may sense obstacles as boxes.
+    `is_timed`: whether the time of source lines is measured (`line_profiling`)."""
 
     has_moving_ground: bool
     has_detail_levels: bool
@@ -71,8 +71,10 @@ class WorldFacts:
 
 
 def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCode]:
-    """Return all blocks of a plan, with their instructions assigned to stages. Births are left out, because they are few."""
-    senses = _native_senses(facts)
+    """Return the code of each block, by species and block: without functions, but with instructions assigned to stages.
+
+    Blocks of births are left out, because births are few."""
+    senses = _find_native_senses(facts)
 
     def has_machine_code(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
         if node.op.startswith("reduce."):
@@ -88,12 +90,14 @@ def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) ->
             of = plan.species[species]
             order = make_schedule(compiler, partial(has_machine_code, of), is_costly)
             lines = LineCounters(compiler) if facts.is_timed else None
-            output[species, block] = BlockCode(of, [], AddressLayout(), order, lines, scent_bounds=find_bounds(compiler, order))
+            output[species, block] = BlockCode(
+                of, [], AddressLayout(), order, lines, scent_thresholds=find_scent_thresholds(compiler, order)
+            )
     return output
 
 
 def write_program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> NativeProgram:
-    """Return the blocks of a plan with their LLVM text."""
+    """Return the LLVM text of all blocks of a plan for a processor `target`."""
     guards = {} if facts.has_detail_levels else GUARDED_SENSES
 
     def get_combination(field: str) -> str:
@@ -106,19 +110,19 @@ def write_program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, targ
         for stage in range(order.stage_count):
             name = f"{species}.{block}.{stage}"
             BlockWriter(
-                module, code, compiler, stage, _native_senses(facts), _emit_reduction, guards, emit_request, get_combination
+                module, code, compiler, stage, _find_native_senses(facts), _emit_reduction, guards, emit_request, get_combination
             ).write_function(name)
-            code.names.append(name)
+            code.function_names.append(name)
         for each in (each for group in order.calls_after_stage for each in group):
             if each.kind not in PAIR_INSTRUCTION_KINDS and isinstance(each.subject, ir.PlanNode):
                 for part, kind in enumerate(ir.TUPLE_KINDS_BY_OPERATION.get(each.subject.op, (each.subject.kind,))):
-                    code.layout.array_index(each.slot, part, LANE_TYPE_BY_KIND[kind])
+                    code.layout.find_array_index(each.slot, part, LANE_TYPE_BY_KIND[kind])
     return NativeProgram(
         module.text(), module.functions, {name: module.extract_unit_text(name) for name in module.entry_names()}, output
     )
 
 
-def _native_senses(facts: WorldFacts) -> dict[str, NodeLowerer]:
+def _find_native_senses(facts: WorldFacts) -> dict[str, NodeLowerer]:
     """Return the senses that have machine code in a world with these `facts`."""
     return {
         op: lower

@@ -23,9 +23,9 @@ from antdsl.runtime.world import AXES
 
 
 def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
-    """Return whether a reduction has machine code.
+    """Return whether a reduction can be compiled to machine code.
 
-    It has if every node that depends on the other element is an operation, or a leaf with machine code."""
+    This requires that every node that depends on the other agent or item is an operation, or one of the `leaves`."""
     known = {"pair.x", "pair.y", "pair.z", "pair.distance", "other", "other.id", "other.row"} | leaves
     pairs = [each for each in collect_required_nodes(node.args[1:]) if each.rate is ir.UpdateRate.PAIR]
     return node.op in INITIAL_VALUES and all(each.op in FUNCTION_BY_NAME or each.op in known for each in pairs)
@@ -35,7 +35,7 @@ def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
 
 
 class PairValues:
-    """Values of nodes over pairs. `own_value` returns a value of the requesting agent, `leaf_value` a value of the pair."""
+    """The values of nodes for eight pairs. `own_value`: returns a value of the requesting agents; `leaf_value`: of the pairs."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class PairValues:
         self.w, self.own_value, self.leaf_value, self.senses = w, own_value, leaf_value, senses
 
     def value(self, node: ir.PlanNode) -> Lanes:
-        """Return the value of a node for eight pairs. Each node is computed once."""
+        """Return the value of a node for eight pairs. Code for each node is emitted once."""
 
         def emit_node() -> Lanes:
             if node.rate <= ir.UpdateRate.STEP:
@@ -73,19 +73,19 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
     """Emit a loop over all members of the set, for eight requesting agents."""
     e, instructions = b.builder, [first, *b.find_joint_reductions(first)]
     nodes = [each.subject for each in instructions if isinstance(each.subject, ir.PlanNode)]
-    sets = reduction_sets(instructions)
+    sets = find_reduction_sets(instructions)
     own = find_own_values(b, instructions)
     of_items = nodes[0].args[0].op == "set.items"
     name = nodes[0].args[0].attrs[0]
     place = [e.load_lanes(b.array_address("start", f"position.{axis}"), b.row, F32) for axis in AXES]
-    reach = {chosen: b.slot_value(slots[0]) if of_items else None for chosen, slots in sets.items()}
+    reach = {chosen: b.find_slot_value(slots[0]) if of_items else None for chosen, slots in sets.items()}
     for make in own.values():
         make()  # computed before the loop
     mask = b.mask[-1]
     itself = None if of_items or name != b.species else e.load_lanes(b.array_address("ids"), b.row, I64)
     sums = [RunningReduction(e, node, needs_two_words=True) for node in nodes]
     for each in sums:
-        each.start()
+        each.allocate_values()
     count = b.read_uniform(I64, "items" if of_items else "agents", name, is_scalar=True)
     with e.write_loop(count) as number:
 
@@ -123,11 +123,13 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
                 (lambda: e.broadcast(number)) if of_items else (lambda: load_attribute("unsorted ids", I64)),
             )
     for each, instruction in zip(sums, instructions, strict=True):
-        b.known(instruction.slot, each.result())
+        b.record_slot_value(instruction.slot, each.emit_result())
 
 
-def test_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tuple[Lanes, Lanes | None]:
-    """Return the mask of pairs that count in a reduction, and the value of its body."""
+def evaluate_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tuple[Lanes, Lanes | None]:
+    """Return the mask of pairs that count in a reduction, and the value of its body for them; None without a body.
+
+    `near_mask`: the pairs that are in the set."""
     condition = node.args[1]
     if condition.op != "const.bool" or not condition.attrs[0]:
         near_mask = near_mask & pairs.value(condition)
@@ -137,11 +139,11 @@ def test_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tuple[
 def accumulate_pairs(
     reduction: RunningReduction, node: ir.PlanNode, pairs: PairValues, near_mask: Lanes, label: Callable[[], Lanes]
 ) -> None:
-    """Emit code that adds the pairs that count to a reduction."""
-    reduction.add_term(*test_pairs(node, pairs, near_mask), label() if node.op in ("reduce.agent", "reduce.item") else None)
+    """Emit code that adds the pairs that count to the running values of a reduction. `near_mask`: the pairs in the set."""
+    reduction.add_term(*evaluate_pairs(node, pairs, near_mask), label() if node.op in ("reduce.agent", "reduce.item") else None)
 
 
-def reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tuple[int, ...]]:
+def find_reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tuple[int, ...]]:
     """Return the sets of the given reductions, with the slots of their operands."""
     known = {each.subject: each.inputs for each in instructions[0].scope.code if each.kind is InstructionKind.PAIRS}
     slots_by_set: dict[ir.PlanNode, tuple[int, ...]] = {}
@@ -153,7 +155,7 @@ def reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tu
 
 
 def find_own_values(b: BlockWriter, instructions: list[BlockInstruction]) -> dict[ir.PlanNode, Callable[[], Any]]:
-    """Return the requesting agents' own values that the reductions need."""
+    """Return, for each value of the requesting agents that the reductions need, a function that returns it."""
     makers = {each.slot: each for each in instructions[0].scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     value_makers: dict[ir.PlanNode, Callable[[], Any]] = {}
     for instruction in instructions:
@@ -164,8 +166,8 @@ def find_own_values(b: BlockWriter, instructions: list[BlockInstruction]) -> dic
             if producer is None or slot in visited:
                 continue
             visited.add(slot)
-            if producer.kind is InstructionKind.SPREAD and isinstance(producer.subject, ir.PlanNode):
-                value_makers[producer.subject] = lambda source=producer.inputs[0]: b.slot_value(source)  # type: ignore[misc]
+            if producer.kind is InstructionKind.REPEAT_FOR_PAIRS and isinstance(producer.subject, ir.PlanNode):
+                value_makers[producer.subject] = lambda source=producer.inputs[0]: b.find_slot_value(source)  # type: ignore[misc]
             elif producer.kind is not InstructionKind.PAIRS:
                 pending += producer.inputs
     return value_makers

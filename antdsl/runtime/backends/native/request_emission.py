@@ -22,10 +22,9 @@ from antdsl.runtime.requests import ClaimEntry, EffectRequests, GiftEntry, Reque
 
 
 def _emit_deposit(b: BlockWriter, instruction: BlockInstruction, statement: ir.Request) -> None:
-    """Emit a deposit, with the result of `fields.pheromone.PheromoneField.deposit`: whole multiples of a unit, which add in
-    any order."""
+    """Emit code that deposits amounts in cells, with the same result as `fields.pheromone.PheromoneField.deposit`."""
     e, mask, name = b.builder, b.mask[-1], statement.target
-    amount: Lanes = b.slot_value(instruction.inputs[0])
+    amount: Lanes = b.find_slot_value(instruction.inputs[0])
     mask = _emit_finite_check(b, mask, amount, EFFECT_BY_OPERATION[statement.op].fault_name.format(of=name), instruction)
     cell = e.load_lanes(b.array_address("cell", name), b.row, I32)
     laid = mask & (cell >= 0) & (amount != 0)
@@ -54,8 +53,8 @@ def _emit_deposit(b: BlockWriter, instruction: BlockInstruction, statement: ir.R
 
 def _emit_list_append(b: BlockWriter, instruction: BlockInstruction, mask: Lanes, values: list[Lanes]) -> None:
     """Emit code that appends to a statement's list: the rows of eight agents for which a condition holds, and their `values`."""
-    e, number = b.builder, len(b.code.lists)
-    b.code.lists.append(instruction)
+    e, number = b.builder, len(b.code.list_instructions)
+    b.code.list_instructions.append(instruction)
     with e.write_if(e.any_lane(mask)):
         stored = [e.to_stored_form(value) for value in values]
         columns = [
@@ -90,9 +89,9 @@ def _emit_finite_check(b: BlockWriter, mask: Lanes, amount: Lanes, value_name: s
 
 
 def _emit_world_request(b: BlockWriter, instruction: BlockInstruction, statement: ir.Request) -> None:
-    """Emit a request, with the result of `numpy_statements`."""
+    """Emit code that lists a request, with the same result as in `numpy_statements`."""
     row, slots = EFFECT_BY_OPERATION[statement.op], iter(instruction.inputs)
-    args: list[Lanes] = [b.slot_value(next(slots)) for node in statement.args if node is not None]
+    args: list[Lanes] = [b.find_slot_value(next(slots)) for node in statement.args if node is not None]
     mask = b.mask[-1]
     numbers = [arg for arg in args if arg.kind in FLOAT_KINDS] if row.fault_name else []
     if numbers:
@@ -107,28 +106,28 @@ def _emit_world_request(b: BlockWriter, instruction: BlockInstruction, statement
 
 
 def _emit_claim(b: BlockWriter, instruction: BlockInstruction, statement: ir.Claim) -> None:
-    """Emit a claim, with the result of `numpy_statements`."""
+    """Emit code that lists a claim, with the same result as in `numpy_statements`."""
     e, mask, slots = b.builder, b.mask[-1], iter(instruction.inputs)
     item: Lanes = (
         e.load_lanes(b.array_address("cell", statement.target), b.row, I32)
         if statement.item is None
-        else b.slot_value(next(slots))
+        else b.find_slot_value(next(slots))
     )
     amount = e.make_constant(np.inf, F32)
     if statement.amount is not None:
-        amount = b.slot_value(next(slots))
+        amount = b.find_slot_value(next(slots))
         mask = _emit_finite_check(b, mask, amount, f"take {statement.attribute or statement.target}", instruction)
     _emit_list_append(b, instruction, mask, [item, amount])
 
 
 def _emit_gift(b: BlockWriter, instruction: BlockInstruction, statement: ir.Give) -> None:
-    """Emit a gift, with the result of `numpy_statements`."""
+    """Emit code that lists a gift, with the same result as in `numpy_statements`."""
     e, mask, own = b.builder, b.mask[-1], b.array_address("now", statement.register)
-    item: Lanes = b.slot_value(instruction.inputs[0])
+    item: Lanes = b.find_slot_value(instruction.inputs[0])
     had = e.load_lanes(own, b.row, F32)
     amount = had
     if statement.amount is not None:
-        amount = b.slot_value(instruction.inputs[1])
+        amount = b.find_slot_value(instruction.inputs[1])
         mask = _emit_finite_check(b, mask, amount, f"give {statement.register}", instruction)
     is_valid = mask & (item >= 0) & (item < b.read_uniform(I32, "items", statement.items))
     zero = e.make_constant(0.0, F32)

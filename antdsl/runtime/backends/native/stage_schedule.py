@@ -1,4 +1,4 @@
-"""Assigns each instruction of a block to a stage, and finds the values that one stage stores for the next.
+"""The stage of each instruction of a block, and the values that one stage stores for the next.
 
 Operations without machine code (rays, curves, flows) are called between two stages. All rows run through stage 0, then the
 calls at its end run, then all rows run through stage 1. A statement runs in the first stage in which its operands are known,
@@ -16,7 +16,7 @@ from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstructi
 _REREAD_OPS = frozenset(("snap", "id"))  # loaded again in each stage, not stored in an array
 PAIR_INSTRUCTION_KINDS = (
     InstructionKind.PAIRS,
-    InstructionKind.SPREAD,
+    InstructionKind.REPEAT_FOR_PAIRS,
     InstructionKind.PAIR_LEAF,
     InstructionKind.PAIR_OPERATION,
 )
@@ -24,10 +24,11 @@ PAIR_INSTRUCTION_KINDS = (
 
 @dataclass(slots=True, eq=False)
 class StageSchedule:
-    """The stages of a block. `stage_count` is their number.
+    """The stages of a block. `stage_count`: the number of stages.
 
-    `stage_by_slot`: the stage in which each slot's value is computed. `stored_slots`: slots that are stored in arrays.
-    `calls[k]`: the calls after stage k.
+    `stage_by_slot`: the stage in which each slot's value is computed. `use_stages`: the stages that use it.
+    `stored_slots`: the slots with values that are stored in arrays. `calls_after_stage[k]`: the calls after stage k.
+    `slot_aliases`: for a slot that only gathers a value, the slot of that value.
     The mask of a scope has the slot of the scope's rows. The mask of the root is known in every stage."""
 
     stage_count: int
@@ -41,7 +42,7 @@ class StageSchedule:
     inlined_senses: frozenset[BlockInstruction]  # cached senses that are cheap enough to compute again
 
     def resolve_slot(self, slot: int) -> int:
-        """Return the slot that stores a value, following gathers of inner scopes to the outer slot."""
+        """Return the slot that stores the value of `slot`. For a value gathered from outer scopes, it is the outermost slot."""
         while slot in self.slot_aliases:
             slot = self.slot_aliases[slot]
         return slot
@@ -59,7 +60,7 @@ class _ScheduleBuilder:
     has_machine_code: Callable[[ir.PlanNode], bool]
     is_costly: Callable[[ir.PlanNode], bool]
     uniform_slots: frozenset[int] = frozenset()
-    first: dict[int, int] = field(default_factory=dict)  # earliest stage in which a slot's value can be known
+    first_stage_by_slot: dict[int, int] = field(default_factory=dict)  # earliest stage in which a slot's value can be known
     last_store_stages: dict[object, int] = field(default_factory=dict)
     last_load_stages: dict[object, int] = field(default_factory=dict)
     slot_aliases: dict[int, int] = field(default_factory=dict)
@@ -78,7 +79,7 @@ def make_schedule(
     `has_machine_code`: whether a node has machine code.
     `is_costly`: whether machine code must store a node that is cached for the step, because computing it again takes too long."""
     maker = _ScheduleBuilder(compiler, has_machine_code, is_costly, frozenset(compiler.uniform_slots.values()))
-    for instruction in _all_instructions(compiler.root_scope):
+    for instruction in _iterate_instructions(compiler.root_scope):
         what = instruction.subject
         if instruction.kind is InstructionKind.REDUCE and isinstance(what, ir.PlanNode) and not has_machine_code(what):
             _find_pair_slots(maker, instruction)
@@ -86,15 +87,15 @@ def make_schedule(
     return _trace_uses(maker)
 
 
-def _all_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
+def _iterate_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
     for instruction in scope.code:
         yield instruction
         if instruction.inner is not None:
-            yield from _all_instructions(instruction.inner)
+            yield from _iterate_instructions(instruction.inner)
 
 
 def _find_pair_slots(builder: _ScheduleBuilder, reduce: BlockInstruction) -> None:
-    """Record the slots over pairs that a called reduction needs."""
+    """Record the slots of values over pairs that a reduction without machine code needs."""
     makers = {each.slot: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     pending = [slot for slot in reduce.inputs if slot in makers]
     while pending:
@@ -110,18 +111,18 @@ def _resolve_alias(builder: _ScheduleBuilder, slot: int) -> int:
     return slot
 
 
-def _earliest_stage(builder: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
+def _find_earliest_stage(builder: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
     """Return the first stage in which all slots are known."""
-    return max((builder.first.get(_resolve_alias(builder, slot), 0) for slot in slots), default=0)
+    return max((builder.first_stage_by_slot.get(_resolve_alias(builder, slot), 0) for slot in slots), default=0)
 
 
 def _assign_stages(builder: _ScheduleBuilder, scope: RowScope, mask_stage: int) -> None:
     """Compute the first stage in which each value can be known, and the stage of each statement.
 
     `mask_stage`: the first stage in which the scope's mask is known."""
-    builder.first[scope.rows] = mask_stage
+    builder.first_stage_by_slot[scope.rows] = mask_stage
     for each in scope.code:
-        stage, what = max(mask_stage, _earliest_stage(builder, each.inputs)), each.subject
+        stage, what = max(mask_stage, _find_earliest_stage(builder, each.inputs)), each.subject
         match each.kind:
             case InstructionKind.GATHER:
                 builder.slot_aliases[each.slot] = each.inputs[0]
@@ -134,15 +135,15 @@ def _assign_stages(builder: _ScheduleBuilder, scope: RowScope, mask_stage: int) 
                 stage = max(mask_stage, builder.last_store_stages.get(key, 0))
                 if builder.has_machine_code(what) and not builder.is_costly(what):
                     builder.inlined_senses.add(each)
-                    builder.slot_aliases[each.slot], builder.slot_aliases[each.inner.rows] = each.result, scope.rows
+                    builder.slot_aliases[each.slot], builder.slot_aliases[each.inner.rows] = each.inner_result_slot, scope.rows
                     _assign_stages(builder, each.inner, mask_stage)
                 else:
                     builder.last_load_stages[key] = stage
                     _assign_stages(builder, each.inner, stage)
-                    result = builder.first.get(_resolve_alias(builder, each.result), 0)
-                    builder.stage_by_instruction[each] = builder.last_store_stages[key] = builder.first[each.slot] = max(
-                        stage, result
-                    )
+                    result = builder.first_stage_by_slot.get(_resolve_alias(builder, each.inner_result_slot), 0)
+                    builder.stage_by_instruction[each] = builder.last_store_stages[key] = builder.first_stage_by_slot[
+                        each.slot
+                    ] = max(stage, result)
             case InstructionKind.STATEMENT:
                 register = what.register if isinstance(what, ir.Store) else what.register if isinstance(what, ir.Give) else None
                 if register is not None:
@@ -156,22 +157,22 @@ def _assign_stages(builder: _ScheduleBuilder, scope: RowScope, mask_stage: int) 
                     stage = max(stage, builder.last_store_stages.get(what.attrs[0], 0))
                     builder.last_load_stages[what.attrs[0]] = max(stage, builder.last_load_stages.get(what.attrs[0], 0))
                 elif each.kind is InstructionKind.REDUCE:
-                    stage = max(mask_stage, _earliest_stage(builder, reduction_operands(each)))
+                    stage = max(mask_stage, _find_earliest_stage(builder, list_reduction_operands(each)))
                 builder.native_instructions.add(each)
-                builder.first[each.slot] = stage
+                builder.first_stage_by_slot[each.slot] = stage
             case _:
                 if each.kind in PAIR_INSTRUCTION_KINDS and each.slot not in builder.pair_slots:
-                    if each.kind is InstructionKind.SPREAD:
+                    if each.kind is InstructionKind.REPEAT_FOR_PAIRS:
                         builder.slot_aliases[each.slot] = each.inputs[0]
                     else:
-                        builder.first[each.slot] = stage
+                        builder.first_stage_by_slot[each.slot] = stage
                     continue
                 builder.calls_by_stage.setdefault(stage, []).append(each)
-                builder.first[each.slot] = stage if each.kind in PAIR_INSTRUCTION_KINDS else stage + 1
+                builder.first_stage_by_slot[each.slot] = stage if each.kind in PAIR_INSTRUCTION_KINDS else stage + 1
 
 
-def reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
-    """Return the slots of the agents' own values that a reduction with machine code needs."""
+def list_reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
+    """Return the slots of the requesting agents' values that a reduction with machine code needs."""
     makers = {each.slot: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     operands: dict[int, None] = {}
     pending = list(reduce.inputs)
@@ -184,7 +185,7 @@ def reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
         producer = makers.get(slot)
         if producer is None:
             operands[slot] = None
-        elif producer.kind is InstructionKind.SPREAD:
+        elif producer.kind is InstructionKind.REPEAT_FOR_PAIRS:
             operands[producer.inputs[0]] = None
         else:
             pending += producer.inputs
@@ -194,7 +195,8 @@ def reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
 def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
     """Find the stages that use each value, from the last instruction to the first, and return the schedule."""
     stages = 1 + max(
-        [*builder.first.values(), *builder.stage_by_instruction.values(), *(k + 1 for k in builder.calls_by_stage)], default=0
+        [*builder.first_stage_by_slot.values(), *builder.stage_by_instruction.values(), *(k + 1 for k in builder.calls_by_stage)],
+        default=0,
     )
     calls = [builder.calls_by_stage.get(k, []) for k in range(stages)]
     called = {each for group in calls for each in group}
@@ -230,7 +232,7 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
                 continue
             if ending:
                 if out in use_stages:
-                    require_slots((instruction.result, mask), builder.stage_by_instruction[instruction])
+                    require_slots((instruction.inner_result_slot, mask), builder.stage_by_instruction[instruction])
             elif mask in use_stages:
                 home[mask] = min(use_stages[mask])  # no earlier stage runs the scope that computes it
                 require_slots((scope.rows,), home[mask])
@@ -250,14 +252,14 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
         elif instruction in builder.native_instructions and out in use_stages:
             what = instruction.subject
             assert isinstance(what, ir.PlanNode)
-            inputs = reduction_operands(instruction) if instruction.kind is InstructionKind.REDUCE else instruction.inputs
+            inputs = list_reduction_operands(instruction) if instruction.kind is InstructionKind.REDUCE else instruction.inputs
             if what.op in _REREAD_OPS and out not in left:
                 home[out] = min(use_stages[out])
                 reread_slots.add(out)
                 for stage in use_stages[out]:
                     require_slots((scope.rows,), stage)
                 continue
-            home[out] = builder.first[out] if what.op == "load" else min(use_stages[out])
+            home[out] = builder.first_stage_by_slot[out] if what.op == "load" else min(use_stages[out])
             require_slots((*inputs, scope.rows), home[out])
             if max(use_stages[out]) > home[out]:
                 left.add(out)
@@ -278,14 +280,14 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
 
 
 def _propagate_outwards(builder: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
-    """Mark the scopes that enclose an inner scope as needed in the same stages."""
+    """Add `stages` to the stages that need the scopes around an inner scope."""
     use_stages.setdefault(_resolve_alias(builder, scope.rows), set()).update(stages)
 
 
 def _iterate_run_order(scope: RowScope) -> Iterator[tuple[BlockInstruction, bool]]:
-    """Yield the instructions in execution order.
+    """Yield the instructions of a scope in execution order, each with whether its inner scope has run.
 
-    An instruction with an inner scope appears before that scope with False, and again after it with True."""
+    An instruction with an inner scope occurs twice: before that scope with False, and after it with True."""
     for instruction in scope.code:
         yield instruction, False
         if instruction.inner is not None:

@@ -1,4 +1,4 @@
-"""Stores the results of compiling a plan for other runs: where its functions find their inputs, and keys of their texts.
+"""Stored results of compiling a plan, for other runs: where its functions find their inputs, and the keys of their texts.
 
 With these, a run loads the code of a plan without writing its text, which takes longer than all other parts. The key is a hash
 of the plan, of all modules of antdsl, and of everything else that the text depends on. Files belong to `object_cache` and are
@@ -33,8 +33,10 @@ class _UnsupportedValue(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StoredSubject:
-    """A plan and its blocks, with the numbers of nodes and instructions that the file uses. `key`: the key of the file."""
+class NumberedPlan:
+    """A plan and its blocks, with numbers for nodes and instructions. `key`: the key of the file in which they are stored.
+
+    `nodes`: the number of each node. `instructions`: the instructions of each block; the file uses their indices."""
 
     plan: ir.Plan
     blocks: CompiledBlocks
@@ -44,8 +46,8 @@ class StoredSubject:
     instructions: Mapping[_BlockKey, list[BlockInstruction]]
 
 
-def make_subject(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> StoredSubject | None:
-    """Return the key and numbering to find and read the file of a plan; None if nothing can be stored for it."""
+def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> NumberedPlan | None:
+    """Return a plan with the numbers and the key with which its file is read and written; None if it cannot be stored."""
     written = _PlanWriter()
     instructions = {place: list_instructions(compiler.root_scope) for place, compiler in blocks.items()}
     if not has_module_sources():
@@ -53,20 +55,20 @@ def make_subject(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, targe
     try:
         written.add_value((hash_sources(), facts.has_moving_ground, facts.has_detail_levels, facts.is_timed, plan))
         if facts.is_timed:
-            written.add_value([_timed_line(each) for place in instructions.values() for each in place])
+            written.add_value([_get_timed_line(each) for place in instructions.values() for each in place])
     except (_UnsupportedValue, OSError):
         return None
     text = "program " + blake2b("\n".join(written.parts).encode("utf-8", "surrogatepass"), digest_size=32).hexdigest()
     key = object_cache.object_key(text, target, versions=object_cache.environment_versions())
-    return StoredSubject(plan, blocks, facts, key, written.numbers, instructions)
+    return NumberedPlan(plan, blocks, facts, key, written.numbers, instructions)
 
 
 def text_key(text: str) -> str:
-    """Return the cache key for the text of functions."""
+    """Return the key under which the code of a function with this text is stored."""
     return "program text " + blake2b(text.encode(), digest_size=32).hexdigest()
 
 
-def read_blocks(stored_subject: StoredSubject) -> StoredBlocks | None:
+def read_blocks(stored_subject: NumberedPlan) -> StoredBlocks | None:
     """Return the stored blocks of a plan; None if there are none."""
     data = code_cache.load_data(stored_subject.key)
     if data is None:
@@ -81,7 +83,7 @@ def read_blocks(stored_subject: StoredSubject) -> StoredBlocks | None:
     return None
 
 
-def write_blocks(stored_subject: StoredSubject, program: NativeProgram) -> None:
+def write_blocks(stored_subject: NumberedPlan, program: NativeProgram) -> None:
     """Store the results of compiling a plan, if all of them can be stored."""
     with suppress(_UnsupportedValue, KeyError):
         blocks = {
@@ -97,14 +99,14 @@ def _block_to_json(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructio
     numbers = {each: number for number, each in enumerate(instructions)}
     layout = code.layout
     return {
-        "names": code.names,
+        "names": code.function_names,
         "pointers": [_key_to_json(key, nodes) for key in layout.pointer_indices],
         "numbers": [_key_to_json(key, nodes) for key in layout.number_indices],
         "arrays": [[*key, kind] for key, kind in layout.array_kinds.items()],
         "faults": [[what, numbers[each]] for what, each in code.faults],
         "near": [[each.species, [nodes[node] for node in each.sets], each.extra_registers] for each in code.searches],
         "kept": [nodes[node] for node in code.lazy_nodes],
-        "lists": [numbers[each] for each in code.lists],
+        "lists": [numbers[each] for each in code.list_instructions],
         "needs": [numbers[each] for each in code.optional_calls],
         "guarded": [[numbers[each], slot] for each, slot in code.mask_slot_by_call.items()],
         "lines": None if code.lines is None else code.lines.instruction_numbers,
@@ -115,7 +117,7 @@ def _fill_block_from_json(
     code: BlockCode, form: Mapping[str, Any], nodes: list[ir.PlanNode], instructions: list[BlockInstruction]
 ) -> None:
     """Fill a block from the JSON values that `_block_to_json` returned."""
-    code.names[:] = form["names"]
+    code.function_names[:] = form["names"]
     code.layout.pointer_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["pointers"])}
     code.layout.number_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["numbers"])}
     code.layout.array_kinds = {(slot, part): kind for slot, part, kind in form["arrays"]}
@@ -124,7 +126,7 @@ def _fill_block_from_json(
         NeighbourSearch(species, [nodes[number] for number in sets], beside) for species, sets, beside in form["near"]
     ]
     code.lazy_nodes[:] = [nodes[number] for number in form["kept"]]
-    code.lists[:] = [instructions[number] for number in form["lists"]]
+    code.list_instructions[:] = [instructions[number] for number in form["lists"]]
     code.optional_calls[:] = [instructions[number] for number in form["needs"]]
     code.mask_slot_by_call.update({instructions[number]: slot for number, slot in form["guarded"]})
     if code.lines is not None:
@@ -149,7 +151,7 @@ def _key_from_json(form: list[Any], nodes: list[ir.PlanNode]) -> tuple[Any, ...]
 
 
 class _PlanWriter:
-    """Writes values as text that is equal for equal values. Positions in the source are left out.
+    """A writer of values as text that is equal for equal values. Positions in the source are left out.
 
     `numbers`: the number of each node, in the order of first use."""
 
@@ -200,7 +202,7 @@ class _PlanWriter:
         self.parts.append(f"number {self.numbers[node]}")
 
 
-def _timed_line(instruction: BlockInstruction) -> tuple[str, int, int]:
+def _get_timed_line(instruction: BlockInstruction) -> tuple[str, int, int]:
     """Return the line and the layer for which an instruction is timed."""
     span = instruction.span
     return (

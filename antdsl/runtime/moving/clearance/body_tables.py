@@ -12,7 +12,7 @@ from antdsl.ground.protocol import Footing
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.body_rows import numbers_by_row
+from antdsl.runtime.body_rows import find_body_numbers
 from antdsl.runtime.moving.body_records import BodyRegisters, ContactFaces, FaceBuffers, FaceSearch
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 from antdsl.runtime.moving.clearance.obstacle_clearance import find_obstacle_faces
@@ -57,7 +57,7 @@ def body_shapes(
         BodyShape(max(each.length - each.width, 0.0) / 2 + margin, each.width / 2, each.height, each.forward_offset)
         for each in capsules
     ]
-    return np.array(shapes, np.float64), numbers_by_row(population, world.setting)
+    return np.array(shapes, np.float64), find_body_numbers(population, world.setting)
 
 
 def take_stands(stands: Stands, which: NDArray[np.int64] | NDArray[np.bool_]) -> Stands:

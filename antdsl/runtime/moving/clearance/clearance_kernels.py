@@ -57,11 +57,11 @@ from antdsl.runtime.moving.clearance.body_paths import (
 from antdsl.runtime.moving.contacts.body_contacts import BodyShift, BodyStance, shift_outside
 from antdsl.runtime.moving.postures import (
     compute_perpendicular_direction,
+    find_rotation_axis,
     read_vector,
-    tilt_within,
-    turn_axis,
+    tilt_by_at_most,
+    turn_by_at_most,
     turn_heading,
-    turn_within,
 )
 
 _F = np.float32
@@ -108,7 +108,7 @@ def _approach_normal(up: Vec3, normal: Vec3, max_angle: F64, ahead: Vec3) -> Vec
     """Return the up direction. If it is more than `max_angle` radians away from a normal, rotate it towards the normal."""
     angle, result = _compute_angle(up, normal), up
     if angle > max_angle:
-        axis, _, _ = turn_axis(up, normal, ahead)
+        axis, _, _ = find_rotation_axis(up, normal, ahead)
         c, s = compute_cos_and_sin(_F(angle - max_angle))
         result = normalise_vector(rotate_about_axis(up, axis, np.float64(c), np.float64(s)))
     return result
@@ -249,7 +249,7 @@ def aim_bodies(
             own = load_vector(table, row + NORMAL_OFFSET)
             side = -1.0 if dot(own, normal) < 0 else 1.0
             own, weights, window = times(own, side), (feet.b1[i], feet.b2[i]), WINDOW_PER_BODY * size
-            travel = turn_within(turn_heading(look, stands, own), compute_perpendicular_direction(heading, own), own, turn)
+            travel = turn_by_at_most(turn_heading(look, stands, own), compute_perpendicular_direction(heading, own), own, turn)
             c, s = dot(load_vector(table, row + AXIS1_OFFSET), travel), dot(load_vector(table, row + AXIS2_OFFSET), travel)
             place = position_on_face(table, row, weights, side)
             count = 0
@@ -275,9 +275,9 @@ def aim_bodies(
                 target_up = _approach_normal(target_up, n, max(_MAX_LEAN + extra, 0.5 * beyond), travel)
             target_up = _approach_normal(target_up, normal, lean, travel)
             target_heading = turn_heading(target_heading, mean, target_up)
-        up, turned, (tilt, full_tilt) = tilt_within(stands, look, target_up, limits.max_tilts[i])
+        up, turned, (tilt, full_tilt) = tilt_by_at_most(stands, look, target_up, limits.max_tilts[i])
         yaw = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0)) if limited else 4.0
-        facing = turn_within(turned, turn_heading(target_heading, target_up, up), up, yaw)
+        facing = turn_by_at_most(turned, turn_heading(target_heading, target_up, up), up, yaw)
         rise = 0.0
         if ahead_count > 0:
             shape = get_shape(limits, i, size)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
-from antdsl.runtime.body_positions import body_positions
-from antdsl.runtime.body_rows import rows_by_body
+from antdsl.runtime.body_positions import compute_body_positions
+from antdsl.runtime.body_rows import group_rows_by_body
 from antdsl.runtime.moving.contacts.capsule_distances import (
     CapsuleArrays,
     CapsuleShape,
@@ -103,9 +103,9 @@ class CapsuleCrowd:
         bounds: Any = ()
         for population, first in zip(self.species, self.first.tolist(), strict=False):
             own = self._select_registers(population)
-            place = np.ascontiguousarray(body_positions(population).T)
+            place = np.ascontiguousarray(compute_body_positions(population).T)
             stands = (place, vec.get_vector_registers(own, "heading"), vec.get_vector_registers(own, "up"), own["size"])
-            for key, rows in rows_by_body(population, self.world.setting):
+            for key, rows in group_rows_by_body(population, self.world.setting):
                 capsule = find_capsule(self.world, key)
                 shape = CapsuleShape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.forward_offset)))
                 if rows is None:

@@ -26,11 +26,11 @@ from antdsl.runtime.backends.native.accumulators import RunningReduction
 from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND
 from antdsl.runtime.backends.native.block_writer import BlockWriter, FunctionWriter, NeighbourSearch
 from antdsl.runtime.backends.native.float4 import quadruple_address
-from antdsl.runtime.backends.native.reduction_loops import PairValues, accumulate_pairs, find_own_values, reduction_sets
+from antdsl.runtime.backends.native.reduction_loops import PairValues, accumulate_pairs, find_own_values, find_reduction_sets
 from antdsl.runtime.backends.native.search.cell_rows import SEARCH_SLACK_FACTOR, CellRows, append_numbers
 from antdsl.runtime.backends.native.search.dense_neighbours import write_dense_search
 from antdsl.runtime.backends.native.search.search_pairs import OPERAND_STRIDE_BYTES, POSITION_REGISTERS, SearchCode, measure_pairs
-from antdsl.runtime.backends.native.stage_schedule import reduction_operands
+from antdsl.runtime.backends.native.stage_schedule import list_reduction_operands
 from antdsl.runtime.sensing.pairs import count_nearest
 from antdsl.runtime.world import AXES
 
@@ -46,8 +46,8 @@ _MIN_SQUARED_DISTANCE, _COSINE_SLACK = np.float32(1e-30), np.float32(1e-5)
 class ReductionGroup:
     """Reductions that one search computes.
 
-    `operand_area`, `result_area`: addresses of the areas for operands and results.
-    `answered_mask`: address of the mask of agents that already have results."""
+    `operand_area`, `result_area`: the addresses of the memory that passes operands to the search and results back.
+    `answered_mask`: the address of the mask of agents that already have results."""
 
     number: int
     instructions: list[BlockInstruction]
@@ -73,20 +73,20 @@ def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> N
     for k, each in enumerate(group.instructions):
         if each.scope is instruction.scope and not any(each.slot in names for names in e.known):
             kind = LANE_TYPE_BY_KIND[group.search.nodes[k].kind]
-            b.known(each.slot, _read_area(e, group.result_area, k, kind))
+            b.record_slot_value(each.slot, _load_from_area(e, group.result_area, k, kind))
     for chosen, k in group.search.overflow_slots.items():
         if any(each.scope is instruction.scope and each.subject.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
-            with e.write_if(e.any_lane(_read_area(e, group.result_area, k, BOOL) & mask)):
+            with e.write_if(e.any_lane(_load_from_area(e, group.result_area, k, BOOL) & mask)):
                 e.store_number(b.array_address("counts"), e.make_constant(1, I64, 1))
 
 
-def _read_area(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
-    """Return an operand or a result of a search from its area."""
+def _load_from_area(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
+    """Return the `k`-th operand or result of a search, loaded from the memory `area`."""
     return e.convert(e.load(e.offset_address(area, OPERAND_STRIDE_BYTES * k), I8 if kind == BOOL else kind, LANE_COUNT), kind)
 
 
 def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
-    """Return the group of a reduction, with all other reductions that the same search can compute."""
+    """Return a group of the reduction `first` and all other reductions that the same search can compute."""
     if first in b.groups:
         known_group: ReductionGroup = b.groups[first]
         return known_group
@@ -97,7 +97,7 @@ def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
     near = SearchCode(name, number, nodes[0].args[0].attrs[0], nodes)
     operands = 0
     for instruction in together:
-        operands += len(reduction_operands(instruction)) + 4
+        operands += len(list_reduction_operands(instruction)) + 4
     e = b.builder
     results = 2 * len(nodes)
     own, out = (e.allocate(count, llvm_type(I64, LANE_COUNT)) for count in (operands, results))
@@ -109,8 +109,9 @@ def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
 
 
 def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> None:
-    """Store the operands, and call the search for the agents `requesting` of eight. Its functions are written at the first
-    call."""
+    """Emit code that stores the operands, and calls the search for those of the eight agents that are `requesting`.
+
+    The first call also writes the functions of the search."""
     e, near = b.builder, group.search
     fresh = not near.operand_kinds
     by_scope: dict[int, list[BlockInstruction]] = {}
@@ -126,16 +127,16 @@ def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> No
     view: dict[ir.PlanNode, int] = {}
     value_indices: dict[ir.PlanNode, int] = {}
     for instructions in by_scope.values():
-        for chosen, slots in reduction_sets(instructions).items():
+        for chosen, slots in find_reduction_sets(instructions).items():
             if chosen not in reach:
-                reach[chosen] = append_argument(b.slot_value(slots[0]))
+                reach[chosen] = append_argument(b.find_slot_value(slots[0]))
                 if not chosen.attrs[1]:
-                    view[chosen] = append_argument(b.slot_value(slots[1]))
+                    view[chosen] = append_argument(b.find_slot_value(slots[1]))
         for node, make in find_own_values(b, instructions).items():
             if node not in value_indices:
                 value_indices[node] = append_argument(make())
     if fresh:
-        near.operand_kinds, near.radius_slots, near.view, near.operand_slots = (
+        near.operand_kinds, near.radius_slots, near.view_slots, near.operand_slots = (
             [value.kind for value in values],
             reach,
             view,
@@ -173,14 +174,18 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
     asks = e.mask_from_i8(bits)
 
     def load_own_value(k: int) -> Lanes:
-        return _read_area(e, own, k, search_code.operand_kinds[k])
+        return _load_from_area(e, own, k, search_code.operand_kinds[k])
 
     place = [e.load_lanes(w.array_address("start", f"position.{axis}"), row, F32) for axis in AXES]
     radius = {chosen: load_own_value(k) for chosen, k in search_code.radius_slots.items()}
     search = CellRows(w, search_code.number, place, list(radius.values()), asks)
     search.store_max_radius()
-    heading = [e.load_lanes(w.array_address("start", f"heading.{axis}"), row, F32) for axis in AXES] if search_code.view else []
-    set_test = _SetTest(e, radius, {chosen: load_own_value(k) for chosen, k in search_code.view.items()}, search, heading)
+    heading = (
+        [e.load_lanes(w.array_address("start", f"heading.{axis}"), row, F32) for axis in AXES] if search_code.view_slots else []
+    )
+    set_test = _CandidateTest(
+        e, radius, {chosen: load_own_value(k) for chosen, k in search_code.view_slots.items()}, search, heading
+    )
     itself = (
         e.load_lanes(w.array_address("grid", search_code.number, "at"), row, I32)
         if search_code.other_species == b.species
@@ -189,26 +194,26 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
     buffer, number, over = _list_candidates(w, search_code, search, asks, set_test, itself)
     sums = [RunningReduction(e, node, needs_two_words=False) for node in search_code.nodes]
     for each in sums:
-        each.start()
+        each.allocate_values()
     with e.write_loop(e.convert(e.lane_maximum(number), I64)) as k:
         is_listed = e.convert(k, I32) < number
         pair = measure_pairs(w, search_code, _read_lists(e, buffer, k), place, is_listed)
 
         def test_radius(set_node: ir.PlanNode) -> Lanes:
             reached = pair.is_present & (pair.distance <= radius[set_node])
-            if set_node in search_code.view:
+            if set_node in search_code.view_slots:
                 hx, hy, hz = heading
                 ahead = e.get_or_make("ahead", lambda: (pair.dx * hx + pair.dy * hy) + pair.dz * hz)
-                reached = reached & (ahead >= load_own_value(search_code.view[set_node]) * pair.distance)
+                reached = reached & (ahead >= load_own_value(search_code.view_slots[set_node]) * pair.distance)
             return reached
 
-        pairs = PairValues(w, lambda node: load_own_value(search_code.operand_slots[node]), pair.load_leaf, b.senses)
+        pairs = PairValues(w, lambda node: load_own_value(search_code.operand_slots[node]), pair.load_value_of_other, b.senses)
         for each, node in zip(sums, search_code.nodes, strict=True):
             reached = e.get_or_make(("near", node.args[0]), lambda set_node=node.args[0]: test_radius(set_node))  # type: ignore[misc]
             accumulate_pairs(each, node, pairs, reached, pair.ids)
     fits = asks & ~over
     for result, each in enumerate(sums):
-        stored = e.to_stored_form(each.result())
+        stored = e.to_stored_form(each.emit_result())
         start = e.offset_address(out, OPERAND_STRIDE_BYTES * result)
         e.store_number(start, e.select_lanes(fits, stored, e.load(start, stored.kind, LANE_COUNT)))
     for stop in search_code.overflow_slots.values():
@@ -226,11 +231,11 @@ def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
     return e.combine_lanes(e.load(e.offset_address(first, 4 * _LIST_STRIDE * lane), I32) for lane in range(LANE_COUNT))
 
 
-class _SetTest:
-    """Tests whether candidates may be in any set of a search.
+class _CandidateTest:
+    """A test whether a candidate may be in any set of a search.
 
     It compares squared distances with some slack. So no square root is needed for candidates that are too far away or out of
-    view. It stores the limits of eight requesting agents, to be read one agent at a time."""
+    view. The limits of eight requesting agents are stored in memory, and loaded for one agent at a time."""
 
     def __init__(
         self,
@@ -262,7 +267,7 @@ class _SetTest:
         return place
 
     def build_test(self, lane: Lanes) -> Callable[[list[Lanes]], Lanes]:
-        """Return the test for one agent. The input of the test is the positions of eight candidates."""
+        """Return the test for the agent in one lane: a function that takes offsets of eight candidates, and returns a mask."""
         e = self.builder
 
         def load_broadcast(place: Number) -> Lanes:
@@ -290,12 +295,16 @@ class _SetTest:
 
 
 def _list_candidates(
-    w: FunctionWriter, search_code: SearchCode, search: CellRows, requesting: Lanes, set_test: _SetTest, own_row: Lanes | None
+    w: FunctionWriter,
+    search_code: SearchCode,
+    search: CellRows,
+    requesting: Lanes,
+    set_test: _CandidateTest,
+    own_row: Lanes | None,
 ) -> tuple[Lanes, Lanes, Lanes]:
-    """List the possible members of a set for each of eight agents.
+    """Emit code that lists the possible members of any set for each of eight agents.
 
-    Returns the list addresses, the list lengths, and the mask of agents with too many candidates, which have their lists
-    skipped."""
+    Returns the address of the lists, their lengths, and the mask of agents with too many candidates for a list."""
     e = w.builder
     buffer = w.array_address("candidates")
     candidate_count, match_count, number, own_place = (e.allocate_slot(I32, LANE_COUNT) for _ in range(4))
@@ -339,7 +348,7 @@ def _list_candidates(
         rows = e.op("smin", I64, every - first, e.make_constant(_ROWS_PER_LOOKUP, I64, 1))
         e.store_number(number, e.make_constant(0, I32))
         with e.write_loop(rows) as row:
-            begin, count = search.next_row()
+            begin, count = search.read_next_row()
             sums = e.load(candidate_count, I32, LANE_COUNT) + count
             e.store_number(candidate_count, sums)
             count = e.select_lanes(sums <= MAX_LISTED_CANDIDATES, count, e.make_constant(0, I32))

@@ -14,7 +14,7 @@ RADIUS_SLACK_FACTOR, SEARCH_SLACK_FACTOR = 1.0 + 1e-6, 1.0 + 1e-5  # as in `sens
 
 
 class SearchCells:
-    """The cell grid of a search, as lanes of loop-invariant values."""
+    """The cell grid of a search, as values in lanes that are loaded once per function."""
 
     def __init__(self, w: FunctionWriter, number: int) -> None:
         e = w.builder
@@ -33,9 +33,10 @@ class SearchCells:
         self.is_flat = e.broadcast(load_grid_value(integers, 5, I64) == 1)
         self.count = load_grid_value(integers, 6, I64)
 
-    def span(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
-        """Return the first and last cell along an axis that intersect [q - half, q + half], i32. If none does, the last is
-        below the first."""
+    def find_cell_range(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
+        """Return the first and the last cell along an axis that intersect [`q` - `half`, `q` + `half`], i32.
+
+        If no cell intersects, the last is below the first."""
         e = self.writer.builder
         most = self.max_index[axis]
         first = e.clamp((q - half - self.low[axis]) * self.inverse_width[axis], e.make_constant(0.0, F64), most)
@@ -43,8 +44,9 @@ class SearchCells:
         return e.to_int32(np.floor(first)), e.to_int32(np.floor(last))
 
     def find_row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, is_within: Lanes) -> tuple[Lanes, Lanes]:
-        """Return where a row of cells, from one cell to another, starts in the grid's order, and its number of agents, i32.
+        """Return the position in the grid's order of the first agent in a row of cells, and the number of agents in the row, i32.
 
+        The row is at cells `z` and `y`, and extends from cell `first` to cell `last`.
         Both are 0 if `is_within` is false."""
         w, e = self.writer, self.writer.builder
         starts, keys = w.array_address("grid", self.number, "starts"), w.array_address("grid", self.number, "keys")
@@ -91,7 +93,7 @@ class SearchCells:
 
 
 class CellRows:
-    """The rows of cells around eight positions, within the widest of each agent's radii."""
+    """The rows of cells around eight agents, within the greatest radius of each agent."""
 
     def __init__(self, w: FunctionWriter, number: int, place: list[Lanes], radii: list[Lanes], requesting: Lanes) -> None:
         e = self.builder = w.builder
@@ -114,21 +116,21 @@ class CellRows:
         r = e.select_lanes(usable, e.convert(widest, F64), e.make_constant(0.0, F64)) * RADIUS_SLACK_FACTOR + (
             largest * 1e-14 + 1e-18
         )
-        self.fast_first, self.fast_last = cells.span(0, along[0], r)
-        self.middle_first, self.middle_last = cells.span(1, along[1], r)
-        c0, c1 = cells.span(2, along[2], r)
+        self.fast_first, self.fast_last = cells.find_cell_range(0, along[0], r)
+        self.middle_first, self.middle_last = cells.find_cell_range(1, along[1], r)
+        c0, c1 = cells.find_cell_range(2, along[2], r)
         sheet = cells.is_flat & (np.abs(along[2] - cells.low[2]) <= cells.width[2])
         self.slow_first, self.slow_last = (e.select_lanes(sheet, e.make_constant(0, I32), c) for c in (c0, c1))
 
     def store_max_radius(self) -> None:
-        """Store the greatest requested radius. The cell size of the next step is chosen by it."""
+        """Emit code that stores the greatest requested radius, by which the cell size of the next step is chosen."""
         w = self.cells.writer
         e, place = self.builder, w.array_address("grid", self.cells.number, "widest")
         widest = e.select_lanes(self.is_usable & np.isfinite(self.max_radius), self.max_radius, e.make_constant(0.0, F32))
         e.store_lanes(place, 0, e.apply_function(np.fmax, e.load_lanes(place, 0, F32), widest))
 
     def count_rows(self) -> Lanes:
-        """Return the number of rows that `next_row` returns in total, i64, and restart it at the first row."""
+        """Return the number of rows that `read_next_row` returns in total, i64. Emit code that restarts it at the first row."""
         e, nothing = self.builder, self.builder.make_constant(0, I32)
         self._slow_offset, self._middle_offset = e.allocate_slot(I32), e.allocate_slot(I32)
         for slot in (self._slow_offset, self._middle_offset):
@@ -139,9 +141,8 @@ class CellRows:
         )
         return e.convert(depth * self._middle_row_count, I64)
 
-    def next_row(self) -> tuple[Lanes, Lanes]:
-        """Return the next row of cells: the index of its first agent in the grid's order, and how many agents may be in reach,
-        i32."""
+    def read_next_row(self) -> tuple[Lanes, Lanes]:
+        """Return the next row of cells: the position of its first agent in the grid's order, and its number of agents, i32."""
         e = self.builder
         depth, tall = e.load(self._slow_offset, I32), e.load(self._middle_offset, I32)
         cz, cy = self.slow_first + depth, self.middle_first + tall
@@ -154,7 +155,7 @@ class CellRows:
 
 
 def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, is_inside: Lanes) -> None:
-    """Append those of eight numbers (i32) for which a condition holds.
+    """Emit code that appends those of eight `numbers` (i32) to `buffer` for which `is_inside` holds. `total`: its length.
 
     All eight are written, and the unneeded ones are overwritten later. This avoids a branch that is hard to predict."""
     bits = e.mask_to_i64(is_inside)

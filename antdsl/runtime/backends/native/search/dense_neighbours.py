@@ -1,4 +1,5 @@
-"""Search for agents with very many neighbours: one agent at a time, any number of candidates, and a cap by distance and id.
+"""The search for agents with very many neighbours: one agent at a time, with any number of candidates. At most a fixed number of
+neighbours count, the nearest by distance and id; this number is called the cap.
 
 Candidates are listed, then their distances as integers in the same order. If the widest radius contains more candidates than
 the cap, bisection finds the distance of the last counted neighbour. The cap applies to every radius, because the nearest in a
@@ -56,33 +57,33 @@ def write_dense_search(b: BlockWriter, search_code: SearchCode) -> None:
         crowd.list_candidates(list(radius.values()))
         for chosen, k in search_code.overflow_slots.items():
             store_result(k, crowd.is_over_limit(radius[chosen]))
-        crowd.keep_nearest()
+        crowd.reduce_to_nearest()
         heading = (
             [e.broadcast(e.load_scalar(w.array_address("start", f"heading.{axis}"), row, F32)) for axis in AXES]
-            if search_code.view
+            if search_code.view_slots
             else []
         )
         sums = [RunningReduction(e, node, needs_two_words=False) for node in search_code.nodes]
         for each in sums:
-            each.start()
+            each.allocate_values()
         with e.write_loop(e.load(crowd.count_address, I64), LANE_COUNT) as at:
             others = crowd.load_others(at)
 
             def test_radius(set_node: ir.PlanNode) -> Lanes:
                 reached = others.is_present & (others.distance <= radius[set_node])
-                if set_node in search_code.view:
+                if set_node in search_code.view_slots:
                     hx, hy, hz = heading
                     ahead = (others.dx * hx + others.dy * hy) + others.dz * hz
-                    reached = reached & (ahead >= load_own_value(search_code.view[set_node]) * others.distance)
+                    reached = reached & (ahead >= load_own_value(search_code.view_slots[set_node]) * others.distance)
                 return reached
 
-            pairs = PairValues(w, lambda node: own[node], others.load_leaf, b.senses)
+            pairs = PairValues(w, lambda node: own[node], others.load_value_of_other, b.senses)
             for each, node in zip(sums, search_code.nodes, strict=True):
                 reached = e.get_or_make(("near", node.args[0]), partial(test_radius, node.args[0]))
                 accumulate_pairs(each, node, pairs, reached, others.ids)
         for k, each in enumerate(sums):
             each.combine_lanes()
-            store_result(k, e.extract_lane(e.to_stored_form(each.result()), 0))
+            store_result(k, e.extract_lane(e.to_stored_form(each.emit_result()), 0))
     e.end(f"{search_code.name}.many", (w.table, rows, mask, own_area, out))
 
 
@@ -90,9 +91,9 @@ def write_dense_search(b: BlockWriter, search_code: SearchCode) -> None:
 class _DenseNeighbours:
     """The others around one requesting agent.
 
-    `buffer`: their positions in the grid's order. `keys`: their distances as integers, `_REJECTED_DISTANCE_NUMBER` outside the
-        widest radius.
-    Both are padded to a multiple of eight. `count_address`: the address of their number."""
+    `buffer`: the others as positions in the grid's order. `keys`: their distances as integers that sort like the distances, or
+    `_REJECTED_DISTANCE_NUMBER` outside the widest radius. Both are padded to a multiple of eight.
+    `count_address`: the address of the number of others."""
 
     writer: FunctionWriter
     search: SearchCode
@@ -103,7 +104,7 @@ class _DenseNeighbours:
     count_address: Number = field(init=False)
 
     def list_candidates(self, radii: list[Lanes]) -> None:
-        """List the others that may be within the widest radius, with their distances."""
+        """Emit code that lists the others that may be within the widest radius, with their distances."""
         w, e = self.writer, self.writer.builder
         self.buffer, self.count_address = w.array_address("candidates"), e.allocate_slot(I64)
         e.store_number(self.count_address, e.make_constant(0, I64, 1))
@@ -112,7 +113,7 @@ class _DenseNeighbours:
         columns = [w.array_address("grid", self.search.number, axis) for axis in AXES]
 
         with e.write_loop(search.count_rows()):
-            row = search.next_row()
+            row = search.read_next_row()
             begin, count = (e.convert(e.extract_lane(each, 0), I64) for each in row)
             with e.write_loop(count, LANE_COUNT) as k:
                 at = begin + k
@@ -136,7 +137,7 @@ class _DenseNeighbours:
             )
 
     def _pad_list(self, count: Lanes) -> None:
-        """Append eight zeros to the list, because it is read eight entries at a time."""
+        """Emit code that appends eight zeros to the list, because it is read eight entries at a time."""
         self.writer.builder.store_lanes(self.buffer, count, self.writer.builder.make_constant(0, I32))
 
     def load_others(self, index: Lanes) -> NeighbourLanes:
@@ -147,7 +148,7 @@ class _DenseNeighbours:
         return measure_pairs(self.writer, self.search, at, self.own_position, is_present)
 
     def _count_passing(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
-        """Return how many of the others pass a test. Its inputs are an index and the eight keys from that index on."""
+        """Return how many of the others pass a test. Its arguments are an index, and the eight keys from that index on."""
         e = self.writer.builder
         counted = e.allocate_slot(I32, LANE_COUNT)
         e.store_number(counted, e.make_constant(0, I32))
@@ -157,8 +158,9 @@ class _DenseNeighbours:
         return e.op("reduce.add", I32, e.load(counted, I32, LANE_COUNT), lanes=1)
 
     def _bisect_least(self, place: Number, kind: str, max_value: int, is_enough: Callable[[Lanes], Lanes]) -> None:
-        """Find the least integer from 0 to `max_value` for which `is_enough` holds, and write it to `place`. All bits of
-        `max_value` are 1."""
+        """Emit code that writes to `place` the least integer from 0 to `max_value` for which `is_enough` holds.
+
+        All bits of `max_value` are 1."""
         e = self.writer.builder
         low, high = e.allocate_slot(kind), e.allocate_slot(kind)
         e.store_number(low, e.make_constant(0, kind, 1))
@@ -183,8 +185,9 @@ class _DenseNeighbours:
             e.store_number(many, e.convert(number > limits.MAX_CANDIDATES_IN_RADIUS, I8))
         return e.load(many, I8)
 
-    def keep_nearest(self) -> None:
-        """Reduce the list to the counted others: if there are more than the cap, the nearest by (distance, id)."""
+    def reduce_to_nearest(self) -> None:
+        """Emit code that reduces the list to the others that count: if there are more than the cap, the nearest by distance and
+        id."""
         e, cap = self.writer.builder, limits.MAX_QUERY_NEIGHBOURS
         far, last = e.allocate_slot(I32), e.allocate_slot(I64)
         e.store_number(far, e.make_constant(_REJECTED_DISTANCE_NUMBER - 1, I32, 1))

@@ -30,9 +30,9 @@ BoxCorners = tuple[list[float], list[float]]
 
 
 class _CrowdBox:
-    """A box slightly larger than the crowd.
+    """A box slightly larger than a crowd, which determines the cells of several steps.
 
-    Its cells are used while the crowd stays inside the box and fills it. They expire after some steps, because the crowd may
+    The cells are used while the crowd stays inside the box and fills it. They expire after some steps, because the crowd may
     spread in height."""
 
     def __init__(self, corners: BoxCorners, expiry_step: int) -> None:
@@ -42,7 +42,7 @@ class _CrowdBox:
         self._min_extent, self._expiry_step = [_MIN_FILLED_SHARE * each for each in extent], expiry_step
 
     def is_suitable(self, corners: BoxCorners, step: int) -> bool:
-        """Return whether the cells of this box suit a step in which the crowd has these corners."""
+        """Return whether the cells of this box suit a step in which `corners` is the bounding box of the crowd."""
         (ax, ay, az), (bx, by, bz) = corners
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = self.low, self.high, self._min_extent
         inside = lx <= ax and ly <= ay and lz <= az and bx <= hx and by <= hy and bz <= hz
@@ -50,7 +50,7 @@ class _CrowdBox:
 
 
 class _CrowdGrid(CellOrder):
-    """A crowd in cells of one size, with registers in the order of the cells."""
+    """A crowd sorted into cells of one size, with registers in the order of the cells."""
 
     def __init__(self, count: int, threads: int) -> None:
         super().__init__(count, threads)
@@ -73,14 +73,14 @@ class _CrowdGrid(CellOrder):
 
 
 class SearchGrids:
-    """Sorts crowds into cells, and reuses the results within a step."""
+    """The cell grids of all crowds. A crowd is sorted once per step for each cell size."""
 
     def __init__(self) -> None:
         self._grids_of_step: dict[tuple[str, float], _CrowdGrid] = {}  # of this step
         self._corners: dict[str, BoxCorners] = {}  # of this step
         self._stored_grids: dict[tuple[str, float], _CrowdGrid] = {}
         self._step = 0
-        self._sheet_tests: dict[str, tuple[int, int, bool]] = {}  # by species: number of agents, last step of validity, result
+        self._layer_tests: dict[str, tuple[int, int, bool]] = {}  # by species: number of agents, last step of validity, result
 
     def begin_step(self) -> None:
         """Invalidate the sorted crowds, because agents have moved."""
@@ -93,8 +93,9 @@ class SearchGrids:
             del self._stored_grids[key]
 
     def build_tables(self, world: World, other: Population, radius: float, extra_registers: RegisterGroups = ()) -> Arrays:
-        """Return the arrays for a search, with cells that suit the radius `radius` (mm). `extra_registers`: registers needed in
-        the order of the cells."""
+        """Return the arrays for a search, by name, with cells that suit the radius `radius` (mm).
+
+        `extra_registers`: registers that the search needs in the order of the cells."""
         size = float(ceil(4 * log2(radius))) if len(other) > _MAX_AGENTS_IN_ONE_CELL and radius < inf else inf
         for wider in range(_MAX_COARSER_QUARTERS + 1):
             grid = self._grids_of_step.get((other.name, size + wider))
@@ -128,16 +129,16 @@ class SearchGrids:
         if size == inf:
             return GridShape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
         shape = GridShape.from_bounds(box.low, box.high, 2.0 ** (size / 4))
-        if self._is_sheet(other, positions, shape):
+        if self._needs_one_layer(other, positions, shape):
             shape = shape.flatten_to_one_layer()
         return _coarsen_shape(shape, _MAX_CELLS_PER_AGENT * len(other))
 
-    def _is_sheet(self, other: Population, positions: Positions, shape: GridShape) -> bool:
-        """Return whether a crowd lies in one layer. The result only affects speed, so it is not computed in every step."""
-        count, until, known = self._sheet_tests.get(other.name, (-1, 0, False))
+    def _needs_one_layer(self, other: Population, positions: Positions, shape: GridShape) -> bool:
+        """Return whether one layer of cells is enough for a crowd. This only affects speed, so it is not tested in every step."""
+        count, until, known = self._layer_tests.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
             known, until = shape.is_one_layer_enough(positions), self._step + _RETEST_STEPS
-        self._sheet_tests[other.name] = (len(other), until, known)
+        self._layer_tests[other.name] = (len(other), until, known)
         return known and shape.extent[2] > 0
 
 

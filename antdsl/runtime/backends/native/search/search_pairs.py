@@ -20,7 +20,11 @@ OPERAND_STRIDE_BYTES = 64  # bytes from one operand or result of a search to the
 
 @dataclass(slots=True, eq=False)
 class SearchCode:
-    """The inputs of the functions of a search: indices of operands and results in their areas."""
+    """A search over the neighbours of one species: the reductions `nodes`, and where its functions find operands and results.
+
+    `radius_slots`, `view_slots`, `operand_slots`: the indices of operands: radii and fields of view by set, and other values.
+    `overflow_slots`: for each set of which too many neighbours are reported, the index among the results.
+    `extra_registers`: registers of the others in the grid's order; each text names up to four."""
 
     name: str
     number: int
@@ -28,7 +32,7 @@ class SearchCode:
     nodes: list[ir.PlanNode]
     operand_kinds: list[str] = field(default_factory=list)  # kinds of the operands
     radius_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
-    view: dict[ir.PlanNode, int] = field(default_factory=dict)
+    view_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
     operand_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
     # sets for which too many neighbours are reported, and their index among the results
     overflow_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
@@ -39,11 +43,11 @@ class SearchCode:
 
 @dataclass(slots=True, eq=False)
 class NeighbourLanes:
-    """Eight pairs of a requesting agent and another agent.
+    """Eight pairs of a requesting agent and another agent, in lanes.
 
-    `is_present`: mask of the pairs that exist. `rows`: rows of the others.
-    `dx`, `dy`, `dz`, `distance`: the vector other minus own, and its length.
-    `grid_indices`: indices of the others in the grid. `positions`: their positions."""
+    `is_present`: the mask of pairs that exist. `rows`: the rows of the others.
+    `dx`, `dy`, `dz`, `distance`: from the requesting agent to the other, and the length of this vector (mm).
+    `grid_indices`: the positions of the others in the grid's order. `positions`: x, y, z of the others (mm)."""
 
     writer: FunctionWriter
     search: SearchCode
@@ -67,8 +71,8 @@ class NeighbourLanes:
         found: Lanes = self.writer.builder.get_or_make(("ids", self.rows.name), gather_ids)
         return found
 
-    def load_leaf(self, node: ir.PlanNode) -> Lanes:
-        """Return the value of a leaf that depends on the other agent."""
+    def load_value_of_other(self, node: ir.PlanNode) -> Lanes:
+        """Return the value of a leaf node that depends on the other agent, for eight pairs."""
         named = {"pair.x": self.dx, "pair.y": self.dy, "pair.z": self.dz, "pair.distance": self.distance}
         if node.op in named:
             return named[node.op]
@@ -78,14 +82,14 @@ class NeighbourLanes:
             return self.positions[POSITION_REGISTERS.index(node.attrs[0])]
         for names in self.search.extra_registers:
             if node.attrs[0] in names.split():
-                return self._load_extra_values(names)[names.split().index(node.attrs[0])]
+                return self._load_register_group(names)[names.split().index(node.attrs[0])]
         return self.writer.builder.gather(
             self.writer.array_address("other", self.search.other_species, node.attrs[0]),
             self._extract_rows(),
             LANE_TYPE_BY_KIND[node.kind],
         )
 
-    def _load_extra_values(self, names: str) -> list[Lanes]:
+    def _load_register_group(self, names: str) -> list[Lanes]:
         e, base = self.writer.builder, self.writer.array_address("grid", self.search.number, names)
         registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: load_quadruples(e, base, self.grid_indices))
         return registers
