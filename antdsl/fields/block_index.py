@@ -16,11 +16,11 @@ _MAX_BLOCKS = 8_000_000  # maximum number of blocks in an index
 class BlockIndex:
     """An index of ascending numbers. It divides them into blocks of numbers with the same value of `number >> shift`.
 
-    `start` [blocks + 1]: the position of each block's first number.
+    `block_starts` [blocks + 1]: the position of each block's first number.
     `bisection_steps`: how many bisection steps the search in the fullest block needs."""
 
     shift: int
-    start: NDArray[np.int32]
+    block_starts: NDArray[np.int32]
     bisection_steps: int
 
     @staticmethod
@@ -36,7 +36,7 @@ class BlockIndex:
 
         `numbers`: the same numbers as for `build`. `targets`: numbers from 0 to before `end`."""
         block = targets >> self.shift
-        low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
+        low, high = self.block_starts.take(block).astype(np.int64), self.block_starts.take(block + 1).astype(np.int64)
         for _ in range(self.bisection_steps):
             middle = (low + high) >> 1
             is_less = (numbers.take(np.minimum(middle, len(numbers) - 1)) < targets) & (low < high)
@@ -44,8 +44,8 @@ class BlockIndex:
         return low
 
 
-NO_INDEX = BlockIndex(0, np.zeros(1, np.int32), 0)
-NO_CELLS = np.empty(0, np.int32)
+EMPTY_INDEX = BlockIndex(0, np.zeros(1, np.int32), 0)
+EMPTY_CELLS = np.empty(0, np.int32)
 
 
 def compute_group_ranks(counts: NDArray[np.int64]) -> NDArray[np.int64]:

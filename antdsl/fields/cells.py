@@ -14,7 +14,7 @@ from antdsl import limits
 from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.rays import MeshArrays
-from antdsl.fields.block_index import NO_CELLS, NO_INDEX, BlockIndex, compute_group_ranks, sum_by_key
+from antdsl.fields.block_index import EMPTY_CELLS, EMPTY_INDEX, BlockIndex, compute_group_ranks, sum_by_key
 from antdsl.fields.cell_lookup import CellIndex, locate_cells
 from antdsl.ground.mesh.topology import find_facing_sides
 from antdsl.numerics import parallel, stored_tables
@@ -41,10 +41,10 @@ class FieldTooFine(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class CellLinks:
-    """For each cell, the neighbour cells with compatible sides: those of cell a are `cell[start[a]:start[a+1]]`, ascending."""
+    """The neighbour cells with compatible sides of each cell a: `linked_cells[link_starts[a]:link_starts[a+1]]`, ascending."""
 
-    start: NDArray[np.int64]
-    cell: Cells
+    link_starts: NDArray[np.int64]
+    linked_cells: Cells
 
 
 class SurfaceCells:
@@ -202,8 +202,8 @@ class SurfaceCells:
         state = previous_cells
         if state is None or state.surface_cells is not self or len(state.keys) != len(points):
             state = CellLookupState(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
-        index, direct = (self._block_index, NO_CELLS) if self._direct_table is None else (NO_INDEX, self._direct_table)
-        keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
+        index, direct = (self._block_index, EMPTY_CELLS) if self._direct_table is None else (EMPTY_INDEX, self._direct_table)
+        keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.block_starts)
         columns = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
         work = partial(locate_cells, columns, side, keys, state.keys, state.cells, cell)
         return sum(parallel.run_in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), state

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.setting import BorderFlowData, SolvedFlowData, SpreadFlowData
 
-_PIECES_PER_RADIUS = 8  # pieces per radius or border, if no cell size is set
-_PIECES_PER_EXTENT = 64  # pieces per extent of the ground, if there is no radius either
-_CROWD_PIECES_PER_EXTENT = 48  # the same, for a flow that is solved repeatedly
+_DEFAULT_PIECES_PER_RADIUS = 8  # pieces per radius or border, if no cell size is set
+_DEFAULT_PIECES_PER_EXTENT = 64  # pieces per extent of the ground, if there is no radius either
+_DEFAULT_CROWD_PIECES_PER_EXTENT = 48  # the same, for a flow that is solved repeatedly
 _MAX_DEFAULT_POINTS = 200_000  # maximum number of points if no cell size is set
 _MIN_CELL_EXTENT = 1e-12  # smallest cell, as a share of the extent
 Floats = NDArray[np.float64]
@@ -53,11 +53,11 @@ class FaceLattice:
     """A lattice of points on faces, called slots. Each face is divided into equal triangles, with slots at their corners.
 
     `cuts`: the number n of pieces along an edge of each face, which has (n + 1)(n + 2) / 2 slots.
-    `start`: the first slot of each face. Slots follow each other in rows towards the face's second corner. Rows follow each
+    `first_slots`: the first slot of each face. Slots follow each other in rows towards the face's second corner. Rows follow each
     other towards its third corner."""
 
     cuts: Index
-    start: Index
+    first_slots: Index
 
     @staticmethod
     def from_cuts(cuts: Index) -> FaceLattice:
@@ -72,7 +72,7 @@ class FaceLattice:
         """Return the three slots around each position in a face (3, n), and the weight of each slot (3, n).
 
         `face`, `b1`, `b2` (n): the faces, and the barycentric weights of their second and third corners."""
-        n, start = self.cuts.take(face), self.start.take(face)
+        n, start = self.cuts.take(face), self.first_slots.take(face)
         u, v = b1 * n, b2 * n
         j = np.clip(v.astype(np.int64), 0, n - 1)
         i = np.clip(u.astype(np.int64), 0, n - 1 - j)
@@ -92,7 +92,7 @@ class FaceLattice:
         """Return the barycentric weights of the face's second and third corner, for each slot."""
         b1, b2 = np.empty(len(self)), np.empty(len(self))
         for n, chosen, i, j in self._group_by_cuts():
-            slots = self.start[chosen][:, None] + np.arange(len(i))
+            slots = self.first_slots[chosen][:, None] + np.arange(len(i))
             b1[slots], b2[slots] = i / n, j / n
         return b1, b2
 
@@ -107,7 +107,7 @@ class FaceLattice:
             standing = np.stack([low, low + 1, low + up[low]], axis=1)
             on_head = np.stack([high + 1, high + up[high] + 1, high + up[high]], axis=1)
             small = np.concatenate([standing, on_head])
-            parts.append((self.start[chosen][:, None, None] + small).reshape(-1, 3))
+            parts.append((self.first_slots[chosen][:, None, None] + small).reshape(-1, 3))
             owners.append(np.repeat(chosen, len(small)))
         return np.concatenate(parts), np.concatenate(owners)
 
@@ -146,10 +146,10 @@ def choose_cell_size(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, ext
     if flow.cell is not None:
         return flow.cell
     if isinstance(flow, BorderFlowData):
-        return flow.max_distance / _PIECES_PER_RADIUS
+        return flow.max_distance / _DEFAULT_PIECES_PER_RADIUS
     if isinstance(flow, SpreadFlowData):
-        return extent / _PIECES_PER_EXTENT if flow.radius is None else flow.radius / _PIECES_PER_RADIUS
-    cell_size = extent / (_CROWD_PIECES_PER_EXTENT if flow.crowding else _PIECES_PER_EXTENT)
+        return extent / _DEFAULT_PIECES_PER_EXTENT if flow.radius is None else flow.radius / _DEFAULT_PIECES_PER_RADIUS
+    cell_size = extent / (_DEFAULT_CROWD_PIECES_PER_EXTENT if flow.crowding else _DEFAULT_PIECES_PER_EXTENT)
     return min(cell_size, flow.clearance / 2) if flow.clearance else cell_size
 
 

@@ -184,10 +184,10 @@ class PheromoneField:
         Each entry is `share` times 4 / max(4, links of either cell)."""
         from scipy.sparse import csr_array
 
-        count = np.diff(links.start)
+        count = np.diff(links.link_starts)
         rows = np.repeat(np.arange(len(self.cells)), count)
-        weight = share * 4.0 / np.maximum(np.maximum(count[rows], count[links.cell]), 4)
-        return csr_array((weight, links.cell, links.start), shape=(len(self.cells), len(self.cells)))
+        weight = share * 4.0 / np.maximum(np.maximum(count[rows], count[links.linked_cells]), 4)
+        return csr_array((weight, links.linked_cells, links.link_starts), shape=(len(self.cells), len(self.cells)))
 
     def sample(self, cells: Cells) -> Floats:
         """Return the amounts in cells, float32[n]; 0 for cell -1."""

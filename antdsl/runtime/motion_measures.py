@@ -225,8 +225,8 @@ class MotionMeasures:
         step. All others are from 0 to 1."""
         self._add_part_counts()
         return {
-            "turn_p99": _percentile_99(self.turns) * 180.0,
-            "tilt_p99": _percentile_99(self.tilts) * 180.0,
+            "turn_p99": _compute_percentile_99(self.turns) * 180.0,
+            "tilt_p99": _compute_percentile_99(self.tilts) * 180.0,
             "tilt_max": self.tilt_max,
             "step_max": self.step_max,
             "circling": self.circling / max(1, self.ways),
@@ -234,7 +234,7 @@ class MotionMeasures:
             "heads_inside": self.heads_inside / max(1, self.heads),
             "body_inside": self.bodies_inside / max(1, self.bodies),
             "overlap_start": self.overlapping / max(1, self.placed),
-            "overlap_p99": _percentile_99(self.overlaps),
+            "overlap_p99": _compute_percentile_99(self.overlaps),
             "deep_max": self.deep_max,
             "straightness": self.straightness / max(1, self.ways),
         }
@@ -267,7 +267,7 @@ def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
     return least, _find_bins(_compute_degrees(np.arange(_BIN_LOOKUP_CELLS + 1, dtype=np.float32) / np.float32(_BIN_LOOKUP_CELLS)))
 
 
-def _percentile_99(counts: NDArray[Any]) -> float:
+def _compute_percentile_99(counts: NDArray[Any]) -> float:
     """Return the 99th percentile of a histogram over 0 to 1."""
     total = int(counts.sum())
     return float(np.searchsorted(np.cumsum(counts), 0.99 * total)) / _HISTOGRAM_BINS if total else 0.0

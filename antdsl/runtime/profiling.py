@@ -62,19 +62,19 @@ class StepProfile:
 
 @dataclass(slots=True)
 class _Measurement:
-    """The times (s) of `steps` steps, of which the last ended at the clock time `at` (s).
+    """The times (s) of `steps` steps, of which the last ended at the clock time `end_time` (s).
 
     `phases`, `cpu_seconds`: wall time and CPU time by phase. `calls`: the time of each call, by block."""
 
     steps: int
-    at: float
+    end_time: float
     phases: dict[str, float]
     cpu_seconds: dict[str, float]
     calls: dict[BlockKey, list[float]]
 
     def add(self, other: _Measurement) -> None:
         self.steps += other.steps
-        self.at = other.at
+        self.end_time = other.end_time
         for mine, theirs in ((self.phases, other.phases), (self.cpu_seconds, other.cpu_seconds)):
             for name, seconds in theirs.items():
                 mine[name] = mine.get(name, 0.0) + seconds
@@ -134,7 +134,7 @@ class StepMeter:
             self._measurements[0].add(now)
             return
         self._measurements.append(now)
-        while self._seconds is not None and self._measurements[0].at < now.at - self._seconds:
+        while self._seconds is not None and self._measurements[0].end_time < now.end_time - self._seconds:
             self._measurements.popleft()
 
     def stop(self) -> None:

@@ -23,10 +23,10 @@ from antdsl.numerics.sorting import find_lower_bound, sort_stably
 Floats = NDArray[np.float32]
 Positions = tuple[Floats, Floats, Floats]
 Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
-AnyColumns = tuple[Array1[Any], Array1[Any], Array1[Any]]
+AnyTypeColumns = tuple[Array1[Any], Array1[Any], Array1[Any]]
 FourColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 FloatTriple = tuple[F64, F64, F64]
-Sizes = tuple[I64, I64, I64]
+CellCounts = tuple[I64, I64, I64]
 
 _MAX_CELLS_PER_AXIS = 1 << 19  # three packed coordinates stay below 2**62
 _MAX_AGENTS_PER_COLUMN = 6
@@ -243,7 +243,7 @@ def _max_if_valid(high: F32, place: F32, is_valid: BOOL) -> F32:
 
 @kernel
 def _is_one_layer_enough(
-    axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, occupied: Array2[BOOL]
+    axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: CellCounts, occupied: Array2[BOOL]
 ) -> BOOL:
     """Return whether columns of cells contain few agents or few layers. Of very many columns, several share a number.
 
@@ -272,9 +272,9 @@ def _compute_cell_index(place: Any, low: F64, inverse: F64, size: I64) -> F64:
 
 
 @inlined
-def compute_cell_number(axis_positions: AnyColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: Sizes) -> I64:
+def compute_cell_number(positions: AnyTypeColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: CellCounts) -> I64:
     """Return the number of the cell of the agent at row `row`. Agents without a finite position get the number of cells."""
-    fast, middle, slow = axis_positions[0][row], axis_positions[1][row], axis_positions[2][row]
+    fast, middle, slow = positions[0][row], positions[1][row], positions[2][row]
     line = _compute_cell_index(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _compute_cell_index(
         middle, low[1], inverse[1], size[1]
     )
@@ -292,7 +292,7 @@ def _compute_chunk_range(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]
 
 @inlined
 def count_cells(
-    axis_positions: AnyColumns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64],
+    axis_positions: AnyTypeColumns, low: FloatTriple, inverse: FloatTriple, size: CellCounts, shift: I64, order: Array1[I64],
     keys: Array1[I64], counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
     """Write each agent's cell number plus `shift` to `keys`, and the number of agents of each cell to `counts`.
@@ -320,7 +320,7 @@ def count_cells(
 
 @kernel
 def _count_cells(
-    axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: Sizes, shift: I64, order: Array1[I64],
+    axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: CellCounts, shift: I64, order: Array1[I64],
     keys: Array1[I64], counts: Array2[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Write cell numbers and counts as `count_cells` does, without a result."""

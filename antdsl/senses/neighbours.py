@@ -17,11 +17,11 @@ from antdsl.numerics import parallel
 from antdsl.numerics.sorting import sort_stably
 from antdsl.senses.cell_order import (
     NO_ORDER,
+    CellCounts,
     CellOrder,
     Columns,
     FloatTriple,
     GridShape,
-    Sizes,
     count_agents_before,
     find_bounding_box,
     reorder_axes,
@@ -62,17 +62,17 @@ class CellGridTables(NamedTuple):
     low: FloatTriple
     cells_per_mm: FloatTriple
     width: FloatTriple
-    size: Sizes
+    size: CellCounts
 
 
 class SearchProgress(NamedTuple):
     """The progress of a search for pairs when its kernel stops.
 
-    `query`: the next query. `pair_count`: the number of pairs that are written.
+    `next_query`: the query at which it continues. `pair_count`: the number of pairs that are written.
     `needed_spans`, `needed_candidates`: the lengths of the buffers `spans` and `candidates` that the search needs to continue.
     `needed_candidates` is -1 if a query has more others within its radius than allowed."""
 
-    query: I64
+    next_query: I64
     pair_count: I64
     needed_spans: I64
     needed_candidates: I64
@@ -241,7 +241,7 @@ def _find_spans(
     low: FloatTriple,
     inverse: FloatTriple,
     width: FloatTriple,
-    size: Sizes,
+    size: CellCounts,
     spans: Array1[I64],
 ) -> tuple[I64, I64]:
     """Write to `spans` where the agents of all cells within the radius of a position are among the sorted agents.

@@ -22,7 +22,7 @@ from antdsl.senses.cell_order import (
     NO_ORDER,
     RANGE_UNITS_PER_CHUNK,
     SPARE_TABLE_ENTRIES,
-    Sizes,
+    CellCounts,
     accumulate_counts,
     count_agents_before,
     count_cells,
@@ -265,7 +265,7 @@ class _TouchGrid(NamedTuple):
 
 @kernel
 def _count_cells(
-    axis_positions: Columns, low: Corner, inverse: Corner, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
+    axis_positions: Columns, low: Corner, inverse: Corner, size: CellCounts, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
     """Write cell numbers and counts as `cell_order.count_cells` does, for float64 positions."""
@@ -292,7 +292,7 @@ def _store_agents(
 
 @kernel
 def _store_queries(
-    positions: Columns, axis_positions: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
+    positions: Columns, axis_positions: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: CellCounts, shift: I64,
     order: Array1[I64], searching_agents: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> I64:  # fmt: skip
     """Write the agents that are at most one cell away from cells with agents of the grid. Return their number.

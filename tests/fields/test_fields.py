@@ -76,7 +76,7 @@ def test_several_surfaces_share_a_field_and_the_order_of_faces_is_not_observable
     again = SurfaceCells([stone, mixed], 5.0)
     assert len(cells) == len(again) and np.array_equal(cells.sides, again.sides)
     assert np.allclose(cells.position, again.position)
-    assert np.array_equal(cells.links.cell, again.links.cell)
+    assert np.array_equal(cells.links.linked_cells, again.links.linked_cells)
     for mesh in (ground, stone):
         assert (cells.find_cells(*on_surface(mesh, 500)) >= 0).all()
 
@@ -176,12 +176,14 @@ def test_links_are_symmetric_adjacent_and_connect_the_surface(mesh):
 
     cells = SurfaceCells([mesh], 4.0)
     links = cells.links
-    own = np.repeat(np.arange(len(cells)), np.diff(links.start))
-    assert {*zip(own.tolist(), links.cell.tolist(), strict=True)} == {*zip(links.cell.tolist(), own.tolist(), strict=True)}
-    assert (own != links.cell).all() and are_sides_compatible(cells.sides[own], cells.sides[links.cell]).all()
-    gap = np.linalg.norm(cells.position[own] - cells.position[links.cell], axis=1)
+    own = np.repeat(np.arange(len(cells)), np.diff(links.link_starts))
+    assert {*zip(own.tolist(), links.linked_cells.tolist(), strict=True)} == {
+        *zip(links.linked_cells.tolist(), own.tolist(), strict=True)
+    }
+    assert (own != links.linked_cells).all() and are_sides_compatible(cells.sides[own], cells.sides[links.linked_cells]).all()
+    gap = np.linalg.norm(cells.position[own] - cells.position[links.linked_cells], axis=1)
     assert gap.max() < 2.5 * 4.0
-    graph = csr_array((np.ones(own.size), links.cell, links.start), shape=(len(cells), len(cells)))
+    graph = csr_array((np.ones(own.size), links.linked_cells, links.link_starts), shape=(len(cells), len(cells)))
     assert connected_components(graph)[0] == 1
 
 

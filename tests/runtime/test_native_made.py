@@ -204,7 +204,7 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
         return requests[-1]
 
     monkeypatch.setattr(native_backend, "start_building", beside)
-    monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
+    monkeypatch.setattr(native_backend, "_MIN_EARLIER_STEP_SECONDS", 0.0)
     worlds = [bind(each.plan, each.setting, Options(backend="native")) for each in programs_saved(7)]
     go = Event()
     compile_queue._get_compile_thread().submit(go.wait)
@@ -221,7 +221,7 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
 
 def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     compiled, go = afresh(), Event()
-    monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
+    monkeypatch.setattr(native_backend, "_MIN_EARLIER_STEP_SECONDS", 0.0)
     (saved,) = programs_saved(1)
     world = bind(saved.plan, saved.setting, Options(backend="native"))
     compile_queue._get_compile_thread().submit(go.wait)

@@ -444,7 +444,7 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
         return coming[-1][0]
 
     monkeypatch.setattr(native_backend, "start_building", later)
-    monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
+    monkeypatch.setattr(native_backend, "_MIN_EARLIER_STEP_SECONDS", 0.0)
     monkeypatch.setattr(native_backend, "find_ready_code", lambda plan, facts: None)
     meter, times_by_frame = StepMeter(None), []
     for frame in range(5):

@@ -19,7 +19,7 @@ from antdsl.program.tables.effects import list_effects_of_phase
 from antdsl.runtime.binding.initial_attributes import write_initial_values
 from antdsl.runtime.binding.overcrowding import OvercrowdedLine
 from antdsl.runtime.binding.spacing import RELEASE_TRIES_PER_ROUND, Occupancy, StartPositionDraws, has_extent, spread_agents
-from antdsl.runtime.binding.start_positions import MAX_RANDOM_COVER, PLACEMENT_FRAME, StartPositionSampler
+from antdsl.runtime.binding.start_positions import MAX_RANDOM_COVERED_SHARE, PLACEMENT_FRAME, StartPositionSampler
 from antdsl.runtime.binding.start_shapes import FULL_TURN, compute_facing
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
@@ -171,7 +171,7 @@ def _compute_spacing_radii(
         half = crowd.place.spacing / 2
         if np.isinf(half):
             count = sum(c.count for c in world.setting.crowds if _make_place_key(c.place) == _make_place_key(crowd.place))
-            half = np.sqrt(MAX_RANDOM_COVER * (start.estimate_area() or 0.0) / (np.pi * max(count, 1)))
+            half = np.sqrt(MAX_RANDOM_COVERED_SHARE * (start.estimate_area() or 0.0) / (np.pi * max(count, 1)))
         radii.append(np.maximum(own, half) if half > 0 else own)
     return radii
 

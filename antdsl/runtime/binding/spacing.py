@@ -28,7 +28,7 @@ _TRIES_PER_ROUND = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _SPACING_ROUNDS = ((0.005, _TRIES_PER_ROUND + (32,) * 8), (0.1, _TRIES_PER_ROUND), (1.0, (1,) * 4))
 RELEASE_TRIES_PER_ROUND = (1,) * 4 + (2,) * 2 + (4,) * 2  # for agents that are created during the run: 16 positions
 _FIRST_BATCH_AGENTS = 64  # agents of the first batch; each later batch is as large as all earlier ones together
-_GAP_FACTOR = 1.001  # factor on the distance at contact, because float32 rounds
+_CONTACT_DISTANCE_FACTOR = 1.001  # factor on the distance at contact, because float32 rounds
 # Smaller neighbours of the first query; each further query doubles the number until the result is certain
 _FIRST_QUERY_NEIGHBOURS = 8
 _CELLS_PER_BODY = 8  # cells per body length; of agents that may overlap, each cell uses one
@@ -133,7 +133,7 @@ class Occupancy:
                 if order is not None and 2 * group.max_radius < widest:
                     i, entry, share = self._find_worst_overlap(place, radius, order, rows, group)
                 else:
-                    reach = (widest + group.max_radius) * _GAP_FACTOR * 1.001 + self._rounding
+                    reach = (widest + group.max_radius) * _CONTACT_DISTANCE_FACTOR * 1.001 + self._rounding
                     i, entry = find_pairs_between(place[rows], group.position, reach)
                     i, entry = rows[i], group.entries[entry]
                     share = self._compute_distance_share(place[i], radius[i], entry)
@@ -154,7 +154,7 @@ class Occupancy:
             + displacement[..., 1] * displacement[..., 1]
             + displacement[..., 2] * displacement[..., 2]
         )
-        share: Floats = np.sqrt(square) / ((radius + self._radius[entry]) * _GAP_FACTOR + self._rounding)
+        share: Floats = np.sqrt(square) / ((radius + self._radius[entry]) * _CONTACT_DISTANCE_FACTOR + self._rounding)
         return share
 
     def _find_worst_overlap(
@@ -178,7 +178,7 @@ class Occupancy:
                 near[np.arange(len(pending_discs)), best],
                 share[np.arange(len(pending_discs)), best],
             )
-            beyond = away[:, -1] / ((wide + group.max_radius) * _GAP_FACTOR + self._rounding)
+            beyond = away[:, -1] / ((wide + group.max_radius) * _CONTACT_DISTANCE_FACTOR + self._rounding)
             pending_discs = pending_discs[(beyond < np.minimum(least[pending_discs], 1.0)) & (count < len(group.entries))]
             count *= 2
         return rows, entry, least

@@ -21,8 +21,8 @@ Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 PLACEMENT_FRAME = 0  # random draws of placement use no frame
-MAX_RANDOM_COVER = 0.42  # up to this cover, randomly placed agents all find space without touching
-_AREA_SAMPLE_POINTS = 1 << 14  # sample points to measure the area where agents can start
+MAX_RANDOM_COVERED_SHARE = 0.42  # up to this cover, randomly placed agents all find space without touching
+_AREA_SAMPLE_COUNT = 1 << 14  # sample points to measure the area where agents can start
 _COINCIDENT_DISTANCE_MM = 1e-3  # mm
 _MAX_RADIUS_TRIES = 8  # maximum number of tried radii
 _DEFAULT_DISC_RADIUS_MM = 100.0  # mm: without ground and without a radius
@@ -51,7 +51,7 @@ class StartPositionSampler:
             return None
         if place.density is not None and not place.is_by_area:
             return None
-        ids = np.arange(_AREA_SAMPLE_POINTS)
+        ids = np.arange(_AREA_SAMPLE_COUNT)
         drawn = self.draw(ids, range(1))
         good = drawn.is_allowed
         if self._faces is not None:
@@ -64,7 +64,7 @@ class StartPositionSampler:
             # a point projected onto another face is covered from above
             displacement = drawn.position - self._find_target_points(ids, 0)
             good = good & (vec.length(vec.split_columns(displacement, np.float64)) < _COINCIDENT_DISTANCE_MM)
-        share = float(np.count_nonzero(good)) / _AREA_SAMPLE_POINTS
+        share = float(np.count_nonzero(good)) / _AREA_SAMPLE_COUNT
         return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
     def find_sufficient_radius(self, agent_area: float) -> float | None:
@@ -75,9 +75,9 @@ class StartPositionSampler:
                 break
             wider = StartPositionSampler(self._world, replace(self._crowd, place=replace(self.place, radius=radius)))
             area = wider.estimate_area()
-            if area is None or area * MAX_RANDOM_COVER >= agent_area * 0.999:
+            if area is None or area * MAX_RANDOM_COVERED_SHARE >= agent_area * 0.999:
                 return radius if area is not None else None
-            radius *= min(max(math.sqrt(agent_area / (MAX_RANDOM_COVER * area)), 1.01), 8.0) if area > 0 else 8.0
+            radius *= min(max(math.sqrt(agent_area / (MAX_RANDOM_COVERED_SHARE * area)), 1.01), 8.0) if area > 0 else 8.0
         return None
 
     def fits_on_all_sides(self, agent_area: float) -> bool:
@@ -94,7 +94,7 @@ class StartPositionSampler:
         ):
             return False
         wider = StartPositionSampler(self._world, replace(self._crowd, place=replace(place, is_by_area=True))).estimate_area()
-        return wider is not None and wider * MAX_RANDOM_COVER >= agent_area
+        return wider is not None and wider * MAX_RANDOM_COVERED_SHARE >= agent_area
 
     def draw(self, ids: Ids, tries: range) -> StartPositionDraws:
         """Return start positions for each try in `tries`: all agents for the first try, then for the next."""

@@ -14,7 +14,7 @@ from antdsl.runtime.world import World
 from antdsl.scene.setting import PointMm
 
 _MAX_BURIED_SHARE_OF_VOXEL = 0.05  # deeper below a solid's surface, there is no ground to stand on
-_EDGE_BISECTIONS = 24  # bisections of face edges that extend beyond a ball
+_FACE_EDGE_BISECTIONS = 24  # bisections of face edges that extend beyond a ball
 _THIN_TRIANGLE_RATIO = 64.0  # a triangle is thin above this ratio: longest edge squared / twice the area
 _CORNER_WEIGHTS = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
 # The four triangles that the middles of the edges make, by the corners 0 1 2 and the middles 3 (of 0 1), 4 (of 1 2), 5 (of 2 0).
@@ -167,12 +167,12 @@ def _triangulate_ball_faces(
     middle, radius = ball
     face, weights = np.arange(len(corner)), np.broadcast_to(_CORNER_WEIGHTS, (len(corner), 3, 2))
     pieces: list[tuple[NDArray[np.int64], Floats]] = []
-    for step in range(_EDGE_BISECTIONS):
+    for step in range(_FACE_EDGE_BISECTIONS):
         at = corner[face][:, None] + weights[:, :, :1] * edge1[face][:, None] + weights[:, :, 1:] * edge2[face][:, None]
         centre = at.mean(axis=1)
         reach = np.sqrt(((at - centre[:, None]) ** 2).sum(axis=2).max(axis=1))
         near = np.sqrt(((centre - middle) ** 2).sum(axis=1)) <= reach + radius
-        small = near & ((reach <= radius / 4) | (step == _EDGE_BISECTIONS - 1))
+        small = near & ((reach <= radius / 4) | (step == _FACE_EDGE_BISECTIONS - 1))
         pieces.append((face[small], weights[small]))
         large = near & ~small
         face, weights = face[large], weights[large]

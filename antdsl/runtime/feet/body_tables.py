@@ -31,7 +31,7 @@ from antdsl.runtime.feet.wearers import Wearers
 POSITION_ROW = 0  # first of the three rows of the position
 SIZE, PLAY = 12, 13
 _TABLE_ROWS = 14
-_SHIFT_WITHOUT_PLAY = 0.05  # body lengths; with a larger shift, a trunk does not follow the feet
+_MAX_SHIFT_WITH_TRUNK_PLAY = 0.05  # body lengths; with a larger shift, a trunk does not follow the feet
 _MIN_SIZE = 1e-12
 _F = np.float32
 
@@ -49,7 +49,7 @@ def compute_body_table(population: Wearers, buffer_name: str, threads: int) -> N
         bodies[PLAY] = 1.0
         if LIFT_REGISTERS[0] in now:
             x, y, z = (now[name].astype(np.float64) for name in LIFT_REGISTERS)
-            free = _SHIFT_WITHOUT_PLAY * np.maximum(bodies[SIZE], _MIN_SIZE)
+            free = _MAX_SHIFT_WITH_TRUNK_PLAY * np.maximum(bodies[SIZE], _MIN_SIZE)
             bodies[PLAY] -= np.minimum(np.sqrt(x * x + y * y + z * z) / free, 1.0)
     return bodies
 

@@ -16,7 +16,7 @@ _ZERO, _ONE, _TWO = _F(0), _F(1), _F(2)
 
 MAX_CYCLES_PER_FRAME = 1 / 3  # maximum cycles per frame; faster legs would appear to stand or move backward, so the stride grows
 MAX_LEG_STRETCH = 0.97  # share of the leg length: maximum distance of a standing foot from its hip
-REACH_SHARE = 0.38  # reach ahead and behind the rest position, as a share of the reach ahead of the hip
+REST_REACH_SHARE = 0.38  # reach ahead and behind the rest position, as a share of the reach ahead of the hip
 MAX_SINK_SHARE = 0.12  # share of the leg length: maximum lowering of the trunk for a longer step
 _MAX_REST_OFFSET_SHARE = _F(0.12)  # share of the leg length: a standing agent's foot may stay this far from its rest position
 _REST_CYCLE_SECONDS = 0.5  # s: cycle in which feet return to rest, if the slowest gait has speed 0
@@ -108,7 +108,7 @@ def compute_rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
     A foot rests at its position in the standing body. If a stretched leg could not make a step from there, the rest position is
     nearer to the hip."""
     down, ahead = legs.foot - legs.hip, _hip_reach(legs)
-    most = ahead * (1.0 - REACH_SHARE)
+    most = ahead * (1.0 - REST_REACH_SHARE)
     x = legs.hip[:, 0] + np.clip(down[:, 0], -most, most)
     return np.asarray(x, np.float32), np.asarray(legs.foot[:, 2], np.float32)
 

@@ -44,7 +44,7 @@ class Wearers(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SomeWearers:
+class WearersInRows:
     """The agents of a population in the given `rows`, which all have the body `key`. Implements `Wearers`."""
 
     population: Population
@@ -74,7 +74,7 @@ def find_wearers(world: World, key: str) -> Wearers:
         return population
     names = (*_REGISTERS, *(name for name in LIFT_REGISTERS if name in population.now))
     registers = {name: population.now[name].take(rows) for name in names}
-    return SomeWearers(population, key, rows, population.ids.take(rows), population.position.take(rows, axis=0), registers)
+    return WearersInRows(population, key, rows, population.ids.take(rows), population.position.take(rows, axis=0), registers)
 
 
 def find_sorted_ids(world: World, key: str) -> NDArray[np.int64]:

@@ -11,7 +11,7 @@ from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Arra
 from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 
-SHARP = 2  # level of ground with sharp edges, other pieces or cuts; see `MeshGround.mark_bends`
+SHARP_BEND_LEVEL = 2  # level of ground with sharp edges, other pieces or cuts; see `MeshGround.mark_bends`
 MAX_LIFT_PER_BODY = 0.6  # body lengths; the largest shift of a body
 
 

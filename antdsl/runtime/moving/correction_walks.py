@@ -23,9 +23,9 @@ from antdsl.runtime.world import Population
 Flags = NDArray[np.bool_]
 
 _VISIBLE_OVERLAP_SHARE = 0.05  # share of both collision radii; a larger overlap needs another pass
-_MISSED_RADIUS_SHARE = 0.05  # share of the radius; an agent that ends this far from its target is measured again
+_MISSED_TARGET_RADIUS_SHARE = 0.05  # share of the radius; an agent that ends this far from its target is measured again
 # Share of the requested displacement. An agent that advances less is held by an obstacle, a border or a fall; others then move.
-_HELD_DISTANCE_SHARE = 0.5
+_MIN_ADVANCED_SHARE = 0.5
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
@@ -145,7 +145,7 @@ def _to_float32(v: Vec3) -> Vec3F32:
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
 
 
-class FootPositions(NamedTuple):
+class SpeciesStances(NamedTuple):
     """Positions and abilities of the agents of a species.
 
     `start`, `current` (n, 3) mm: positions at the start of the substep, and current positions. `normal` (n, 3): ground normals.
@@ -162,7 +162,7 @@ class FootPositions(NamedTuple):
 def write_stances(
     rows: Array1[I64],
     first: I64,
-    species: FootPositions,
+    species: SpeciesStances,
     dt: F64,
     start: Array2[F64],
     travel: Array2[F64],
@@ -337,11 +337,11 @@ def _mark_unresolved_rows(
 ) -> None:
     for n in simd_range(0, moved_rows.size):
         row, to, on = moved_rows[n], get_column(requested_moves, n), get_column(reached_moves, n)
-        short, far = minus(to, on), _MISSED_RADIUS_SHARE * radius[row]
+        short, far = minus(to, on), _MISSED_TARGET_RADIUS_SHARE * radius[row]
         store_column(middle, row, plus(get_column(middle, row), on))
         if dot(short, short) > far * far:
             is_touched[row] = True
-            if dot(on, to) < _HELD_DISTANCE_SHARE * dot(to, to):
+            if dot(on, to) < _MIN_ADVANCED_SHARE * dot(to, to):
                 is_held[row] = True
 
 

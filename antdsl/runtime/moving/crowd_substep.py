@@ -48,7 +48,7 @@ from antdsl.runtime.moving.substep_kernels import IntendedMotion, PendingWalks, 
 from antdsl.runtime.moving.tilting import BodyPosture, TurnLimits, follow_ground, limit_steps
 from antdsl.runtime.moving.velocities import (
     FACE_REGISTER,
-    KINEMATIC_STEPS,
+    MAX_INSTANT_RESPONSE_STEPS,
     STANDING_STATE,
     AgentAbilities,
     AgentDrives,
@@ -177,7 +177,7 @@ class _CrowdSubstep:
         abilities = AgentAbilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
         keeps = MIN_SPEED_REGISTER in now
         least = now[MIN_SPEED_REGISTER] if keeps else now["max_speed"]
-        times = PushTimes(frame_time * KINEMATIC_STEPS, frame_time if substep == 0 else _F(0), self.dt)
+        times = PushTimes(frame_time * MAX_INSTANT_RESPONSE_STEPS, frame_time if substep == 0 else _F(0), self.dt)
         outset = IntendedMotion(
             self.velocity, self.step, self.level_headings, self.step_lengths, self.max_tilts, self.wall_reach, self.state
         )
@@ -230,7 +230,7 @@ class _CrowdSubstep:
         """Walk all agents over a ground to their new positions, and update their registers. Return the arrays for this."""
         now = self.population.now
         limits = SpeedAndTurnLimits(now["max_speed"], now["max_turn"], now["response"])
-        times = TurnTimes(self.frame_time * KINEMATIC_STEPS, self.dt, compute_heading_share(self.dt))
+        times = TurnTimes(self.frame_time * MAX_INSTANT_RESPONSE_STEPS, self.dt, compute_heading_share(self.dt))
         facing = FacingDirections(
             FACE_REGISTER in now,
             vec.get_vector_registers(now, "~face") if FACE_REGISTER in now else self.registers[1],

@@ -27,7 +27,7 @@ _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE, _FLOAT32_INFINITY = _F(0), _F(0.5), _F(1), _F(np.inf)
 _MIN_STEP_MM = _F(1e-9)  # a shorter step counts as no step
 _MIN_VECTOR_LENGTH = _F(1e-12)  # as in `vectors.normalise_or_fallback`
-_CENTRE_MARGIN_SHARE = _F(0.5)  # share of the radius; the distance that the centre keeps from a face ahead
+_CENTRE_MARGIN_RADIUS_SHARE = _F(0.5)  # share of the radius; the distance that the centre keeps from a face ahead
 _CLEARANCE_SLACK = _F(1e-4)  # as `obstacle_clearance`
 _RADIUS_SLACK_FACTOR = _F(1) + _CLEARANCE_SLACK
 _RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # larger than the rounding of a distance or of a path length
@@ -198,7 +198,7 @@ def _measure_step(step: VectorColumns, radius: Array1[F32], clearance: Array1[F3
     """Return the length (mm) of agent i's step, the margin (mm) from obstacles, and whether the step may touch an obstacle."""
     vector = (step[0][i], step[1][i], step[2][i])
     size = np.sqrt(dot(vector, vector))
-    margin = (_FLOAT32_ZERO if radius[i] <= 0 else radius[i]) * _CENTRE_MARGIN_SHARE
+    margin = (_FLOAT32_ZERO if radius[i] <= 0 else radius[i]) * _CENTRE_MARGIN_RADIUS_SHARE
     return size, margin, size > _MIN_STEP_MM and clearance[i] <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
 
 
@@ -231,11 +231,11 @@ def _keep_margin(
 class TouchCounts(NamedTuple):
     """Counts for a range of agents that starts at `begin`.
 
-    `agents`: agents with a step that may touch an obstacle. `hit_count`: agents that hit it even after the step keeps the margin.
+    `agent_count`: agents with a step that may touch an obstacle. `hit_count`: those that hit it although they keep the margin.
     `unknown_count`: agents for which the grid has no answer."""
 
     begin: I64
-    agents: I64
+    agent_count: I64
     hit_count: I64
     unknown_count: I64
 

@@ -29,9 +29,9 @@ UPRIGHT_REGISTER = "upright"  # for species that set it in `SpeciesPlan.settings
 
 _F = np.float32
 # Sine of an angle near half a turn. Below it, rounding hides the rotation axis, and the body turns over its head.
-_FLIP_SINE = 0.05
+_MIN_AXIS_SINE = 0.05
 _STEEP_COSINE = 0.9  # as in `vectors.find_perpendicular`
-_OPPOSITE_SINE = 1e-6  # sine of an angle near half a turn, without a rotation axis: such bodies keep their up
+_MIN_OPPOSITE_AXIS_SINE = 1e-6  # sine of an angle near half a turn, without a rotation axis: such bodies keep their up
 
 
 class Posture(NamedTuple):
@@ -68,7 +68,7 @@ def stand_up(up: Vec3, posture: Posture, i: I64) -> Vec3:
         return world_up
     axis, cosine = cross(up, world_up), dot(up, world_up)
     sine = np.sqrt(dot(axis, axis))
-    if not sine > _OPPOSITE_SINE:
+    if not sine > _MIN_OPPOSITE_AXIS_SINE:
         return up
     c, s = compute_cos_and_sin(atan2(_F(sine), _F(cosine)) * share)
     return normalise_vector(rotate_about_axis(up, divide_vector(axis, max(sine, 1e-300)), np.float64(c), np.float64(s)))
@@ -99,7 +99,7 @@ def find_rotation_axis(first: Vec3, second: Vec3, ahead: Vec3) -> tuple[Vec3, F6
     Near half a turn, where the axis is undefined, the rotation passes through `ahead`."""
     axis, cosine = cross(first, second), min(max(dot(first, second), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
-    if sine > _FLIP_SINE or cosine > 0:
+    if sine > _MIN_AXIS_SINE or cosine > 0:
         return divide_vector(axis, max(sine, 1e-300)), cosine, sine
     return normalise_vector(cross(first, ahead)), cosine, sine
 

@@ -19,12 +19,14 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 MAX_SLOPE_REGISTER = "max_slope"  # for species that set it in `SpeciesPlan.settings`
-_STEP_PER_HEIGHT = 0.25  # body heights; largest difference in height beyond a steep part
-_LEAD_PER_HEIGHT = 0.15  # body heights; how far ahead of its feet, in addition to its step, an agent stands beyond a steep part
-_CLEARANCE_PER_STEP = 0.05  # share of a stair's height; distance of a ray above the next tread
+_MAX_STAIR_PER_BODY_HEIGHT = 0.25  # body heights; largest difference in height beyond a steep part
+_LOOKAHEAD_PER_BODY_HEIGHT = (
+    0.15  # body heights; how far ahead of its feet, in addition to its step, an agent stands beyond a steep part
+)
+_RAY_CLEARANCE_PER_STAIR = 0.05  # share of a stair's height; distance of a ray above the next tread
 _MIN_RISE_SHARE = 0.02  # share of the step's length; a smaller rise counts as level
 _COSINE_TOLERANCE = 1e-6
-_NUDGE = 0.3  # share of the step by which an agent turns away from a wall that it would touch again
+_TURN_AWAY_STEP_SHARE = 0.3  # share of the step by which an agent turns away from a wall that it would touch again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,17 +121,17 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
         return crosses
     up, now, threads = np.asarray(world.up, np.float64), population.now, world.options.threads
     high = (now["height"] if "height" in population.plan.settings else now["size"])[rows].astype(np.float64)
-    tread = (_STEP_PER_HEIGHT * np.where(np.isfinite(high) & (high > 0), high, 0.0))[:, None]
+    tread = (_MAX_STAIR_PER_BODY_HEIGHT * np.where(np.isfinite(high) & (high > 0), high, 0.0))[:, None]
     heading = start.heading[rows].astype(np.float64)
     ahead = heading - _dot_vectors(heading, up)[:, None] * up
     step = population.position[rows] - start.position[rows]
-    lead = np.sqrt(_dot_vectors(step, step))[:, None] + _LEAD_PER_HEIGHT / _STEP_PER_HEIGHT * tread
+    lead = np.sqrt(_dot_vectors(step, step))[:, None] + _LOOKAHEAD_PER_BODY_HEIGHT / _MAX_STAIR_PER_BODY_HEIGHT * tread
     ahead = ahead / np.maximum(np.sqrt(_dot_vectors(ahead, ahead))[:, None], 1e-12) * lead
-    origin = start.position[rows] + up * tread * (1 + _CLEARANCE_PER_STEP)
+    origin = start.position[rows] + up * tread * (1 + _RAY_CLEARANCE_PER_STAIR)
     hit, _, _ = meshes.find_hit_normals(origin, ahead, threads)
     is_free = np.ones(len(rows), np.bool_)
     is_free[hit] = False
-    down = -up * tread * (2 + 2 * _CLEARANCE_PER_STEP)
+    down = -up * tread * (2 + 2 * _RAY_CLEARANCE_PER_STAIR)
     hit, _, normal = meshes.find_hit_normals(origin + ahead, down, threads)
     limit = find_steepest_cosines(population, rows)
     crosses[hit] = np.abs(_dot_vectors(normal.T, up)) >= limit[hit]
@@ -146,7 +148,7 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
     wall = wall / np.maximum(np.sqrt(_dot_vectors(wall, wall))[:, None], 1e-12)
     into = _dot_vectors(step, wall)[:, None]
     along = step - wall * into
-    away = along - wall * (np.sign(into) * _NUDGE * np.sqrt(_dot_vectors(step, step))[:, None])
+    away = along - wall * (np.sign(into) * _TURN_AWAY_STEP_SHARE * np.sqrt(_dot_vectors(step, step))[:, None])
     result, moved = along.copy(), _move_along_ground(world, population, start, rows, along)
     for other in (away, np.zeros_like(step)):
         again = start.find_steep(world, population, rows, moved.footing, (moved.position, moved.up))

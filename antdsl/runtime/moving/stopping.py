@@ -9,8 +9,8 @@ from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.moving.contacts.impacts import NEVER, PathArrays, PathPairs, find_impact
 from antdsl.runtime.moving.contacts.step_clamping import ClampBuffers, bend_along, compute_heavier_share, negate_vector
 
-_STOP_OVERLAP_SHARE = 2e-3  # share of both radii; bodies with smaller overlaps slide along each other
-_PRESSING_SHARE = 0.5  # share of both radii; how far a heavy body enters a light one and then pushes it
+_MIN_STOPPING_OVERLAP_SHARE = 2e-3  # share of both radii; bodies with smaller overlaps slide along each other
+_HEAVY_BODY_ENTRY_SHARE = 0.5  # share of both radii; how far a heavy body enters a light one and then pushes it
 
 
 @kernel
@@ -36,7 +36,7 @@ def bend_paths(
             own, other = (pairs.j[pair], pairs.i[pair]) if side else (pairs.i[pair], pairs.j[pair])
             towards, time = -dot(direction, get_column(paths.displacement, own)), pairs.time[pair]
             far = max(towards, 0.0) * time + max(-dot(direction, get_column(approach, other)), 0.0) * (1 - time)
-            pressed = (paths.radius[own] + paths.radius[other]) * _PRESSING_SHARE
+            pressed = (paths.radius[own] + paths.radius[other]) * _HEAVY_BODY_ENTRY_SHARE
             far += compute_heavier_share(paths.mass, own, other) * min(max(towards - far, 0.0), pressed)
             buffers.free_gaps[side, pair] = far
             over = 1 if towards - far > 0 else over
@@ -58,7 +58,7 @@ def find_next_impacts(
         if (latest[p] | latest[q]) & (is_touched[p] | is_touched[q]):
             moves = minus(get_column(paths.displacement, p), get_column(paths.displacement, q))
             heavier = max(compute_heavier_share(paths.mass, p, q), compute_heavier_share(paths.mass, q, p))
-            share = 1 - _STOP_OVERLAP_SHARE - _PRESSING_SHARE * heavier
+            share = 1 - _MIN_STOPPING_OVERLAP_SHARE - _HEAVY_BODY_ENTRY_SHARE * heavier
             pairs.time[pair], direction = find_impact(paths, p, q, moves, share)
             store_column(pairs.direction, pair, direction)
     count = 0

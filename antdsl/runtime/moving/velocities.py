@@ -21,13 +21,13 @@ _FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE = _F(0), _F(0.5), _F(1)
 _MIN_VECTOR_LENGTH, _STEEP_COSINE = _F(1e-12), _F(0.9)  # as in `vectors.normalise_or_fallback` and `find_perpendicular`
 _FLOAT32_PI = _F(np.pi)
 _SAFE_COSINE_MARGIN = _F(1e-3)  # an angle with a cosine smaller by this margin needs no inverse tangent
-_HEADING_SECONDS = 0.1  # s; time constant of the heading towards the direction of movement (T22)
+_HEADING_TURN_SECONDS = 0.1  # s; time constant of the heading towards the direction of movement (T22)
 FACE_REGISTER = "~face.x"  # only species that use it have this register
 SLOW_SPEED_SHARE = _F(0.1)  # share of max_speed; below it, the heading follows more and more slowly
 BOUNCE_SPEED_SHARE = _F(0.3)  # share of the speed into the border of an open surface that is reflected
 TURN_SLACK_FACTOR = _F(1.005)  # factor of the largest turn; smaller excesses are rounding
 MIN_FACE_SINE = _F(1e-3)  # sine of the angle between the body's up and a direction to face; a smaller one gives no heading
-KINEMATIC_STEPS = _F(1.0001)  # steps; agents with a shorter response are kinematic
+MAX_INSTANT_RESPONSE_STEPS = _F(1.0001)  # steps; agents with a shorter response are kinematic
 MIN_SQUARED_TURN = _F(1e-12)  # rad2 above the largest turn; smaller excesses are rounding
 ANGLE_COEFFICIENT_1_12, ANGLE_COEFFICIENT_1_90 = _F(1 / 12), _F(1 / 90)  # coefficients of the series for a squared angle
 
@@ -37,7 +37,7 @@ LEANING_STATE, STANDING_STATE, HURRYING_STATE = -1, -2, -3
 @cache
 def compute_heading_share(dt: np.float32) -> np.float32:
     """Return the share of the turn towards the movement that is made in a substep of `dt` s."""
-    return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_SECONDS))))
+    return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_TURN_SECONDS))))
 
 
 class AgentDrives(NamedTuple):

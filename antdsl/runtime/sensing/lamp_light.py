@@ -19,7 +19,7 @@ from antdsl.runtime.world import Population, World
 from antdsl.scene.looks import choose_drawn_shape, compute_drawn_radius, compute_remaining_share, is_lamp_look
 
 _RAYS_PER_LAMP = 16  # to evenly spread points of the side that faces the agent
-_START_HEIGHT = 0.02  # of the rays above the ground, in body lengths
+_RAY_START_HEIGHT_PER_BODY = 0.02  # of the rays above the ground, in body lengths
 _MIN_LIGHT = 1e-4  # lamps that give less are dark
 
 Floats = NDArray[np.float64]
@@ -30,7 +30,7 @@ def sense_light(world: World, population: Population, node: ir.PlanNode, rows: R
     pictures."""
     place = read_exact_positions(world, population, rows)
     normal = population.normal[rows].astype(np.float64)
-    start = place + normal * (population.start["size"][rows].astype(np.float64) * _START_HEIGHT)[:, None]
+    start = place + normal * (population.start["size"][rows].astype(np.float64) * _RAY_START_HEIGHT_PER_BODY)[:, None]
     total = np.zeros(len(place))
     with np.errstate(all="ignore"):
         for lamp in select_largest(_find_lamps(world, node.attrs[0])):

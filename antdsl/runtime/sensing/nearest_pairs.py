@@ -37,7 +37,7 @@ def find_nearest_agents(
     mine, sites = np.stack(own_positions, axis=1).astype(np.float64), _get_sites(world, other)
     if sites is None or not (np.abs(mine) < _MAX_DISTANCE_MM).all():
         return None
-    every = len(sites.first)
+    every = len(sites.first_rows)
     count, parts = min(every, _FIRST_QUERY_NEIGHBOURS), []
     asking = np.arange(len(mine))
     while len(asking):
@@ -49,7 +49,7 @@ def find_nearest_agents(
         for first in range(0, len(asking), at_once):
             batch = asking[first : first + at_once]
             away, place = sites.tree.query(mine[batch], np.arange(1, count + 1))
-            row, last = sites.first.take(place), away[:, -1].copy()
+            row, last = sites.first_rows.take(place), away[:, -1].copy()
             if ids is not None:
                 row = np.where(other.ids.take(row) == ids.take(batch)[:, None], sites.second_rows.take(place), row)
                 away[row < 0] = np.inf
@@ -102,11 +102,11 @@ def _measure_pairs(other: Population, own_positions: tuple[Floats, ...], i: NDAr
 class _AgentSites:
     """The distinct positions of agents of a species.
 
-    `tree`: a k-d tree of the positions. `first`: the row of the agent with the least id at each position. `second_rows`: the row
-    with the second least id, -1 if there is only one agent; it is used if the first is the requesting agent."""
+    `tree`: a k-d tree of the positions. `first_rows`: the row of the agent with the least id at each position.
+    `second_rows`: the row with the second least id, -1 if there is only one; it is used if the first agent is the requester."""
 
     tree: Any
-    first: NDArray[np.intp]
+    first_rows: NDArray[np.intp]
     second_rows: NDArray[np.intp]
 
 

@@ -23,7 +23,7 @@ from antdsl.senses.nearest_others import CrowdTables, Requesters, fill_nearest_o
 from antdsl.senses.neighbours import CellGrid
 
 _MAX_COARSER_QUARTERS = 4  # cells may be wider than requested by this many quarters of an octave
-_EVERY_SPECIES = ""  # the name of the grid of all agents
+_ALL_SPECIES_GRID_NAME = ""  # the name of the grid of all agents
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
@@ -66,7 +66,7 @@ def build_nearest_search(
 ) -> tuple[CrowdTables, Requesters]:
     """Return all agents as a crowd and the given agents as requesters, for a neighbour search."""
     widest = float(np.max(radius, initial=0.0, where=np.isfinite(radius)))
-    grid = _find_grid(world, _EVERY_SPECIES, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
+    grid = _find_grid(world, _ALL_SPECIES_GRID_NAME, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
     positions = grid.order.position_by_row.take(grid.first_rows[population.name] + rows)
     return grid.crowd, Requesters(positions, rows, radius, max_count, vec.get_vector_registers(population.start, "heading"))

@@ -30,7 +30,7 @@ from antdsl.runtime.world import AXES, Population, World
 
 FLOAT32_MIN_VECTOR_LENGTH = np.float32(MIN_VECTOR_LENGTH)
 NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # result of a ray without a hit
-_PULL_INSIDE_SHARE = 1e-6  # share of the path from a border point to the middle of its face
+_BORDER_PULL_SHARE = 1e-6  # share of the path from a border point to the middle of its face
 
 
 def make_constant_scalar(node: ir.PlanNode) -> SenseValue:
@@ -265,7 +265,7 @@ def _pull_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArra
     footing, position = move.footing.copy(), move.position.copy()
     inner = footing.take_on_meshes(rows)
     for weight in (inner.b1, inner.b2):
-        weight += (1 / 3 - weight) * _PULL_INSIDE_SHARE
+        weight += (1 / 3 - weight) * _BORDER_PULL_SHARE
     footing.put_rows(rows, inner)
     position[rows] = meshes.position(inner)
     return footing, position

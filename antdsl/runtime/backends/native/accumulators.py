@@ -28,13 +28,13 @@ class RunningReduction:
     builder: LaneBuilder
     node: ir.PlanNode
     needs_two_words: bool  # whether there are more terms than float64 adds exactly
-    _parts: list[tuple[Number, str]] = field(default_factory=list)  # stack slots with their kinds
+    _stack_slots: list[tuple[Number, str]] = field(default_factory=list)  # stack slots with their kinds
 
     def allocate_values(self) -> None:
         """Allocate the running values, and set them to their initial values."""
         for k, row in enumerate(INITIAL_VALUES[self.node.op]):
             if k == 0 or self.needs_two_words or self.node.op != "reduce.sum":
-                self._parts.append((self.builder.allocate_slot(row[0], LANE_COUNT), row[0]))
+                self._stack_slots.append((self.builder.allocate_slot(row[0], LANE_COUNT), row[0]))
                 self._write_part(k, self.builder.make_constant(row[1], row[0]))
 
     def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
@@ -72,11 +72,11 @@ class RunningReduction:
                 self._write_part(1, e.select_lanes(better, label, best_label))
 
     def _read_part(self, part: int) -> Lanes:
-        place, kind = self._parts[part]
+        place, kind = self._stack_slots[part]
         return self.builder.load(place, kind, LANE_COUNT)
 
     def _write_part(self, part: int, value: Lanes) -> None:
-        self.builder.store_number(self._parts[part][0], value)
+        self.builder.store_number(self._stack_slots[part][0], value)
 
     def _round_term(self, body: Lanes) -> Lanes:
         """Return a term rounded to a multiple of the reduction's quantum, as `exact_sums.quantise` does."""
@@ -112,7 +112,7 @@ class RunningReduction:
     def combine_lanes(self) -> None:
         """Emit code that combines the running values of all eight lanes, and stores the result in each lane."""
         for half in (4, 2, 1):
-            self._combine_with([self.builder.rotate_lanes(self._read_part(k), half) for k in range(len(self._parts))])
+            self._combine_with([self.builder.rotate_lanes(self._read_part(k), half) for k in range(len(self._stack_slots))])
 
     def _combine_with(self, other: list[Lanes]) -> None:
         """Emit code that combines the running values with those of `other`, lane by lane."""

@@ -93,7 +93,7 @@ class BlockRunner:
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock
     ) -> list[tuple[int, int]]:
         """Run all rows, and add the time of each source line to `metered_block`. Return the ranges of rows that `run` returns."""
-        lines, chunks, began = self.code.lines, self._part_groups[0].chunks, perf_counter()
+        lines, chunks, began = self.code.line_counters, self._part_groups[0].chunks, perf_counter()
         for each in chunks:
             each.line_times = None if lines is None else LineTimes(lines, each.lane.ticks, metered_block.make_counters())
         bad = self._run_parts(world, population, values)
@@ -218,8 +218,8 @@ class RowChunk:
     world: World
     population: Population
     values: dict[ir.PlanNode, Any]
-    first: int
-    last: int
+    first_row: int
+    end_row: int
 
     def __init__(self, block: BlockRunner, lane: LaneMemory) -> None:
         self.runner, self.lane = block, lane
@@ -230,7 +230,7 @@ class RowChunk:
     def begin(self, world: World, population: Population, values: dict[ir.PlanNode, Any], first: int, last: int) -> None:
         """Set the world, the values and the rows (from `first` to before `last`) of the next run."""
         self.world, self.population, self.values = world, population, values
-        self.first, self.last = first, last
+        self.first_row, self.end_row = first, last
         self._slots = None
         self._rows_by_mask.clear()
         self.lane.reset_counts()
@@ -238,7 +238,7 @@ class RowChunk:
     def run_stage(self, function: Callable[[int, int, int], None]) -> None:
         """Run the rows through a stage, and record its time."""
         began = perf_counter()
-        function(self.lane.address, self.first, self.last)
+        function(self.lane.address, self.first_row, self.end_row)
         if self.line_times is not None:
             self.line_times.seconds += perf_counter() - began
 
@@ -274,7 +274,7 @@ class RowChunk:
         notes = self.lane.fault_notes
         for k in range(int(notes[0])):
             row, fault_word = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
-            refused, by = self.runner.code.faults[fault_word >> LANE_COUNT]
+            refused, by = self.runner.code.fault_sources[fault_word >> LANE_COUNT]
             rows = row + np.flatnonzero([fault_word >> bit & 1 for bit in range(LANE_COUNT)])
             self.population.effects.faults.append(FaultEntry(self.runner.compiler.name, refused, by.span, rows))
 
@@ -287,7 +287,7 @@ class RowChunk:
             v = self._slots = [None] * compiler.slot_count
             v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT] = self.world, self.population, self.population.effects
             v[PAIRS_SLOT], v[THREADS_SLOT] = {}, 1
-            v[compiler.root_scope.rows] = slice(self.first, self.last)
+            v[compiler.root_scope.rows] = slice(self.first_row, self.end_row)
             for node, slot in compiler.uniform_slots.items():
                 v[slot] = self.values[node]
         return self._slots
@@ -295,13 +295,16 @@ class RowChunk:
     def _find_masked_rows(self, slot: int) -> NDArray[np.intp]:
         """Return the rows for which the mask in a slot holds, counted from the first row of the chunk."""
         if slot not in self._rows_by_mask:
-            (self._rows_by_mask[slot],) = self.lane.arrays[slot, 0][: self.last - self.first].nonzero()
+            (self._rows_by_mask[slot],) = self.lane.arrays[slot, 0][: self.end_row - self.first_row].nonzero()
         return self._rows_by_mask[slot]
 
     def _find_scope_rows(self, scope: RowScope) -> NDArray[np.intp]:
         rows, v = self._find_masked_rows(self.runner.code.schedule.resolve_slot(scope.rows)), self._make_numpy_slots()
-        is_complete = len(rows) == self.last - self.first
-        v[scope.rows], v[scope.row_count] = (slice(self.first, self.last) if is_complete else rows + self.first), len(rows)
+        is_complete = len(rows) == self.end_row - self.first_row
+        v[scope.rows], v[scope.row_count] = (
+            (slice(self.first_row, self.end_row) if is_complete else rows + self.first_row),
+            len(rows),
+        )
         return rows
 
     def _read_operand_values(self, slot: int, rows: NDArray[np.intp]) -> Any:
@@ -350,7 +353,7 @@ class RowChunk:
             columns.append(np.concatenate(spread))
         node = instructions[0].subject
         assert isinstance(node, ir.PlanNode)
-        asking = np.concatenate(chosen) + self.first
+        asking = np.concatenate(chosen) + self.first_row
         results = SENSE_FUNCTIONS[node.op](self.world, self.population, node, asking, *columns)
         parts_of = results if isinstance(results, tuple) else (results,)
         for each, rows, end in zip(instructions, chosen, ends, strict=True):

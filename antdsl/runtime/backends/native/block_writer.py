@@ -23,7 +23,7 @@ from antdsl.runtime.backends.native.line_profiling import LineCounters, add_mark
 from antdsl.runtime.backends.native.stage_schedule import StageSchedule, list_reduction_operands
 
 _OUT_OF_LINE_FUNCTIONS = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # called as functions of the module, not inlined
-_FIRST_GUARD_SLOT = -1_000_000  # slots from here downward are masks of agents that need a call
+_FIRST_CALL_MASK_SLOT = -1_000_000  # slots from here downward are masks of agents that need a call
 
 
 class FunctionWriter:
@@ -93,8 +93,8 @@ class BlockCode:
     function_names: list[str]
     layout: AddressLayout
     schedule: StageSchedule
-    lines: LineCounters | None = None  # only for code that is timed by line
-    faults: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name of the value and its instruction
+    line_counters: LineCounters | None = None  # only for code that is timed by line
+    fault_sources: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name of the value and its instruction
     searches: list[NeighbourSearch] = field(default_factory=list)
     lazy_nodes: list[ir.PlanNode] = field(default_factory=list)
     scent_thresholds: dict[int, ir.PlanNode] = field(default_factory=dict)  # by slot: see `field_threshold`
@@ -170,7 +170,7 @@ class BlockWriter(FunctionWriter):
                 do()
             top.body[place:place] = e.current_block.body
             e.current_block = last
-        if self.code.lines is not None:
+        if self.code.line_counters is not None:
             add_marks(self)
         self.add_to_module(name)
 
@@ -178,7 +178,7 @@ class BlockWriter(FunctionWriter):
 
     def _timed_instruction(self, instruction: BlockInstruction) -> AbstractContextManager[None]:
         """Return a context. If lines are timed, the time of code written in it counts for the instruction."""
-        return nullcontext() if self.code.lines is None else self._time_with_counter(self.code.lines.find_counter(instruction))
+        return nullcontext() if (c := self.code.line_counters) is None else self._time_with_counter(c.find_counter(instruction))
 
     @contextmanager
     def _time_with_counter(self, counter: int) -> Iterator[None]:
@@ -220,7 +220,7 @@ class BlockWriter(FunctionWriter):
         asks, others = guard
         needed = self.mask[-1] & asks(self, instruction.subject, tuple(self.find_slot_value(k) for k in instruction.inputs))
         self._write_call_request(instruction, needed)
-        slot = self.code.mask_slot_by_call.setdefault(instruction, _FIRST_GUARD_SLOT - len(self.code.mask_slot_by_call))
+        slot = self.code.mask_slot_by_call.setdefault(instruction, _FIRST_CALL_MASK_SLOT - len(self.code.mask_slot_by_call))
         self._cleared_masks.append(slot)
         self.builder.store_lanes(self.stage_array_address(slot, 0, BOOL), self.offset, needed)
         e = self.builder
@@ -388,7 +388,7 @@ class BlockWriter(FunctionWriter):
     def write_fault_record(self, is_bad: Lanes, value_name: str, instruction: BlockInstruction) -> None:
         """Emit code that records eight rows with a value that is not finite: the first row, and a mask of the faulty rows.
         The number of the rejected value is stored above the bits of the mask."""
-        e, faults = self.builder, self.code.faults
+        e, faults = self.builder, self.code.fault_sources
         with e.write_if(e.any_lane(is_bad)):
             faults.append((value_name, instruction))  # one entry per place; its notes have space for one of each eight rows
             notes = self.array_address("notes")

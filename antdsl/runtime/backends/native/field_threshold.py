@@ -11,7 +11,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstruction, InstructionKind, RowScope
 from antdsl.runtime.backends.native.stage_schedule import StageSchedule
 
-_STRENGTH_PART = 0  # index of the strength in the result of `field.strongest`
+_STRENGTH_INDEX_IN_RESULT = 0  # index of the strength in the result of `field.strongest`
 _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge"))
 
 
@@ -89,7 +89,7 @@ def _is_strength_part(instruction: BlockInstruction) -> bool:
         instruction.kind is InstructionKind.VALUE
         and isinstance(instruction.subject, ir.PlanNode)
         and instruction.subject.op == "get"
-        and instruction.subject.attrs[0] == _STRENGTH_PART
+        and instruction.subject.attrs[0] == _STRENGTH_INDEX_IN_RESULT
     )
 
 

@@ -42,7 +42,7 @@ class LaneMemory:
             np.zeros(1 + len(code.list_instructions), np.int64),
             np.zeros(max(len(code.optional_calls), 1), np.uint8),
         )
-        self.ticks = np.zeros(0 if code.lines is None else len(code.lines.instruction_numbers), np.int64)
+        self.ticks = np.zeros(0 if code.line_counters is None else len(code.line_counters.instruction_numbers), np.int64)
         self.deposit_flags: dict[str, NDArray[np.bool_]] = {}
         self.max_radii = [np.zeros(LANE_COUNT, np.float32) for _ in code.searches]
         self._candidates = np.zeros(0, np.int32)
@@ -76,7 +76,7 @@ class LaneMemory:
             parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
             self.list_columns.append([self.arrays[-1 - number, part] for part in parts])
         notes, candidates = (
-            1 + 2 * (len(self.code.faults) * (rows // LANE_COUNT + 1)),
+            1 + 2 * (len(self.code.fault_sources) * (rows // LANE_COUNT + 1)),
             2 * others + (LANE_COUNT + 1) * MAX_LISTED_CANDIDATES,
         )
         if len(self.fault_notes) < notes:

@@ -31,7 +31,7 @@ from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import AXES, Population, World
 
 _MIN_AGENTS_FOR_CODE = 2_000  # with as many agents, loading code pays off after a few steps
-_MIN_STEP_SECONDS = 0.2  # CPU seconds of earlier steps from which compilation pays off
+_MIN_EARLIER_STEP_SECONDS = 0.2  # CPU seconds of earlier steps from which compilation pays off
 _MAX_LOAD_SECONDS = 1.0  # maximum wait for stored code
 _SAMPLED_RADII = 8  # agents of which radii are computed to choose the first cell size
 _DEFAULT_AGENTS_PER_CELL = 8  # agents per cell if no radius is known
@@ -119,7 +119,7 @@ class NativeBackend(NumpyBackend):
             return  # other processors may forbid reading the counter
         facts = WorldFacts.from_setting(world.setting, is_timed=self._is_timed)
         ready = find_ready_code(world.plan, facts)
-        pays = len(world) >= _MIN_AGENTS_FOR_CODE or sum(world.cpu_seconds.values()) >= _MIN_STEP_SECONDS
+        pays = len(world) >= _MIN_AGENTS_FOR_CODE or sum(world.cpu_seconds.values()) >= _MIN_EARLIER_STEP_SECONDS
         if ready is None and self._pending_code is None and (must_wait or pays):
             is_first = facts not in self._looked_up_facts
             self._looked_up_facts.add(facts)
@@ -149,7 +149,7 @@ class NativeBackend(NumpyBackend):
         name = population.name
         code = None if rows is not None else self._runners.get((name, block)) or self._find_runner(name, block)
         metered = self.metered_blocks.get((name, block)) if self.metered_blocks else None
-        if code is None or (code.code.lines is None) != (metered is None):
+        if code is None or (code.code.line_counters is None) != (metered is None):
             super().run(world, population, block, rows)
             return
         near = code.code.searches

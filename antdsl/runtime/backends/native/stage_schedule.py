@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from antdsl.plan import ir
 from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstruction, InstructionKind, RowScope
 
-_REREAD_OPS = frozenset(("snap", "id"))  # loaded again in each stage, not stored in an array
+_OPS_LOADED_IN_EACH_STAGE = frozenset(("snap", "id"))  # loaded again in each stage, not stored in an array
 PAIR_INSTRUCTION_KINDS = (
     InstructionKind.PAIRS,
     InstructionKind.REPEAT_FOR_PAIRS,
@@ -253,7 +253,7 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
             what = instruction.subject
             assert isinstance(what, ir.PlanNode)
             inputs = list_reduction_operands(instruction) if instruction.kind is InstructionKind.REDUCE else instruction.inputs
-            if what.op in _REREAD_OPS and out not in left:
+            if what.op in _OPS_LOADED_IN_EACH_STAGE and out not in left:
                 home[out] = min(use_stages[out])
                 reread_slots.add(out)
                 for stage in use_stages[out]:

@@ -103,13 +103,13 @@ def _block_to_json(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructio
         "pointers": [_key_to_json(key, nodes) for key in layout.pointer_indices],
         "numbers": [_key_to_json(key, nodes) for key in layout.number_indices],
         "arrays": [[*key, kind] for key, kind in layout.array_kinds.items()],
-        "faults": [[what, numbers[each]] for what, each in code.faults],
+        "faults": [[what, numbers[each]] for what, each in code.fault_sources],
         "near": [[each.species, [nodes[node] for node in each.sets], each.extra_registers] for each in code.searches],
         "kept": [nodes[node] for node in code.lazy_nodes],
         "lists": [numbers[each] for each in code.list_instructions],
         "needs": [numbers[each] for each in code.optional_calls],
         "guarded": [[numbers[each], slot] for each, slot in code.mask_slot_by_call.items()],
-        "lines": None if code.lines is None else code.lines.instruction_numbers,
+        "lines": None if code.line_counters is None else code.line_counters.instruction_numbers,
     }
 
 
@@ -121,7 +121,7 @@ def _fill_block_from_json(
     code.layout.pointer_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["pointers"])}
     code.layout.number_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["numbers"])}
     code.layout.array_kinds = {(slot, part): kind for slot, part, kind in form["arrays"]}
-    code.faults[:] = [(what, instructions[number]) for what, number in form["faults"]]
+    code.fault_sources[:] = [(what, instructions[number]) for what, number in form["faults"]]
     code.searches[:] = [
         NeighbourSearch(species, [nodes[number] for number in sets], beside) for species, sets, beside in form["near"]
     ]
@@ -129,8 +129,8 @@ def _fill_block_from_json(
     code.list_instructions[:] = [instructions[number] for number in form["lists"]]
     code.optional_calls[:] = [instructions[number] for number in form["needs"]]
     code.mask_slot_by_call.update({instructions[number]: slot for number, slot in form["guarded"]})
-    if code.lines is not None:
-        code.lines.instruction_numbers[:] = form["lines"]
+    if code.line_counters is not None:
+        code.line_counters.instruction_numbers[:] = form["lines"]
 
 
 def _key_to_json(key: Iterable[Any], nodes: Mapping[ir.PlanNode, int]) -> list[Any]:

@@ -19,7 +19,14 @@ from antdsl.ground.mesh.walkers import FootingArrays, SurfaceTables
 from antdsl.machine_code.kernels import kernel, kernel_helper, load_consecutive, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, dot, load_vector, minus, plus, times
-from antdsl.runtime.moving.body_records import MAX_LIFT_PER_BODY, SHARP, BodyLimits, BodyPoses, BodyRegisters, get_shape
+from antdsl.runtime.moving.body_records import (
+    MAX_LIFT_PER_BODY,
+    SHARP_BEND_LEVEL,
+    BodyLimits,
+    BodyPoses,
+    BodyRegisters,
+    get_shape,
+)
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 from antdsl.runtime.moving.postures import read_vector
 from antdsl.runtime.moving.velocities import HURRYING_STATE, STANDING_STATE
@@ -55,7 +62,7 @@ def select_rows(
             or retained.outward_direction[1][i] != 0
             or retained.outward_direction[2][i] != 0
         )
-        if levels[i] == SHARP or waits:
+        if levels[i] == SHARP_BEND_LEVEL or waits:
             rows[count], row_levels[count] = i, levels[i]
             count += 1
     return begin, count - begin

@@ -18,7 +18,7 @@ from antdsl.ground.protocol import Footing
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.moving.body_records import SHARP, BodyLimits, BodyPoses, BodyRows, BodyStances, FaceSearch
+from antdsl.runtime.moving.body_records import SHARP_BEND_LEVEL, BodyLimits, BodyPoses, BodyRows, BodyStances, FaceSearch
 from antdsl.runtime.moving.clearance.body_lifts import LiftLists, lift_bodies, list_bodies, select_rows
 from antdsl.runtime.moving.clearance.body_tables import (
     ROWS_PER_THREAD,
@@ -110,7 +110,7 @@ class ClearStep:
         (levels,), (row_levels,) = (population.get_buffers(name, 1, (n,), np.uint8) for name in ("bends", "bends of rows"))
         size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
         has_bend = world.ground.mark_bends(population.footing, population.position, size, levels, threads)
-        mark_near_obstacles(world, population, SHARP_REACH * size, levels, SHARP)
+        mark_near_obstacles(world, population, SHARP_REACH * size, levels, SHARP_BEND_LEVEL)
         (rows,), heading = population.get_buffers("uneven", 1, (n,), np.int64), vec.get_vector_registers(now, "heading")
         work = partial(select_rows, levels, heading, *stance, read_registers(population), rows, row_levels)
         rows, row_levels = parallel.join_parts(parallel.run_in_parts(work, n, threads), rows, row_levels)
@@ -154,7 +154,7 @@ class ClearStep:
         self.level_headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
         idle = self._count_idle(rows, outset[1])
         self._aim(rows, self.bend_levels, previous_poses)
-        uneven = np.flatnonzero(self.bend_levels == SHARP)
+        uneven = np.flatnonzero(self.bend_levels == SHARP_BEND_LEVEL)
         depth, out = self._shift_bodies(rows[uneven], vec.take_rows(self.lifts, uneven))
         old, footing, (position, normal) = depths[uneven], outset[0], (each[rows[uneven]] for each in outset[1:])
         cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
@@ -268,7 +268,7 @@ class ClearStep:
             values[at] = now[f"heading.{axis}"][moved]  # contacts may have turned bodies back
         self._stand_up(at)
         self._aim(moved, levels, self.previous)
-        sharp, depth = np.flatnonzero(levels == SHARP), np.zeros(len(at), np.float32)
+        sharp, depth = np.flatnonzero(levels == SHARP_BEND_LEVEL), np.zeros(len(at), np.float32)
         depth[sharp], _ = self._shift_bodies(moved[sharp], vec.take_rows(self.lifts, at[sharp]))
         cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), moved), p.normal[moved])
         old_cosine = dot_rows([c[at] for c in columns[:3]], normal[at])
@@ -387,7 +387,7 @@ def settle_clear(world: World, population: Population, rows: Rows) -> bool:
         return False
     free = np.full(n, np.inf, np.float32)
     limits = BodyLimits(np.full(n, np.pi, np.float32), free, _F(1), now["size"], *body_shapes(world, population), np.inf, np.inf)
-    levels = np.full(len(rows), SHARP, np.uint8)
+    levels = np.full(len(rows), SHARP_BEND_LEVEL, np.uint8)
     ClearStep(world, population, walk, limits, world.options.threads, np.asarray(rows, np.int64), levels).settle_new_bodies()
     for name in ("up", "heading", "position"):
         for axis in AXES:

@@ -32,7 +32,7 @@ from antdsl.numerics.kernel_vectors import (
 from antdsl.numerics.parallel import compute_buffer_index
 from antdsl.runtime.moving.body_records import (
     MAX_LIFT_PER_BODY,
-    SHARP,
+    SHARP_BEND_LEVEL,
     BodyLimits,
     BodyPoses,
     BodyRegisters,
@@ -165,7 +165,7 @@ def limit_steps(
                 step[k][i] = _F(displacement[k])
                 velocity[k][i], retained.outward_direction[k][i] = step[k][i] / limits.dt, _F(0)
         part = _F(1) - retained.wait_share[i]
-        if levels[j] == SHARP:
+        if levels[j] == SHARP_BEND_LEVEL:
             f = first[feet.mesh[i]] + feet.face[i]
             row = ROW_FLOATS * f
             own = load_vector(table, row + NORMAL_OFFSET)
@@ -253,7 +253,7 @@ def aim_bodies(
             c, s = dot(load_vector(table, row + AXIS1_OFFSET), travel), dot(load_vector(table, row + AXIS2_OFFSET), travel)
             place = position_on_face(table, row, weights, side)
             count = 0
-            if levels[j] == SHARP:
+            if levels[j] == SHARP_BEND_LEVEL:
                 count = _gather_others(search, f, weights, place, window, faces)
             nearby = FacesNearby(search.boxes, faces, count, search.pieces, search.cuts)
             start, back = FaceWalker(f, weights, side, (c, s), (c, s)), FaceWalker(f, weights, side, (-c, -s), (c, s))

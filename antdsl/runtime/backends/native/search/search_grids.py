@@ -15,7 +15,7 @@ from antdsl.numerics import parallel
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.cell_order import CellOrder, GridShape, Positions, find_bounding_box, pack_by_position
 
-_RETEST_STEPS = 64  # steps after which a crowd gets new cells and the sheet test is repeated
+_BOX_LIFETIME_STEPS = 64  # steps after which a crowd gets new cells and the sheet test is repeated
 _BOX_MARGIN_SHARE = 1 / 32  # margin of a box around a crowd, as a share of the extent
 _MIN_FILLED_SHARE = 0.8  # a crowd that fills less of its box gets new cells
 _MAX_AGENTS_IN_ONE_CELL = 128  # for fewer agents, cells do not reduce the candidates
@@ -119,7 +119,7 @@ class SearchGrids:
             corners = self._corners[other.name] = find_bounding_box((x, y, z))
         shape = crowd.shape
         if shape is None or crowd.box is None or not crowd.box.is_suitable(corners, self._step):
-            crowd.box = _CrowdBox(corners, self._step + _RETEST_STEPS)
+            crowd.box = _CrowdBox(corners, self._step + _BOX_LIFETIME_STEPS)
             shape = self._choose_shape(other, (x, y, z), crowd.box, size)
         crowd.sort(shape, (x, y, z))
         return crowd
@@ -137,7 +137,7 @@ class SearchGrids:
         """Return whether one layer of cells is enough for a crowd. This only affects speed, so it is not tested in every step."""
         count, until, known = self._layer_tests.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
-            known, until = shape.is_one_layer_enough(positions), self._step + _RETEST_STEPS
+            known, until = shape.is_one_layer_enough(positions), self._step + _BOX_LIFETIME_STEPS
         self._layer_tests[other.name] = (len(other), until, known)
         return known and shape.extent[2] > 0
 
