@@ -242,7 +242,7 @@ def _migrate_feet(old_world: World, world: World) -> None:
     for name, feet in world.feet.items():
         old_feet = old_world.feet.get(name)
         if old_feet is not None and compute_digest(old_world.setting.legs[name]) == compute_digest(world.setting.legs[name]):
-            feet.copy_common(old_feet)
+            feet.copy_common_agents(old_feet)
 
 
 def _migrate_counts(old_world: World, world: World) -> None:

@@ -376,7 +376,7 @@ def test_a_crowd_stands_and_came_as_its_registers_say() -> None:
     speed[rows[:3]], weight[rows[:3]] = [-1, 7, 9], [0, 3, -2]
     start, walked, normal = np.full((3, 3, 9), -7.0)
     reach, mass = np.full((2, 9), -7.0)
-    species = correction_walks.FootPositions(began, place, feet, speed, weight)
+    species = correction_walks.SpeciesStances(began, place, feet, speed, weight)
     correction_walks.write_stances(rows, 4, species, 0.25, start, walked, normal, reach, mass)
     to = slice(4, 8)
     assert np.array_equal(start[:, to], began[rows].T) and np.array_equal(walked[:, to], (place - began)[rows].T)

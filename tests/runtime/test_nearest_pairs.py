@@ -33,7 +33,7 @@ def standing(positions: np.ndarray, seed: int = 3) -> tuple[World, Population]:
 def by_pairs(other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | None) -> list[int]:
     with np.errstate(all="ignore"):
         every = pairs._make_all_pairs(other, own, ids)
-        return pairs._best_agent(every, None, True, every.distance).tolist()
+        return pairs._find_best_agent(every, None, True, every.distance).tolist()
 
 
 def by_tree(world: World, other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | None) -> list[int] | None:

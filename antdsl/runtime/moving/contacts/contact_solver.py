@@ -27,7 +27,7 @@ from antdsl.runtime.moving.contacts import step_clamping
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
 from antdsl.runtime.moving.contacts.long_steps import StartPositions, find_long_steps, stop_long_steps
 from antdsl.runtime.moving.contacts.separation import DEAD_ZONE_SHARE, SUM_BITS, make_buffers, restore_headings, separate_pairs
-from antdsl.runtime.moving.correction_walks import CorrectionWalker, FootPositions, write_approach, write_stances
+from antdsl.runtime.moving.correction_walks import CorrectionWalker, SpeciesStances, write_approach, write_stances
 from antdsl.runtime.world import PUSHED_REGISTER, World
 
 Floats = NDArray[np.float64]
@@ -181,7 +181,7 @@ class _PairAgents:
         rows = nearby_pairs.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.split_rows(rows):
-            feet = FootPositions(start_stances.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
+            feet = SpeciesStances(start_stances.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
             write_stances(own, first, feet, dt, *vectors, reach, mass)
             first += len(own)
         start, walked, normal = vectors
