@@ -124,11 +124,11 @@ def test_agents_are_sorted_by_cells(monkeypatch: pytest.MonkeyPatch, extent, thr
                     assert (
                         (order.tables["starts"] is None)
                         == (each.cell_count > max(1 << 16, 16 * count))
-                        == (order.starts.size == 0)
+                        == (order.cell_starts.size == 0)
                     )
-                    if order.starts.size:
+                    if order.cell_starts.size:
                         assert np.array_equal(
-                            order.starts[: each.cell_count + 1], np.searchsorted(key[rows], np.arange(each.cell_count + 1))
+                            order.cell_starts[: each.cell_count + 1], np.searchsorted(key[rows], np.arange(each.cell_count + 1))
                         )
                     else:
                         assert np.array_equal(order.keys, key[rows]) and order.tables["keys"] is order.keys
@@ -166,7 +166,7 @@ def test_registers_are_sorted_by_cells(count: int) -> None:
 def test_a_cell_table_too_large_to_list_is_searched() -> None:
     positions, ids = crowd(EXTENTS[4])
     grid = CellGrid(*positions, ids, 2e4)
-    assert not grid.order.starts.size
+    assert not grid.order.cell_starts.size
     pairs = grid.find_pairs(None, 1e5)
     assert_same(pairs, all_pairs(grid, positions, 1e5, ids))
     assert pairs.i.size > 1000
