@@ -120,7 +120,7 @@ def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdDa
     """Return the crowd lines of the new setting. Each has the corresponding old line with the ids of its agents; None without
     one."""
     matches = match_lines(list_line_names(old_world.setting), list_line_names(setting))
-    old = list(zip(old_world.setting.crowds, old_world.lines, strict=True))
+    old = list(zip(old_world.setting.crowds, old_world.crowd_lines, strict=True))
     return [(crowd, old[k] if k >= 0 else None) for crowd, k in zip(setting.crowds, matches, strict=True)]
 
 
@@ -255,8 +255,8 @@ def _migrate_counts(old_world: World, world: World) -> None:
         world.notes.restore_memory(old_world.notes.memory)
     world.dug_balls = None if old_world.dug_balls is None else {}
     world.emissions = None if old_world.emissions is None else []
-    if world.detail_levels is not None and old_world.detail is not None:
-        world.detail_levels.counts = old_world.detail.counts.copy()
+    if world.detail_levels is not None and old_world.detail_levels is not None:
+        world.detail_levels.counts = old_world.detail_levels.counts.copy()
 
 
 def describe_migration(migration: Migration) -> str:

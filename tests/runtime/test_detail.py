@@ -121,7 +121,7 @@ def test_near_enough_is_as_if_there_were_no_levels_and_a_checkpoint_goes_on() ->
     checkpoints.restore_checkpoint(again, checkpoints.take_checkpoint(far))
     step(again)
     step(far)
-    assert state_hash(again) == state_hash(far) and np.array_equal(again.detail.counts, far.detail.counts)
+    assert state_hash(again) == state_hash(far) and np.array_equal(again.detail_levels.counts, far.detail_levels.counts)
 
 
 PROGRAM = """ant 1

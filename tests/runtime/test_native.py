@@ -294,7 +294,7 @@ def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[
     """What the reference has to compute while a crowd takes two steps with the same states as NumPy's."""
     history, plain, node_names = (
         play(program, crowd(300, radius=60), steps=2, option_sets=(NUMPY,)),
-        native_backend.AgentRun.value,
+        native_backend.AgentRun.compute_value,
         [],
     )
 
@@ -303,7 +303,7 @@ def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[
         return plain(agent, node)
 
     with monkeypatch.context() as patch:
-        patch.setattr(native_backend.AgentRun, "value", value)
+        patch.setattr(native_backend.AgentRun, "compute_value", value)
         world = bind(history.world.plan, history.world.setting, NATIVE)
         for _ in range(2):
             step(world)
