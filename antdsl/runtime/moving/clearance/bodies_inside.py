@@ -1,4 +1,4 @@
-"""Find bodies that are inside the ground or inside a solid."""
+"""Tests whether bodies are inside the ground or inside a solid."""
 
 from __future__ import annotations
 

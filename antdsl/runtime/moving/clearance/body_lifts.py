@@ -1,4 +1,4 @@
-"""Select the bodies that need more than their feet, and lift bodies on wide faces over the ground beyond the edges."""
+"""The bodies that cannot simply follow their feet, and the lift of bodies on wide faces over the ground beyond the edges."""
 
 from __future__ import annotations
 
@@ -46,10 +46,11 @@ def select_rows(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """List the agents from `begin` to before `end` that may need shorter steps; return `begin` and their number.
+    """Write the agents from `begin` to before `end` that may need shorter steps to `rows`, from index `begin` on.
 
-    All agents on ground with a level get a `state` that aligns their bodies after the walk. `looking` receives their headings.
-    `row_levels` receives the `levels` of the listed agents."""
+    Returns `begin` and their number. `levels`: how sharply the ground around each agent bends, 0 if it does not.
+    All agents on ground that bends get a `state` that aligns their bodies after the walk. `looking` receives their headings.
+    `row_levels` receives the `levels` of the written agents."""
     count = begin
     for i in range(begin, end):
         if levels[i] > 0 and state[i] == STANDING_STATE:
@@ -69,7 +70,7 @@ def select_rows(
 
 
 class LiftLists(NamedTuple):
-    """Lists of `rows` with their `levels`, as `list_bodies` writes them, and its work buffers."""
+    """The lists that `list_bodies` writes: `rows` with their bend `levels`, and `climbers`. `kind`: a work buffer."""
 
     rows: Array1[I64]
     levels: Array1[U8]
@@ -89,10 +90,10 @@ def list_bodies(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """List the bodies on ground with a level, and bodies that are shifted, waiting or deep inside, from `begin` to before `end`.
+    """List the bodies from `begin` to before `end` that stand on ground that bends, or are shifted, waiting or deep inside.
 
-    Their `state` becomes that of a body aligned with its feet. Other bodies on faces with a bend are listed as climbers. Returns
-    `begin`, and the numbers of rows and climbers."""
+    Returns `begin`, the number of these rows, and the number of climbers. Climbers are other bodies on faces that bend. The
+    `state` of the rows becomes that of a body aligned with its feet."""
     first, (rows, row_levels, climbers, kind) = surface.first, lists
     for row in simd_range(begin, end):
         climbs = False

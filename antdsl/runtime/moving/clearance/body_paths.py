@@ -28,10 +28,10 @@ PATH_FLOATS = POINT_FLOATS * (MAX_PATH_EDGES + 2)  # points of one side: the fee
 
 
 class GroundBend(NamedTuple):
-    """The mean turn of the ground along a path.
+    """The mean rotation of the ground's normal along a path, and the size of the path's height profile.
 
-    `roll`, `pitch`: components of its rotation vector (radians), along the path and to the left. `count`: the number of points of
-    the profile."""
+    `roll`, `pitch`: the components of the rotation vector (radians), along the path and to the left.
+    `count`: the number of points of the profile."""
 
     roll: F64
     pitch: F64
@@ -39,8 +39,9 @@ class GroundBend(NamedTuple):
 
 
 class BodyShape(NamedTuple):
-    """The capsule of a trunk (mm): `half` length of its axis, `radius`, `height` of its middle above the feet, and distance
-    `ahead` of the feet."""
+    """The capsule of a trunk (mm): half the length of its axis, its radius, and the position of its middle.
+
+    `height`, `ahead`: how far the middle is above the feet, and ahead of them."""
 
     half: F64
     radius: F64
@@ -50,7 +51,7 @@ class BodyShape(NamedTuple):
 
 @inlined
 def put_point(points: Array1[F64], k: I64, place: Vec3, normal: Vec3, distance: F64, rise: F64) -> None:
-    """Write point `k` of a path."""
+    """Write point `k` of a path to `points`: its position, its normal, its distance along the path, and its height `rise`."""
     row = POINT_FLOATS * k
     points[row], points[row + 1], points[row + 2] = place
     points[row + 3], points[row + 4], points[row + 5] = normal
@@ -58,7 +59,7 @@ def put_point(points: Array1[F64], k: I64, place: Vec3, normal: Vec3, distance: 
 
 
 class FacesNearby(NamedTuple):
-    """The `count` faces of a list that are near a body."""
+    """The first `count` faces of the list `faces`, which are near a body. The other fields are as in `FaceSearch`."""
 
     boxes: BoxTree
     faces: FaceList
@@ -69,7 +70,7 @@ class FacesNearby(NamedTuple):
 
 @inlined
 def is_crossing(nearby_faces: FacesNearby, f: I64, other: I64) -> BOOL:
-    """Return whether a face belongs to another piece than face f, or both faces are cut by faces of their piece."""
+    """Return whether face `other` may cross face `f`: it is of another mesh piece, or faces of their piece cut both."""
     pieces, cuts = nearby_faces.pieces, nearby_faces.cuts
     return pieces[f] != pieces[other] or (cuts[f + 1] > cuts[f] and cuts[other + 1] > cuts[other] and f != other)
 

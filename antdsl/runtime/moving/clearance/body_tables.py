@@ -61,7 +61,7 @@ def body_shapes(
 
 
 def take_stands(stands: Stands, which: NDArray[np.int64] | NDArray[np.bool_]) -> Stands:
-    """Return some rows of footings, positions and normals."""
+    """Return the rows `which` of footings, positions and normals."""
     which = np.flatnonzero(which) if which.dtype == np.bool_ else which
     return stands[0].take_rows(which), stands[1][which], stands[2][which]
 

@@ -81,13 +81,13 @@ _VALLEY_GAP_PER_BODY = 0.01  # body lengths; the same for a valley that is too n
 
 @inlined
 def _get_face_list(buffers: FaceBuffers, boxes: BoxTree, begin: I64) -> I64:
-    """Return the index at which the buffer of a chunk begins."""
+    """Return the index in `buffers` at which the face list of the chunk from row `begin` on starts."""
     return compute_buffer_index(begin, buffers.count, buffers.buffer_count) * boxes.triangle_order.size
 
 
 @kernel_helper
 def _gather_others(search: FaceSearch, f: I64, weights: TriangleWeights, place: Vec3, reach: F64, faces: FaceList) -> I64:
-    """Write the faces that a path of length `reach` (mm) from `place`, on face f, may meet into a list; return their number.
+    """Write the faces that a path of length `reach` (mm) from `place` on face `f` may meet to `faces`. Return their number.
 
     No path meets the piece of face f, unless faces cut their own piece."""
     if not search.has_several_pieces or get_clearance(search.clearances, f, weights) > reach * (1 + _EYE_PER_BODY):
@@ -105,7 +105,7 @@ def _compute_angle(a: Vec3, b: Vec3) -> F64:
 
 @kernel_helper
 def _approach_normal(up: Vec3, normal: Vec3, max_angle: F64, ahead: Vec3) -> Vec3:
-    """Return the up direction. If it is more than `max_angle` radians away from a normal, rotate it towards the normal."""
+    """Return `up`, rotated towards `normal` so far that the angle between both is at most `max_angle` (radians)."""
     angle, result = _compute_angle(up, normal), up
     if angle > max_angle:
         axis, _, _ = find_rotation_axis(up, normal, ahead)

@@ -1,4 +1,4 @@
-"""Find heads that are inside the ground: behind a surface that agents walk on, or in a solid."""
+"""Tests whether heads are inside the ground: behind a surface that agents walk on, or in a solid."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class BodyShift(NamedTuple):
 
 @inlined
 def _get_axis_point(middle: Vec3, heading: Vec3, half: F64, point: I64) -> Vec3:
-    """Return one of the points of a capsule's axis."""
+    """Return the `point`-th of the points at which a capsule's axis is sampled."""
     return plus(middle, times(heading, half * (2.0 * np.float64(point) / (_AXIS_POINTS - 1) - 1.0)))
 
 
@@ -47,9 +47,10 @@ def _get_axis_point(middle: Vec3, heading: Vec3, half: F64, point: I64) -> Vec3:
 def _touches_face(
     table: Array1[F64], boxes: BoxTree, faces: FaceList, count: I64, shape: BodyShape, anchor: Vec3, middle: Vec3, heading: Vec3
 ) -> BOOL:
-    """Return whether a face of a list crosses the axis of a capsule, or the line from its anchor, or is nearer than its radius.
+    """Return whether one of the first `count` faces of a list touches a capsule.
 
-    A face is out of reach if its box is, or if both ends of the axis are on one side of its plane, away from it."""
+    A face touches it if it crosses the capsule's axis or the line from `anchor` to it, or if it is nearer to the axis than the
+    radius."""
     half, radius = times(heading, shape.half), shape.radius
     tip = times(heading, shape.half + radius)
     one, two = minus(middle, half), plus(middle, half)
@@ -93,8 +94,8 @@ def shift_outside(
 ) -> BodyShift:
     """Return the shift that brings a capsule outside all faces around it, starting from `shift`, and its remaining depth.
 
-    Each of `turns` first moves the body off the faces that its axis crosses, then off the faces nearer than its radius. With 0
-    turns, only the depth is measured. The shift is at most `max_shift` mm."""
+    `turns`: the number of iterations. Each first moves the body off the faces that its axis crosses, then off the faces nearer
+    than its radius. With 0 iterations, only the depth is measured. The shift is at most `max_shift` mm."""
     place, normal, up, heading, size = stance
     rest = plus(place, plus(times(up, shape.height), times(heading, shape.ahead)))
     tip = times(heading, shape.half + shape.radius)

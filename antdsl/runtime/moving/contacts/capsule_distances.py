@@ -80,10 +80,10 @@ class CrowdBounds(NamedTuple):
 
 
 class TouchingPairCounts(NamedTuple):
-    """Counts of the pairs that may touch.
+    """Counts of the pairs of agents that may touch.
 
-    `pair_count`: their number. `row_count`: how many agents they contain. `without_axis`: how many have no separation axis.
-    `max_radius`: the largest radius (mm)."""
+    `pair_count`: the number of pairs. `row_count`: the number of agents in pairs. `without_axis`: the number of pairs without a
+    separation axis. `max_radius`: the largest radius (mm) of an agent in a pair."""
 
     pair_count: I64
     row_count: I64
@@ -155,9 +155,10 @@ def mean_up(first: Vec3, second: Vec3) -> Vec3:
 
 @inlined
 def find_separation(offset: Vec3, a: Vec3, b: Vec3, normal: Vec3, reach: F64, length: F64) -> tuple[Vec3, F64, Vec3]:
-    """Return the vector between the nearest points of two axes, measured across `normal`.
+    """Return the separation of two capsule axes: the vector between their nearest points, perpendicular to `normal`.
 
-    Also returns its height along `normal`, and the vector between the middles across `normal`. The nearest points of two
+    Also returns the height of that vector along `normal`, and the vector between both middles, perpendicular to `normal`. The
+    nearest points of two
     segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. `offset`: from the second
     middle to the first. `a`, `b`: unit vectors along the axes. `reach`, `length`: their half lengths."""
     flat = minus(offset, times(normal, dot(offset, normal)))

@@ -1,4 +1,4 @@
-"""Contacts: bodies that overlap after all agents have walked are separated along the surface, all species together.
+"""The solver of contacts: bodies that overlap after all agents have walked are separated along the surface.
 
 Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps. Each agent takes the mean
 of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A sweep adds over
@@ -177,7 +177,7 @@ class _PairAgents:
     def build(
         crowd: CapsuleCrowd, nearby_pairs: NearbyPairs, start_stances: StartStances, dt: float
     ) -> tuple[_PairAgents, Floats]:
-        """Return these values, and the displacement (3, k) mm of each row from its start."""
+        """Return the values of the rows in `nearby_pairs`, and the displacement (3, k) mm of each row from its start."""
         rows = nearby_pairs.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.split_rows(rows):

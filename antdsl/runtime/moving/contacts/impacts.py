@@ -45,7 +45,7 @@ class PathArrays(NamedTuple):
 
 
 class PathSearch(NamedTuple):
-    """A search for pairs as `touching.PairSearch`: arguments of a kernel that visits pairs."""
+    """A search for pairs, with the fields of `touching.PairSearch` in the same order."""
 
     requester: Agents
     agents: Agents
@@ -56,7 +56,9 @@ class PathSearch(NamedTuple):
 
 
 class PathPairs(NamedTuple):
-    """Pairs on paths. `i`, `j` (m): rows. `time` (m): time of the impact. `direction` (3, m): from the second to the first."""
+    """Pairs of agents with near paths. `i`, `j` (m): their rows. `time` (m): when they meet, as a share of the substep.
+
+    `direction` (3, m): the unit vector from the second agent to the first when they meet."""
 
     i: Array1[I64]
     j: Array1[I64]
@@ -123,9 +125,9 @@ def _scale_along_normal(v: Vec3, normal: Vec3, part: F64) -> Vec3:
 
 @kernel_helper
 def find_impact(paths: PathArrays, p: I64, q: I64, relative_displacement: Vec3, share: F64) -> tuple[F64, Vec3]:
-    """Return when two bodies meet, and the direction along the ground from the second to the first. The time is `NEVER` if they
-    do not meet.
+    """Return the time at which two bodies meet (a share of the substep), and the direction from the second to the first.
 
+    The time is `NEVER` if they do not meet. The direction is along the ground.
     `relative_displacement` (mm): the relative displacement. `share`: the share of both radii that counts as contact. On curved
     ground, heights count less. So two arcs over one hill meet although their chords do not."""
     wide, sag = (paths.radius[p] + paths.radius[q]) * share, paths.sag[p] + paths.sag[q]

@@ -1,4 +1,4 @@
-"""Extend the capsules of bodies that carry a load."""
+"""The capsules of bodies that carry a load."""
 
 from __future__ import annotations
 

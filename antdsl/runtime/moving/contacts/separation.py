@@ -113,7 +113,7 @@ def _find_maximum(numbers: Array1[F64], count: I64) -> F64:
 
 @kernel_helper
 def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]) -> None:
-    """Compute the shares of the overlap by which the first and the second agent of each pair move; they add up to 1.
+    """Write to `buffers` the shares of the overlap by which the first and the second agent of each pair move. Their sum is 1.
 
     A lighter agent and a less locked agent move more. Only the first `m` pairs of `buffers`, among the first `count` rows, are
     used.
@@ -157,7 +157,7 @@ def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, mobility: Array1[
 
 @inlined
 def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
-    """Return a correction that ends at most `limit` (mm) from a point. `middle`: the vector from that point to the walk's end."""
+    """Return `correction`, changed so that the sum of `middle` and the result is at most `limit` (mm) long."""
     displacement = plus(middle, correction)
     size = np.sqrt(dot(displacement, displacement))
     if size > limit:
@@ -172,8 +172,9 @@ def separate_pairs(
 ) -> tuple[I64, I64]:  # fmt: skip
     """Separate pairs in `outer_iterations` measurements with `sweeps` sweeps each, by a share `relaxation` of their overlap.
 
-    Changes `gap`, `direction` and `which` of the pairs, and `displacement` (mm). Stops if pairs without a separation axis occur.
-    Then returns the number of remaining outer iterations and of these pairs, which are listed at the start of `lost_pairs`."""
+    Changes the gaps, directions and selection of the pairs, and `displacement` (mm). Stops if a pair has no separation axis.
+    Returns the number of remaining outer iterations, and the number of pairs without an axis, which are written to
+    `lost_pairs`."""
     radius = bodies.radius
     i, j, gap, direction, which = pairs
     number, row_list, changed = buffers[3][_NUMBER_ROW], buffers[3][_ROW_LIST_ROW], buffers[4]
@@ -218,7 +219,7 @@ def separate_pairs(
 
 @inlined
 def _dead_gap(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64:
-    """Return the gap (mm) of a pair below which it is separated."""
+    """Return the gap (mm) below which the pair `pair` is separated: a small overlap is left."""
     return -((radius[i[pair]] + radius[j[pair]]) * DEAD_ZONE_SHARE)
 
 
@@ -243,8 +244,8 @@ def _group_pairs(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs:
 def _compute_row_limits(
     radius: Array1[F64], agents: AgentArrays, row_list: Array1[I64], count: I64, of_rows: Array2[F64]
 ) -> None:
-    """Compute four values of the given rows: mobility, membership in a dense cluster (0 to 1), largest distance from the start
-    (mm) and push limit (mm)."""
+    """Write four values of the first `count` rows in `row_list` to `of_rows`: mobility, membership in a dense cluster (0 to 1),
+    largest distance from the start (mm), and how far others may push it (mm)."""
     mass, yields, reach, depth, held, _, walked, _ = agents
     light, heap_share, most, push_limit = (
         of_rows[_INVERSE_MASS_ROW],
@@ -282,8 +283,8 @@ def _run_outer_iteration(
     """Make the sweeps of one outer iteration, for `touch` touching pairs. With `only_touching`, use only these pairs, else all
     pairs of their rows.
 
-    Marks the rows that changed. Returns whether any row changed, and how many rows were visited; these are listed at the start of
-    `row_list`."""
+    Returns whether any row changed, and how many rows were visited. These are at the start of `row_list` in `buffers`, which also
+    has a flag for each row that changed."""
     i, j, gap, direction, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     new_displacement, sums, of_rows, wholes, changed, numbers, side_directions, indices, starts, row_pairs = buffers

@@ -1,4 +1,5 @@
-"""Deflect steps into other agents along these agents, then shorten them. No agent walks farther than half of the free gap."""
+"""Steps into other agents: they are deflected along these agents, then shortened. No agent walks farther than half of the free
+gap."""
 
 from __future__ import annotations
 
@@ -47,14 +48,14 @@ def clamp_steps(
 
 
 def sum_magic(travel: Floats) -> float:
-    """Return the number that defines the rounding quantum of sums of steps of the given lengths, for `add_rounded`."""
+    """Return the number `magic` for `add_rounded`: it defines the quantum of the terms in sums of `travel` (3, k)."""
     most = max(travel.max(), -travel.min(), 1e-30)
     return float(np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52))
 
 
 @inlined
 def add_rounded(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
-    """Add a vector to a sum, after rounding it to the quantum that `magic` defines."""
+    """Add a vector to column `i` of `sums`, after rounding it to the quantum that `magic` defines."""
     for axis in range(3):
         sums[axis, i] += (v[axis] + magic) - magic
 
