@@ -86,7 +86,7 @@ class Items:
 
 
 class FixedColumn(Generic[Scalar]):
-    """A typed attribute of a population that reads and replaces the array of its own name in `columns`."""
+    """A typed attribute of a population that reads and replaces the array with its name in `columns`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
