@@ -96,8 +96,9 @@ class CacheHistory:
 
 
 class ExplainError(Exception):
-    """Error if a step cannot be explained. The message is self-contained. `usage`: the request is wrong. `report`: the findings
-    about the scene's files, if they are the reason."""
+    """Error for a step that cannot be explained. The message is self-contained.
+
+    `usage`: whether the request is wrong. `report`: the findings about the scene's files, if they are the reason."""
 
     def __init__(self, message: str, help: str = "", *, usage: bool = False, report: Report | None = None) -> None:
         super().__init__(message)

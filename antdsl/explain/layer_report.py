@@ -1,5 +1,6 @@
-"""The result of each layer: its wish, the strength left for it, and the part that was cut. Sums are computed in float32, as in
-the step."""
+"""The result of each layer: the push that it requests, the strength left for it, and the length by which the push was reduced.
+
+Sums are computed in float32, as in the step."""
 
 from __future__ import annotations
 
@@ -50,8 +51,9 @@ def _build_layer_report(world: World, mode: str, note: LayerNote, trace: AgentTr
 
 
 def _grant_push(mode: str, push: PushVector, size: np.float32, budget: np.float32) -> PushVector:
-    """Return a layer's part of the push: all of it in a sum; cut to the remaining budget, or to length 1 where the first layer
-    takes all."""
+    """Return the part of a layer's push that the layer receives.
+
+    In a sum, it is the complete push. With a budget, it is reduced to the length `budget`; if the first layer takes all, to 1."""
     if mode == "sum":
         return push
     limit = budget if mode == "budget" else _F32(1)
@@ -67,7 +69,7 @@ def compute_length(push: PushVector) -> np.float32:
 
 def read_total_push(trace: AgentTrace) -> PushVector:
     """Return the sum of all layers: the register that moves the agent."""
-    return np.array([trace.now[f"push.{axis}"] for axis in AXES], _F32)
+    return np.array([trace.end_registers[f"push.{axis}"] for axis in AXES], _F32)
 
 
 def find_steering_lines(species: str, notes: SourceNotes, trace: AgentTrace, sites: tuple[str, ...]) -> tuple[SteeringLine, ...]:

@@ -19,10 +19,10 @@ def build_machine_step(
     world: World, population: Population, machine: MachinePlan, notes: SourceNotes, trace: AgentTrace
 ) -> MachineStep:
     """Return the report on one machine of an agent. `world`: the world at the start of the step."""
-    old_state = int(trace.start[f"{machine.name}.state"])
-    new_state = int(trace.now[f"{machine.name}.state"])
+    old_state = int(trace.start_registers[f"{machine.name}.state"])
+    new_state = int(trace.end_registers[f"{machine.name}.state"])
     own_changes = [n for n in notes.changes if n.machine == machine.name and n.state.index == old_state]
-    winner = int(trace.now[f"~{machine.name}.pending"]) if own_changes else 0
+    winner = int(trace.end_registers[f"~{machine.name}.pending"]) if own_changes else 0
     winning_change = next((note for note in own_changes if note.number == winner), None)
     claim = (
         _build_claim_result(world, population, winning_change, trace)
@@ -35,7 +35,7 @@ def build_machine_step(
         machine.name,
         machine.states[old_state],
         machine.states[new_state],
-        float(trace.start[f"{machine.name}.time_in_state"]),
+        float(trace.start_registers[f"{machine.name}.time_in_state"]),
         tuple(_build_transition_report(world, machine, note, winner, trace) for note in own_changes),
         changed,
         claim,

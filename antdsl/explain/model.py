@@ -22,8 +22,11 @@ class SourceLocation:
 
 @dataclass(frozen=True, slots=True)
 class ExpressionPart:
-    """A part of a condition. `value` is in `unit`; `shown` is the value in the author's spelling. `role`: draw or bar of a
-    `chance`, joined, or empty. A joined part has only its inner parts with `and`, `<` and similar signs between them."""
+    """A part of a condition.
+
+    - `text`: the part in the source. `value`: its value in `unit`. `shown`: the value as an author would write it.
+    - `role`: draw for the random number of a `chance`, bar for the limit that it is compared with, joined for parts that only
+      join inner parts by `and`, `<` or similar words. "" for other parts."""
 
     text: str
     value: PlainValue
@@ -35,8 +38,10 @@ class ExpressionPart:
 
 @dataclass(frozen=True, slots=True)
 class TimerReading:
-    """A timer with its elapsed and required amount. `what`: held (in steps), after, or at least (both in seconds in the
-    state)."""
+    """A waiting time of a transition.
+
+    `what`: held (in steps), or after or at least (seconds in the state). `has`, `needs`: the elapsed and the required amount.
+    `holds`: whether the required amount has elapsed."""
 
     what: str
     has: float
@@ -47,8 +52,11 @@ class TimerReading:
 
 @dataclass(frozen=True, slots=True)
 class TransitionReport:
-    """A transition that was checked. `kind`: interrupt, from any, when. `held`: whether its condition was true. `fires`: whether
-    its condition and its timers were true."""
+    """A transition that was checked in a step.
+
+    - `kind`: interrupt, from any, or when.
+    - `held`: whether the condition was true. `fires`: whether the condition was true and all timers had elapsed.
+    - `wins`: whether the machine took this transition."""
 
     place: SourceLocation
     kind: str
@@ -63,8 +71,10 @@ class TransitionReport:
 
 @dataclass(frozen=True, slots=True)
 class ClaimResult:
-    """A claim of an agent to an item or a field, and whether it succeeded. Claims with smaller draws are served first. An
-    `amount` of None means all. For a field, `items` and `item` are its name, and `attribute` may be empty."""
+    """A claim of an agent to an amount of an item or of a field.
+
+    `amount`: None means all. `draw`: a random number; claims with smaller draws are served first. `won`: whether the claim
+    succeeded. For a field, `items` and `item` are the name of the field, and `attribute` may be empty."""
 
     items: str
     item: str
@@ -77,7 +87,10 @@ class ClaimResult:
 
 @dataclass(frozen=True, slots=True)
 class ChoiceResult:
-    """A draw among states: `draw` from 0 to 1, the cumulative share of each state, and the state taken."""
+    """A random choice among states.
+
+    `draw`: the random number, from 0 to 1. `bars`: each state with the upper limit of its part of this range. `chosen`: the state
+    that was chosen."""
 
     draw: float
     bars: tuple[tuple[str, float], ...]
@@ -86,8 +99,10 @@ class ChoiceResult:
 
 @dataclass(frozen=True, slots=True)
 class MachineStep:
-    """`before` and `after`: its states, with `since` seconds spent in the first. `looked`: the checked transitions in order;
-    `changed`: whether one was taken."""
+    """The decisions of one machine in a step.
+
+    - `before`, `after`: the states before and after the step. `since`: the seconds that the agent has spent in `before`.
+    - `looked`: the transitions that were checked, in order. `changed`: whether one of them was taken."""
 
     machine: str
     before: str
@@ -101,8 +116,13 @@ class MachineStep:
 
 @dataclass(frozen=True, slots=True)
 class LayerReport:
-    """A layer's wish. `left`: strength left before it; `length` of its `push`; `given`: the part that it received, `share` of the
-    whole budget, `cut` of its length. `state`: pushed, nothing (its push was zero), off (its condition is false), no strength."""
+    """The result of one layer in a step.
+
+    - `state`: pushed, nothing (the push was zero), off (the condition was false) or no strength (earlier layers used all).
+    - `left`: the strength that earlier layers have left, from 0 to 1.
+    - `push`: the push that the layer requested. `length`: its length.
+    - `given`: the part of the push that the layer received. `share`: the length of this part, as a share of the complete budget.
+    - `cut`: the length by which the push was reduced."""
 
     place: SourceLocation
     state: str
@@ -127,7 +147,10 @@ class SteeringLine:
 
 @dataclass(frozen=True, slots=True)
 class NearbyObject:
-    """Another agent or an item near the agent: its id or name, its distance in mm, and its state or amounts."""
+    """Another agent or an item near the agent.
+
+    `name`: the id of the agent or the name of the item. `distance`: the distance in mm. `about`: its states or amounts, as
+    text."""
 
     name: str
     distance: float
@@ -136,7 +159,10 @@ class NearbyObject:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSet:
-    """The content of a set: its text in the program, its size `count`, and its `nearest` members."""
+    """A set that the agent searched.
+
+    `asked`: its text in the program. `of`: the species or items. `count`: the number of members. `nearest`: the nearest
+    members."""
 
     asked: str
     of: str
@@ -146,7 +172,7 @@ class ObservedSet:
 
 @dataclass(frozen=True, slots=True)
 class SenseReading:
-    """A sense that was queried: ray, obstacle, curve, flow, map or field; `shown` describes its result."""
+    """A sense that was queried. `kind`: ray, obstacle, curve, flow, map or field. `shown`: the result in words."""
 
     kind: str
     name: str
@@ -188,9 +214,17 @@ class StateInterval:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """The report on one agent in the step to `frame`. `push` has no unit and a length of at most 1; velocities are mm/s,
-    `acceleration` mm/s². `hash`: of the complete state at `frame`, equal to the cache's. `strip`: each machine's states
-    in order of time; a cache stores only the states of the first machine."""
+    """The report on one agent in the step to `frame`.
+
+    - `hash`: the hash of the complete state at `frame`, equal to that of the cache.
+    - `checkpoint`: the frame from which the run was repeated.
+    - `mode`: how the layers are combined.
+    - `strip`: the states of each machine over time; a cache stores only those of the first machine.
+    - `alive`: the first and the last frame in which the agent lives. `notes`: sentences about notes of the scene.
+    - `push`: the combined push, without unit, with a length of at most 1.
+    - `velocity`: the velocities before and after the step, in mm/s; None after death. `acceleration`: mm/s².
+    - `seen`: the sets that the agent searched. `fields`: the value of each field at the agent.
+    - `did`: the agent's requests to the world, as sentences. `changes`: the registers that have changed."""
 
     scene: str
     species: str

@@ -1,4 +1,4 @@
-"""`explain`: reports what an agent of a cache did in a frame, and why; says so if it cannot."""
+"""`explain` reports what an agent of a cache did in a frame, and why. Raises ExplainError with the reason if it cannot."""
 
 from __future__ import annotations
 

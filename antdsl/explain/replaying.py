@@ -29,9 +29,11 @@ TraceReader = Callable[[World, Population, AgentTrace], T]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplayedStep(Generic[T]):
-    """A repeated step. `results`: the result of `look` for each agent; None for an agent that did not live at the start or was in
-    quarantine. `end_world` and `hash`: the world at its end, which the next step changes. `checkpoint`: the frame from which the
-    run was continued."""
+    """A repeated step.
+
+    - `results`: for each requested agent, the result of `read_trace`; None if it did not live at the start or was in quarantine.
+    - `end_world`: the world at the end of the step, until the next step changes it. `hash`: the hash of its state.
+    - `checkpoint`: the frame from which the run was continued."""
 
     results: tuple[T | None, ...]
     end_world: World
@@ -53,8 +55,9 @@ class Replay:
         self.plan = self._build_annotated_plan()
 
     def _build_annotated_plan(self) -> Plan:
-        """Return the plan with notes, after the one pass that changes rounding: its blocks give the same bits as the plan that
-        runs."""
+        """Return the plan of the program with notes about the nodes of its text.
+
+        The only pass that changes rounding is applied, so that blocks give the same bits as the plan of the run."""
         scene, program = self.shot.scene, self.shot.program
         orders = {
             name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None

@@ -11,10 +11,10 @@ _FRAME_ARRAYS = frozenset(("id", "state", "species"))
 
 
 def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[StateInterval, ...], tuple[int, int] | None]:
-    """Return the agent's states of the first machine as consecutive stretches, and the first and last frame in which it lives.
-    None if it is in no frame.
+    """Return the intervals of frames with one state of the first machine, and the first and last frame in which the agent lives.
 
-    If the cache stores no states, each stretch has an empty state. Raises CacheError if a frame is damaged."""
+    The frames are None if the agent is in no frame. If the cache stores no states, each interval has the state "". Raises
+    CacheError if a frame is damaged."""
     names = [entry.name for entry in cache.manifest.species]
     number = names.index(species)
     machine = next(iter(cache.manifest.species[number].machines), None)
@@ -26,7 +26,8 @@ def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[S
 
 
 def merge_state_frames(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[StateInterval, ...]:
-    """Return frames in order with their states, merged where consecutive frames have the same state."""
+    """Return one interval for each run of consecutive frames with the same state. `frame_states`: frames in order, with
+    states."""
     parts: list[StateInterval] = []
     for frame, state in frame_states:
         if parts and parts[-1].state == state and parts[-1].last == frame - 1:

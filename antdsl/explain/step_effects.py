@@ -24,8 +24,9 @@ from antdsl.specs.value_text import format_position
 def list_changes(
     world: World, population: Population, species: Species, trace: AgentTrace, agent: int
 ) -> tuple[ChangedValue, ...]:
-    """Return the stored registers that have changed, in the order of the program. `world` is that after the step. Empty for a
-    dead agent."""
+    """Return the changes of an agent's stored registers in the order of the program; empty for a dead agent.
+
+    `world`, `population`: after the step."""
     row = int(population.find_rows(np.array([agent]))[0])
     return () if row < 0 else tuple(_find_changed_registers(world, population, species, trace, row))
 
@@ -41,11 +42,14 @@ def _find_changed_registers(
         stem = name.removesuffix(".x")
         memory = register.role == "memory"
         if name.endswith(".x") and f"{stem}.y" in population.plan.registers:
-            both = [[a[f"{stem}.{axis}"] for axis in AXES] for a in (trace.start, _read_vector_registers(population, stem, row))]
+            both = [
+                [a[f"{stem}.{axis}"] for axis in AXES]
+                for a in (trace.start_registers, _read_vector_registers(population, stem, row))
+            ]
             if any(x != y for x, y in zip(*both, strict=True)):
                 yield _build_vector_change(world, stem, both, types.get(stem), memory)
             continue
-        old_value, new_value = trace.start[name], population.now[name][row]
+        old_value, new_value = trace.start_registers[name], population.now[name][row]
         if old_value != new_value:
             type = types.get(name) or _find_register_type(name, register, species)
             unit = choose_default_unit(type.dimension) if type.kind is TypeKind.NUMBER else ""
@@ -57,7 +61,8 @@ def _find_changed_registers(
 
     for name, slots in find_pair_values(population.plan.registers).items():
         pair_maps = [
-            _find_pair_values(registers, slots) for registers in (trace.start, {n: a[row] for n, a in population.now.items()})
+            _find_pair_values(registers, slots)
+            for registers in (trace.start_registers, {n: a[row] for n, a in population.now.items()})
         ]
         unit = choose_default_unit(types[name].dimension)
         for other in sorted(pair_maps[0].keys() | pair_maps[1].keys()):
@@ -78,7 +83,7 @@ def _find_pair_values(registers: Mapping[str, Any], slots: list[tuple[str, str]]
 
 
 def _describe_value(world: World, value: Any, type: ValueType, unit: str) -> tuple[PlainValue, str]:
-    """Return a value for programs and as text; `nothing` for a missing value."""
+    """Return a value as a JSON value and as text. The text of a missing value is `nothing`."""
     return (
         ("nothing", "nothing")
         if value is None

@@ -61,7 +61,7 @@ def explain_agents_with_positions(
 
 def _find_positions(trace: AgentTrace) -> tuple[FloatTriple, tuple[FloatTriple, ...]]:
     """Return the position of the agent at the start of the step, and those of the agents that it looked at, each once."""
-    position = to_float_triple(trace.start[f"position.{axis}"] for axis in AXES)
+    position = to_float_triple(trace.start_registers[f"position.{axis}"] for axis in AXES)
     near = [
         member
         for members in trace.set_members.values()
@@ -81,12 +81,12 @@ def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
 
 
 def _build_explanation(replay: Replay, frame: int, world: World, population: Population, trace: AgentTrace) -> Explanation:
-    """Return all that is known before the effects of the step."""
+    """Return the explanation of a step up to the effects on the agent, which `_add_effects` adds."""
     program = replay.shot.program.species[population.name]
     notes = replay.notes[population.name]
     machines = tuple(build_machine_step(world, population, machine, notes, trace) for machine in population.plan.machines)
     fps = world.setting.fps
-    velocity = to_float_triple(trace.start[f"velocity.{axis}"] for axis in AXES)
+    velocity = to_float_triple(trace.start_registers[f"velocity.{axis}"] for axis in AXES)
     handlers = tuple(
         locate_span(handler.span)
         for handler in program.handlers

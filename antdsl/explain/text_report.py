@@ -27,10 +27,10 @@ _MAX_DRAWS = 40
 
 def format_explanation(explanation: Explanation) -> str:
     """Return the complete explanation as lines of text."""
-    return "\n".join(_report_lines(explanation)) + "\n"
+    return "\n".join(_format_report_lines(explanation)) + "\n"
 
 
-def _report_lines(explanation: Explanation) -> Iterator[str]:
+def _format_report_lines(explanation: Explanation) -> Iterator[str]:
     yield f"{explanation.species} {explanation.agent}, the step to frame {explanation.frame} of {explanation.scene}"
     yield from (f"note: {note}" for note in explanation.notes)
     if explanation.strip:
@@ -38,20 +38,20 @@ def _report_lines(explanation: Explanation) -> Iterator[str]:
         yield "its states"
         for name in dict.fromkeys(each.machine for each in explanation.strip):
             machine_intervals = tuple(each for each in explanation.strip if each.machine == name)
-            yield from _timeline_lines(
+            yield from _format_timeline_lines(
                 machine_intervals, explanation.frame, f"{name}: " if len(machine_intervals) < len(explanation.strip) else ""
             )
     for machine in explanation.machines:
         yield ""
-        yield from _machine_lines(machine)
+        yield from _format_machine_lines(machine)
     if explanation.handlers:
         yield ""
         yield "received events"
         yield from (f"  {each.text}  ({_format_place(each)})" for each in explanation.handlers)
     yield ""
-    yield from _push_lines(explanation)
-    yield from _surroundings_lines(explanation)
-    yield from _effect_lines(explanation)
+    yield from _format_push_lines(explanation)
+    yield from _format_surroundings_lines(explanation)
+    yield from _format_effect_lines(explanation)
 
 
 def _format_place(place: SourceLocation) -> str:
@@ -59,7 +59,7 @@ def _format_place(place: SourceLocation) -> str:
     return f"{PurePath(place.file).name}:{place.line}"
 
 
-def _timeline_lines(timeline: tuple[StateInterval, ...], frame: int, name: str) -> Iterator[str]:
+def _format_timeline_lines(timeline: tuple[StateInterval, ...], frame: int, name: str) -> Iterator[str]:
     """Yield the states over frames, with the state of this frame in brackets."""
     current = next((k for k, s in enumerate(timeline) if s.first <= frame <= s.last), len(timeline) - 1)
     first = max(0, min(current - _MAX_INTERVALS // 2, len(timeline) - _MAX_INTERVALS))
@@ -79,7 +79,7 @@ def _timeline_lines(timeline: tuple[StateInterval, ...], frame: int, name: str) 
 # --- deciding --------------------------------------------------------------------------------------------------------
 
 
-def _machine_lines(machine_step: MachineStep) -> Iterator[str]:
+def _format_machine_lines(machine_step: MachineStep) -> Iterator[str]:
     head = "" if machine_step.machine == "main" else f"{machine_step.machine}: "
     if machine_step.before != machine_step.after or machine_step.changed:
         yield f"{head}{machine_step.before} -> {machine_step.after}, after {machine_step.since:.4g} s"
@@ -89,7 +89,7 @@ def _machine_lines(machine_step: MachineStep) -> Iterator[str]:
         yield "  no transition leaves it"
     hidden = False
     for transition in machine_step.looked:
-        yield from _transition_lines(transition, hidden)
+        yield from _format_transition_lines(transition, hidden)
         hidden = hidden or transition.wins
     if machine_step.claim is not None:
         verdict = "won" if machine_step.claim.won else "lost: other agents came first, or too little was left"
@@ -101,7 +101,7 @@ def _machine_lines(machine_step: MachineStep) -> Iterator[str]:
         yield f"  drew {machine_step.choice.draw:.4f} among {bars}: {machine_step.choice.chosen}"
 
 
-def _transition_lines(transition: TransitionReport, hide_condition: bool) -> Iterator[str]:
+def _format_transition_lines(transition: TransitionReport, hide_condition: bool) -> Iterator[str]:
     word = "wins" if transition.wins else ("holds too" if hide_condition else "holds") if transition.fires else "no"
     yield f"  {word:<9} {transition.place.text}  ({_format_place(transition.place)})"
     if transition.condition is not None:
@@ -109,7 +109,7 @@ def _transition_lines(transition: TransitionReport, hide_condition: bool) -> Ite
         for part in (
             condition.parts if condition.role == "joined" and not transition.timers else (condition,)
         ):  # whether the condition holds is already displayed
-            yield from _condition_lines(part, "            ")
+            yield from _format_condition_lines(part, "            ")
     for timer in transition.timers:
         sign = "has passed" if timer.holds else "has not passed"
         yield f"            {timer.what}: {timer.has:.4g} of {timer.needs:.4g} {timer.unit}, {sign}"
@@ -117,7 +117,7 @@ def _transition_lines(transition: TransitionReport, hide_condition: bool) -> Ite
         yield f"            from: {transition.take.shown}"
 
 
-def _condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
+def _format_condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
     """Yield a part and its inner parts; a part that only tests whether an equal part exists is replaced by that part."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
@@ -128,13 +128,13 @@ def _condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
     else:
         yield f"{indent}{part.text} = {part.shown}"
     for inner in part.parts:
-        yield from _condition_lines(inner, indent + "  ")
+        yield from _format_condition_lines(inner, indent + "  ")
 
 
 # --- pushing ---------------------------------------------------------------------------------------------------------
 
 
-def _push_lines(explanation: Explanation) -> Iterator[str]:
+def _format_push_lines(explanation: Explanation) -> Iterator[str]:
     yield {
         "budget": "layers, from top to bottom until the strength is used",
         "sum": "layers, added",
@@ -144,7 +144,7 @@ def _push_lines(explanation: Explanation) -> Iterator[str]:
         yield f"  {_format_strength_bar(layer)} {layer.place.text}  ({_format_place(layer.place)})"
         yield f"  {'':<{_BAR_CHARACTERS + 2}} {_format_layer_line(layer)}"
         if layer.condition is not None:
-            yield from _condition_lines(layer.condition, " " * (_BAR_CHARACTERS + 7))
+            yield from _format_condition_lines(layer.condition, " " * (_BAR_CHARACTERS + 7))
     for steer in explanation.steers:
         push = f"{_format_vector(steer.push)}, length {steer.length:.4g}"
         yield f"  {'':<{_BAR_CHARACTERS + 2}} {steer.part}: {steer.text} = {push}"
@@ -192,12 +192,12 @@ def _compute_length(vector: FloatTriple) -> float:
 # --- around ----------------------------------------------------------------------------------------------------------
 
 
-def _surroundings_lines(explanation: Explanation) -> Iterator[str]:
+def _format_surroundings_lines(explanation: Explanation) -> Iterator[str]:
     if explanation.seen:
         yield ""
         yield "looked at"
         for group in explanation.seen:
-            yield from _observed_lines(group)
+            yield from _format_observed_lines(group)
     if explanation.fields:
         yield ""
         yield "fields at its position"
@@ -215,7 +215,7 @@ def _surroundings_lines(explanation: Explanation) -> Iterator[str]:
             yield f"  and {len(explanation.draws) - _MAX_DRAWS} more"
 
 
-def _observed_lines(group: ObservedSet) -> Iterator[str]:
+def _format_observed_lines(group: ObservedSet) -> Iterator[str]:
     yield f"  {group.count} {group.of}: {group.asked}"
     for near in group.nearest:
         detail = f", {near.about}" if near.about else ""
@@ -224,7 +224,7 @@ def _observed_lines(group: ObservedSet) -> Iterator[str]:
         yield f"    and {group.count - len(group.nearest)} more"
 
 
-def _effect_lines(explanation: Explanation) -> Iterator[str]:
+def _format_effect_lines(explanation: Explanation) -> Iterator[str]:
     if explanation.did:
         yield ""
         yield "did"

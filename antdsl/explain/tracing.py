@@ -23,12 +23,17 @@ _DRAW_OPERATIONS = frozenset(("draw", "draw.agent"))
 
 @dataclass(slots=True, eq=False)
 class AgentTrace:
-    """The events of an agent's step. `row`: its row. `values`: the values of noted nodes. `start` and `now`: registers at the
-    start of the step, and after the blocks. `claims`: its claims, in text order."""
+    """What an agent computed and requested in one step.
+
+    - `row`: the row of the agent in its population.
+    - `start_registers`, `end_registers`: the registers of the agent at the start of the step, and after its blocks.
+    - `values`, `draw_values`: the values of noted nodes, and of random draws.
+    - `set_members`, `senses`: the members of searched sets, and the results of other senses.
+    - `claims`: the claims of the agent, in text order. `effects`: its other requests to the world."""
 
     row: int
-    start: dict[str, Any]
-    now: dict[str, Any]
+    start_registers: dict[str, Any]
+    end_registers: dict[str, Any]
     values: dict[ir.PlanNode, Any] = field(default_factory=dict)
     set_members: dict[ir.PlanNode, list[SetMember]] = field(default_factory=dict)
     senses: dict[ir.PlanNode, Any] = field(default_factory=dict)
@@ -63,14 +68,14 @@ class TracedAgent(AgentRun):
                 self.trace.claims = list(self.effects.claims)
                 apply_claims(self, self.population)
             self._record_block_values(block)
-        self.trace.now = {name: array[0] for name, array in self.now.items()}
+        self.trace.end_registers = {name: array[0] for name, array in self.now.items()}
         self.trace.effects = self.effects
         return self.trace
 
     def _fill_impossible_changes(self) -> None:
-        """Compute the notes of changes that can never fire: no register is stored for them, so they were not recorded."""
+        """Compute the values of transitions that can never happen. They were not recorded, because no register is stored."""
         for note in self.notes.changes:
-            if note.state.index == int(self.trace.start[f"{note.machine}.state"]):
+            if note.state.index == int(self.trace.start_registers[f"{note.machine}.state"]):
                 for node in list_change_nodes(note):
                     if node not in self.trace.values:
                         self.trace.values[node] = self.compute_value(self.replacement_by_node.get(node, node))
@@ -79,7 +84,7 @@ class TracedAgent(AgentRun):
         super()._store(s)
         machine = s.register.removeprefix("~").removesuffix(".pending")
         if s.register == f"~{machine}.pending":
-            state = int(self.trace.start[f"{machine}.state"])
+            state = int(self.trace.start_registers[f"{machine}.state"])
             for note in self.notes.changes:
                 if note.machine == machine and note.state.index == state:
                     for node in list_change_nodes(note):

@@ -57,7 +57,7 @@ def build_condition_part(world: World, note: PartNote | None, values: NodeValues
 
 
 def format_author_value(world: World, raw: Any, type: ValueType, unit: str) -> str:
-    """Return a value in the author's spelling. The kind of the value, boolean or not, overrides its declared type."""
+    """Return a value as an author would write it. A boolean is written as one, whatever its declared type."""
     if isinstance(raw, np.bool_ | bool):
         type = ValueType(TypeKind.BOOL)
     elif type.kind is TypeKind.BOOL:
@@ -66,7 +66,7 @@ def format_author_value(world: World, raw: Any, type: ValueType, unit: str) -> s
 
 
 def to_plain_value(world: World, raw: Any, type: ValueType, unit: str) -> PlainValue:
-    """Return a value for programs: a number in its unit, a boolean, or a name."""
+    """Return a value that JSON can represent: a number in `unit`, a boolean, or the name of a state, item or agent."""
     if isinstance(raw, np.bool_ | bool):
         return bool(raw)
     if type.kind in (TypeKind.STATE, TypeKind.ITEM, TypeKind.AGENT):

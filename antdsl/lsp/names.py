@@ -44,11 +44,15 @@ class NameOccurrence:
 
 @dataclass(slots=True)
 class SpeciesTable:
-    """Names of a species. `node` is None for a species of another file, with attributes known from `world` only."""
+    """The declared names of a species.
+
+    - `node`: None for a species of another file, of which only the attributes in `world` are known.
+    - `own_members`: the declarations of its params, attributes, lets, latches and fuzzy values, by name.
+    - `machines`: by the name of a machine, its states by name."""
 
     name: str
     node: nodes.Species | None
-    own: dict[str, Any] = field(default_factory=dict)  # declarations of params, attributes, lets, latches, fuzzies
+    own_members: dict[str, Any] = field(default_factory=dict)  # declarations of params, attributes, lets, latches, fuzzies
     machines: dict[str, dict[str, nodes.State]] = field(default_factory=dict)
 
 
@@ -90,7 +94,7 @@ def collect_names(path: Path, file: nodes.File) -> ProgramNames:
         elif kind == "species":
             names.species.setdefault(last, SpeciesTable(last, each.node if isinstance(each.node, nodes.Species) else None))
         elif kind == "own":
-            names.species[each.key[1]].own.setdefault(last, each.node)
+            names.species[each.key[1]].own_members.setdefault(last, each.node)
         elif kind == "machine":
             names.species[each.key[1]].machines.setdefault(last, {})
         elif kind == "state":
@@ -131,11 +135,9 @@ def _make_element_key(names: ProgramNames, declaration: Span) -> NameKey:
 class _OccurrenceIndexer:
     """Collects all names of one file.
 
-    `bound_keys`: the meanings that the checker found, by span.
-    `meaning_by_span`: the meanings of words that are neither declared nor bound, and whether each is a declaration; None for no
-    name.
-    `occurrences`: the result.
-    """
+    - `bound_keys`: by span, the keys of the declarations that the checker found for a name.
+    - `meaning_by_span`: for other words, the key of the meaning, and whether the word is a declaration; None if it is no name.
+    - `occurrences`: the result."""
 
     names: ProgramNames
     bound_keys: dict[Span, dict[NameKey, None]]
@@ -146,14 +148,14 @@ class _OccurrenceIndexer:
         """Add all names in a top-level item."""
         for part, _ in iterate_nodes(item):
             if isinstance(part, nodes.Name):
-                self.name(part, item)
+                self.add_name(part, item)
             elif type(part) in _KINDS_BY_NODE_TYPE:
                 for field_name, kind in _KINDS_BY_NODE_TYPE[type(part)]:
                     self.mark_by_position(getattr(part, field_name), kind)
             if type(part) in _MARKERS_BY_NODE_TYPE:
                 _MARKERS_BY_NODE_TYPE[type(part)](self, part)
 
-    def name(self, name: nodes.Name, item: nodes.TopItem) -> None:
+    def add_name(self, name: nodes.Name, item: nodes.TopItem) -> None:
         """Add a name with its meaning: its declaration, its bindings, or the meaning of its position."""
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))  # without the colon of an argument
         declared = self.names.key_by_declaration_span.get(name.span)
@@ -165,8 +167,9 @@ class _OccurrenceIndexer:
             self.occurrences.append(NameOccurrence(span, self.resolve_nearby(meaning[0], item), meaning[1]))
 
     def resolve_nearby(self, key: NameKey, item: nodes.TopItem) -> NameKey:
-        """Return the key of a name that the checker did not reach: the name of that kind in the enclosing behaviour or species,
-        if there is one."""
+        """Return the key of a name that the checker did not resolve.
+
+        It is the declaration of this name in the enclosing behaviour or species or, without one, the unchanged key."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
             scope = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
             for each in self.names.declaration_by_key:
@@ -176,12 +179,12 @@ class _OccurrenceIndexer:
         return key
 
     def mark_by_position(self, names: nodes.Name | tuple[nodes.Name, ...] | None, kind: str) -> None:
-        """Record the meaning of names at their positions, unless one is known."""
+        """Record the meaning that names have by their positions in the tree, unless another meaning is known."""
         for name in names if isinstance(names, tuple) else (names,):
             if name is not None:
                 self.meaning_by_span.setdefault(name.span, ((kind, name.text), False))
 
-    def text(self, text: object, kind: str = "file") -> None:
+    def add_file(self, text: object, kind: str = "file") -> None:
         """Add the path of a file that the program names."""
         if isinstance(text, nodes.Text):
             self.occurrences.append(
@@ -190,22 +193,22 @@ class _OccurrenceIndexer:
 
     def mark_use(self, node: nodes.Use) -> None:
         if node.alias is not None:
-            self.text(node.path)
+            self.add_file(node.path)
 
     def mark_spec(self, node: nodes.Spec) -> None:
-        self.text(node.scene)
+        self.add_file(node.scene)
 
     def mark_spec_line(self, node: nodes.SpecLine) -> None:
-        self.text(node.target)
+        self.add_file(node.target)
 
     def mark_quantity(self, node: nodes.Quantity) -> None:
         self.occurrences.append(NameOccurrence(node.unit_span, ("unit", node.unit)))
 
-    def setting(self, node: nodes.Setting) -> None:
+    def mark_setting(self, node: nodes.Setting) -> None:
         if node.name.text in WORD_SETTING_VALUES:
             self.meaning_by_span[node.value.span] = None  # `add`, `first` and similar words are not names there
 
-    def target(self, node: nodes.Target) -> None:
+    def mark_target(self, node: nodes.Target) -> None:
         if node.is_previous and node.name is not None:
             self.meaning_by_span[node.name.span] = None
 
@@ -215,18 +218,18 @@ class _OccurrenceIndexer:
 
     def mark_handler(self, node: nodes.On) -> None:
         self.meaning_by_span[node.event.span] = (("event", node.event.text), True)
-        self.element(node.variable)
+        self.mark_variable(node.variable)
 
-    def element(self, variable: nodes.Name | None) -> None:
+    def mark_variable(self, variable: nodes.Name | None) -> None:
         """Record a variable as a declaration."""
         if variable is not None:
             self.meaning_by_span[variable.span] = (_make_element_key(self.names, variable.span), True)
 
     def mark_comprehension(self, node: nodes.Comprehension) -> None:
-        self.element(node.variable)
+        self.mark_variable(node.variable)
 
     def mark_each_of(self, node: nodes.IndexAll) -> None:
-        self.element(node.variable)
+        self.mark_variable(node.variable)
 
     def mark_reference(self, node: nodes.NameRef) -> None:
         """Record the meaning of a plain name in an expression."""
@@ -278,10 +281,10 @@ _KINDS_BY_NODE_TYPE: dict[type, tuple[tuple[str, str], ...]] = {
 _MARKERS_BY_NODE_TYPE: dict[type, Callable[[_OccurrenceIndexer, Any], None]] = {
     nodes.Use: _OccurrenceIndexer.mark_use, nodes.Spec: _OccurrenceIndexer.mark_spec,
     nodes.SpecLine: _OccurrenceIndexer.mark_spec_line, nodes.Quantity: _OccurrenceIndexer.mark_quantity,
-    nodes.Setting: _OccurrenceIndexer.setting, nodes.Layer: _OccurrenceIndexer.mark_layer,
+    nodes.Setting: _OccurrenceIndexer.mark_setting, nodes.Layer: _OccurrenceIndexer.mark_layer,
     nodes.On: _OccurrenceIndexer.mark_handler, nodes.NameRef: _OccurrenceIndexer.mark_reference,
     nodes.Comprehension: _OccurrenceIndexer.mark_comprehension, nodes.IndexAll: _OccurrenceIndexer.mark_each_of,
     nodes.Member: _OccurrenceIndexer.mark_member,
     nodes.Call: _OccurrenceIndexer.mark_call,
-    nodes.VerbLine: _OccurrenceIndexer.mark_verb_line, nodes.Target: _OccurrenceIndexer.target,
+    nodes.VerbLine: _OccurrenceIndexer.mark_verb_line, nodes.Target: _OccurrenceIndexer.mark_target,
 }  # fmt: skip

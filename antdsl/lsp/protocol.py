@@ -49,7 +49,7 @@ def to_lsp_diagnostic(workspace: Workspace, document: OpenDocument, complaint: D
     severity = lsp.DiagnosticSeverity.Error if complaint.severity == "error" else lsp.DiagnosticSeverity.Warning
     idle = complaint.code.startswith("unused-")
     return lsp.Diagnostic(
-        to_lsp_range(document.range(complaint.span))
+        to_lsp_range(document.find_range(complaint.span))
         if complaint.span is not None
         else lsp.Range(lsp.Position(0, 0), lsp.Position(0, 1)),
         complaint.message + (f"\n{complaint.help}" if complaint.help else ""),
@@ -77,8 +77,8 @@ def to_completion_item(proposal: CompletionItem, allow_snippets: bool) -> lsp.Co
 
 def to_document_symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.DocumentSymbol:
     """Convert a symbol of the outline, with the symbols inside it."""
-    name = document.range(entry.name_span)
-    full_range = document.range(entry.span)
+    name = document.find_range(entry.name_span)
+    full_range = document.find_range(entry.span)
     return lsp.DocumentSymbol(
         entry.name or "…",
         _SYMBOL_KINDS[entry.kind],
@@ -97,7 +97,7 @@ def to_folding_range(region: FoldedRange) -> lsp.FoldingRange:
 
 def to_inlay_hint(document: OpenDocument, inlay: InlayHint) -> lsp.InlayHint:
     """Convert an inlay hint."""
-    start, end = document.range(inlay.span)
+    start, end = document.find_range(inlay.span)
     line, column = start if inlay.is_before else end
     return lsp.InlayHint(
         lsp.Position(line, column),
@@ -110,7 +110,7 @@ def to_inlay_hint(document: OpenDocument, inlay: InlayHint) -> lsp.InlayHint:
 
 def to_text_edits(document: OpenDocument, edits: list[TextEdit]) -> list[lsp.TextEdit]:
     """Convert edits of a document."""
-    return [lsp.TextEdit(to_lsp_range(document.text.range(each.start, each.end)), each.text) for each in edits]
+    return [lsp.TextEdit(to_lsp_range(document.text.find_range(each.start, each.end)), each.text) for each in edits]
 
 
 def to_workspace_edit(edits: dict[Path, list[lsp.TextEdit]], uris: dict[Path, str]) -> lsp.WorkspaceEdit:

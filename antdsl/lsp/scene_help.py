@@ -24,8 +24,9 @@ _KEY_PATTERN = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
 
 
 def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
-    """Return the keys above a position and the text of its line before it. The result comes from indentation and open braces,
-    since the YAML may be invalid here."""
+    """Return the keys of a scene that contain a position, outermost first, and the text of its line before the position.
+
+    Keys are found by indentation and open braces, because the YAML may be invalid at the position."""
     begin = text.rfind("\n", 0, offset) + 1
     line = text[begin:offset]
     indent = len(line) - len(line.lstrip())
@@ -44,7 +45,7 @@ def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
 
 
 def _find_open_keys(line: str) -> list[str]:
-    """Return the keys with an open value in this line: `crowd: - {place: {` gives crowd, place."""
+    """Return the keys in a line with values that continue after it: crowd and place for `crowd: - {place: {`."""
     stack: list[str] = []
     key = ""
     for piece in re.finditer(r"([A-Za-z_.][A-Za-z_0-9.]*):|[{}\[\]]", line):
@@ -77,7 +78,7 @@ def complete_scene(workspace: Workspace, document: OpenDocument, offset: int) ->
 def _find_crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterator[OpenDocument]:
     """Yield the programs of a scene."""
     for path in workspace.find_linked_files(document.path):
-        other = workspace.document(path)
+        other = workspace.find_document(path)
         if other is not None and other.is_program:
             yield other
 
@@ -119,7 +120,7 @@ def _propose_initial_values(workspace: Workspace, document: OpenDocument) -> Ite
     yield CompletionItem("state", "property", "the first state", "", "state: ")
     for program in _find_crowd_programs(workspace, document):
         for table in program.names.species.values():
-            for name, member in table.own.items():
+            for name, member in table.own_members.items():
                 node = find_declaring_node(member)
                 if isinstance(node, nodes.Declaration):
                     yield CompletionItem(name, "property", "attribute", find_help_text(node), f"{name}: ")
@@ -166,7 +167,7 @@ def _propose_settings(workspace: Workspace, document: OpenDocument) -> Iterator[
     """Yield params and field settings that `set` may change, with their values."""
     for program in _find_crowd_programs(workspace, document):
         for species, table in program.names.species.items():
-            for name, member in table.own.items():
+            for name, member in table.own_members.items():
                 node = find_declaring_node(member)
                 if isinstance(member, nodes.ParamDecl):
                     value = " ".join(node.value.span.text.split())
@@ -188,7 +189,7 @@ def _propose_values(workspace: Workspace, document: OpenDocument, key: str, path
             yield from (CompletionItem(n, "thing", "species") for n, t in each.names.species.items() if t.node is not None)
     elif key in ("from", "extends"):
         suffix = (".ant",) if key == "from" and "crowd" in path else (".yaml", ".yml")
-        for file in workspace.files():
+        for file in workspace.list_files():
             if file.suffix in suffix and file.is_relative_to(document.path.parent) and file != document.path:
                 yield CompletionItem(file.relative_to(document.path.parent).as_posix(), "file")
     elif key in ("units", "up"):

@@ -24,7 +24,10 @@ _NAMING_KEYS = frozenset(("on", "around", "toward", "away", "border", "solved", 
 
 @dataclass(slots=True)
 class SceneIndex:
-    """The names of a scene's text. `document` is None while the text is not valid YAML; `fps` is as in the source."""
+    """The names in the text of a scene.
+
+    `document`: the parsed text; None while it is not valid YAML. `files`: the files that the scene names. `fps`: the frame rate
+    as text of the source. `items`: the spans of the names of items."""
 
     path: Path
     document: MappingNode | None

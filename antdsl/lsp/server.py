@@ -20,7 +20,7 @@ from antdsl.lsp.features import navigation, tokens
 from antdsl.lsp.features.actions import find_quick_fixes
 from antdsl.lsp.features.completion import complete_program
 from antdsl.lsp.features.context import is_line_start
-from antdsl.lsp.features.formatting import formatting_edits
+from antdsl.lsp.features.formatting import find_formatting_edits
 from antdsl.lsp.features.hints import find_hints
 from antdsl.lsp.features.outline import find_folds, list_symbols
 from antdsl.lsp.features.symbol_help import describe_symbol
@@ -46,17 +46,17 @@ class AntLanguageServer(LanguageServer):
         self.is_shutdown_requested = False
         self.pending_paths: set[Path] = set()  # documents with findings to report when no other message waits
 
-    def path(self, uri: str) -> Path:
-        """Return the path behind a URI; a document that is no file yet gets a separate one in the current folder."""
+    def find_path(self, uri: str) -> Path:
+        """Return the path of the file that a URI names. A document that is not saved yet gets a path in the current folder."""
         file_path = uri_to_path(uri)
         if file_path is None:
             name = "".join(c if c.isalnum() or c in "._-" else "_" for c in uri)
             file_path = Path.cwd() / (name if name.endswith((".ant", ".yaml", ".yml")) else f"{name}.ant")
         return file_path
 
-    def document(self, uri: str) -> OpenDocument | None:
+    def find_document(self, uri: str) -> OpenDocument | None:
         """Return the document behind a URI; None if it cannot be read."""
-        return self.files.document(self.path(uri))
+        return self.files.find_document(self.find_path(uri))
 
     def make_location(self, target: navigation.NameLocation) -> lsp.Location:
         """Return a location in the protocol's form."""
@@ -73,7 +73,7 @@ class AntLanguageServer(LanguageServer):
     # --- findings ---
 
     def schedule_check(self, path: Path) -> None:
-        """Check a file when all pending messages have been read. Of ten key presses at once, only the last is answered."""
+        """Check a file after all pending messages have been read. Then several key presses at once cause only one check."""
         import asyncio
 
         self.pending_paths.add(path)
@@ -126,7 +126,7 @@ def _handle_initialized(ls: AntLanguageServer, params: lsp.InitializedParams) ->
 
 
 @language_server.feature(lsp.WORKSPACE_DID_CHANGE_WORKSPACE_FOLDERS)
-def _did_change_workspace_folders(ls: AntLanguageServer, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
+def _handle_did_change_workspace_folders(ls: AntLanguageServer, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
     removed_paths = {uri_to_path(folder.uri) for folder in params.event.removed}
     added = [path for folder in params.event.added if (path := uri_to_path(folder.uri)) is not None]
     ls.files.roots = [root for root in ls.files.roots if root not in removed_paths] + added
@@ -134,16 +134,16 @@ def _did_change_workspace_folders(ls: AntLanguageServer, params: lsp.DidChangeWo
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DID_OPEN)
-def _did_open(ls: AntLanguageServer, params: lsp.DidOpenTextDocumentParams) -> None:
-    path = ls.path(params.text_document.uri)
+def _handle_did_open(ls: AntLanguageServer, params: lsp.DidOpenTextDocumentParams) -> None:
+    path = ls.find_path(params.text_document.uri)
     ls.uris[path] = params.text_document.uri
     ls.files.put_document(path, params.text_document.text, params.text_document.version)
     ls.schedule_check(path)
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DID_CHANGE)
-def _did_change(ls: AntLanguageServer, params: lsp.DidChangeTextDocumentParams) -> None:
-    path = ls.path(params.text_document.uri)
+def _handle_did_change(ls: AntLanguageServer, params: lsp.DidChangeTextDocumentParams) -> None:
+    path = ls.find_path(params.text_document.uri)
     document = ls.files.open_documents.get(path)
     if document is None:
         return
@@ -159,8 +159,8 @@ def _did_change(ls: AntLanguageServer, params: lsp.DidChangeTextDocumentParams) 
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DID_CLOSE)
-def _did_close(ls: AntLanguageServer, params: lsp.DidCloseTextDocumentParams) -> None:
-    path = ls.path(params.text_document.uri)
+def _handle_did_close(ls: AntLanguageServer, params: lsp.DidCloseTextDocumentParams) -> None:
+    path = ls.find_path(params.text_document.uri)
     ls.files.close_document(path)
     ls.uris.pop(path, None)
     ls.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(params.text_document.uri, []))
@@ -168,12 +168,12 @@ def _did_close(ls: AntLanguageServer, params: lsp.DidCloseTextDocumentParams) ->
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DID_SAVE)
-def _did_save(ls: AntLanguageServer, params: lsp.DidSaveTextDocumentParams) -> None:
+def _handle_did_save(ls: AntLanguageServer, params: lsp.DidSaveTextDocumentParams) -> None:
     _recheck_open_documents(ls)
 
 
 @language_server.feature(lsp.WORKSPACE_DID_CHANGE_WATCHED_FILES)
-def _did_change_watched_files(ls: AntLanguageServer, params: lsp.DidChangeWatchedFilesParams) -> None:
+def _handle_did_change_watched_files(ls: AntLanguageServer, params: lsp.DidChangeWatchedFilesParams) -> None:
     _recheck_open_documents(ls)
 
 
@@ -189,7 +189,7 @@ def _recheck_open_documents(ls: AntLanguageServer) -> None:
 
 def _answer_at_position(ls: AntLanguageServer, params: Any, answer: Callable[[OpenDocument, int], T]) -> T | None:
     """Return the answer of a function for a document and an offset; None if there is no document."""
-    document = ls.document(params.text_document.uri)
+    document = ls.find_document(params.text_document.uri)
     if document is None:
         return None
     return answer(document, document.text.find_offset(params.position.line, params.position.character))
@@ -209,10 +209,10 @@ def _handle_hover(ls: AntLanguageServer, params: lsp.HoverParams) -> lsp.Hover |
             word = document.text.text[start:end]
             is_first = is_line_start(document.text.text, start)
             text = describe_keyword(word, is_first) if document.is_program else find_scene_key_help(word)
-            return lsp.Hover(_make_markdown(text), protocol.to_lsp_range(document.text.range(start, end))) if text else None
+            return lsp.Hover(_make_markdown(text), protocol.to_lsp_range(document.text.find_range(start, end))) if text else None
         return lsp.Hover(
             _make_markdown("\n\n---\n\n".join(occurrence_by_text)),
-            protocol.to_lsp_range(document.range(next(iter(occurrence_by_text.values())))),
+            protocol.to_lsp_range(document.find_range(next(iter(occurrence_by_text.values())))),
         )
 
     return _answer_at_position(ls, params, answer)
@@ -258,7 +258,7 @@ def _handle_references(ls: AntLanguageServer, params: lsp.ReferenceParams) -> li
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
-def _document_highlights(ls: AntLanguageServer, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
+def _handle_document_highlights(ls: AntLanguageServer, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
     def make_highlights(document: OpenDocument, offset: int) -> list[lsp.DocumentHighlight]:
         locations = navigation.find_references(ls.files, document, offset)
         return [lsp.DocumentHighlight(protocol.to_lsp_range(each.range)) for each in locations if each.document is document]
@@ -267,10 +267,10 @@ def _document_highlights(ls: AntLanguageServer, params: lsp.DocumentHighlightPar
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_PREPARE_RENAME)
-def _prepare_rename(ls: AntLanguageServer, params: lsp.PrepareRenameParams) -> lsp.Range | None:
+def _handle_prepare_rename(ls: AntLanguageServer, params: lsp.PrepareRenameParams) -> lsp.Range | None:
     def find_rename_range(document: OpenDocument, offset: int) -> lsp.Range:
         try:
-            return protocol.to_lsp_range(document.range(navigation.find_renamable_name(ls.files, document, offset).span))
+            return protocol.to_lsp_range(document.find_range(navigation.find_renamable_name(ls.files, document, offset).span))
         except navigation.RenameRejected as error:
             raise JsonRpcInvalidParams(str(error)) from None
 
@@ -296,14 +296,14 @@ def _handle_rename(ls: AntLanguageServer, params: lsp.RenameParams) -> lsp.Works
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_SYMBOL)
-def _document_symbols(ls: AntLanguageServer, params: lsp.DocumentSymbolParams) -> list[lsp.DocumentSymbol]:
-    document = ls.document(params.text_document.uri)
+def _handle_document_symbols(ls: AntLanguageServer, params: lsp.DocumentSymbolParams) -> list[lsp.DocumentSymbol]:
+    document = ls.find_document(params.text_document.uri)
     return [protocol.to_document_symbol(document, each) for each in list_symbols(document)] if document is not None else []
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_FOLDING_RANGE)
-def _folding_ranges(ls: AntLanguageServer, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
-    document = ls.document(params.text_document.uri)
+def _handle_folding_ranges(ls: AntLanguageServer, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
+    document = ls.find_document(params.text_document.uri)
     return [protocol.to_folding_range(each) for each in find_folds(document)] if document is not None else []
 
 
@@ -311,22 +311,22 @@ _TOKEN_LEGEND = lsp.SemanticTokensLegend(list(tokens.TOKEN_TYPES), list(tokens.T
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_FULL, _TOKEN_LEGEND)
-def _semantic_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
-    document = ls.document(params.text_document.uri)
+def _handle_semantic_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
+    document = ls.find_document(params.text_document.uri)
     return lsp.SemanticTokens(tokens.encode_tokens(document) if document is not None and document.is_program else [])
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_RANGE, _TOKEN_LEGEND)
-def _semantic_range_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensRangeParams) -> lsp.SemanticTokens:
-    document = ls.document(params.text_document.uri)
+def _handle_semantic_range_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensRangeParams) -> lsp.SemanticTokens:
+    document = ls.find_document(params.text_document.uri)
     if document is None or not document.is_program:
         return lsp.SemanticTokens([])
     return lsp.SemanticTokens(tokens.encode_tokens(document, params.range.start.line, params.range.end.line))
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_INLAY_HINT)
-def _inlay_hints(ls: AntLanguageServer, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
-    document = ls.document(params.text_document.uri)
+def _handle_inlay_hints(ls: AntLanguageServer, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
+    document = ls.find_document(params.text_document.uri)
     if document is None or not document.is_program:
         return []
     all_hints = [protocol.to_inlay_hint(document, each) for each in find_hints(ls.files, document)]
@@ -334,8 +334,8 @@ def _inlay_hints(ls: AntLanguageServer, params: lsp.InlayHintParams) -> list[lsp
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_CODE_ACTION, lsp.CodeActionOptions([lsp.CodeActionKind.QuickFix]))
-def _code_actions(ls: AntLanguageServer, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
-    document = ls.document(params.text_document.uri)
+def _handle_code_actions(ls: AntLanguageServer, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
+    document = ls.find_document(params.text_document.uri)
     if document is None:
         return []
     start, end = params.range.start, params.range.end
@@ -347,16 +347,16 @@ def _code_actions(ls: AntLanguageServer, params: lsp.CodeActionParams) -> list[l
 
 
 @language_server.feature(lsp.TEXT_DOCUMENT_FORMATTING)
-def _format_document(ls: AntLanguageServer, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
-    document = ls.document(params.text_document.uri)
-    edits = formatting_edits(document) if document is not None and document.is_program else None
+def _handle_formatting(ls: AntLanguageServer, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
+    document = ls.find_document(params.text_document.uri)
+    edits = find_formatting_edits(document) if document is not None and document.is_program else None
     return protocol.to_text_edits(document, edits) if document is not None and edits is not None else None
 
 
 class _MessageOutput(io.RawIOBase):
-    """The stream of messages to the editor. Nothing is written after the first failed write.
+    """The output stream of messages to the editor. After a write has failed, it writes nothing more.
 
-    `problem`: the reason of that failure; None if all messages were written, or if the editor has ended."""
+    `problem`: the reason of the failure; None if all messages were written, or if the editor has ended."""
 
     def __init__(self, handle: int) -> None:
         self._handle: int | None = handle

@@ -42,7 +42,7 @@ class DocumentText:
             position = text.find("\n", position + 1)
         self.line_starts = starts
 
-    def line(self, number: int) -> str:
+    def get_line(self, number: int) -> str:
         """Return a line by its number, counted from 0, without its end; empty beyond the last line."""
         if not 0 <= number < len(self.line_starts):
             return ""
@@ -54,7 +54,7 @@ class DocumentText:
         the text's end."""
         if line >= len(self.line_starts):
             return len(self.text)
-        text, start = self.line(line), self.line_starts[line]
+        text, start = self.get_line(line), self.line_starts[line]
         if text.isascii() or self.encoding == "utf-32":
             return start + min(max(column, 0), len(text))
         columns = 0
@@ -71,7 +71,7 @@ class DocumentText:
         prefix = self.text[self.line_starts[line] : offset]
         return line, len(prefix) if prefix.isascii() else self.count_columns(prefix)
 
-    def range(self, start: int, end: int) -> TextRange:
+    def find_range(self, start: int, end: int) -> TextRange:
         """Return the lines and columns from one offset to another."""
         return self.find_line_column(start), self.find_line_column(max(start, end))
 

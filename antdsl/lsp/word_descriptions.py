@@ -10,7 +10,7 @@ from antdsl.program.tables.things import KIND_BY_WORD
 
 
 class WordHelp(NamedTuple):
-    """A word, or one meaning of it."""
+    """The help for one meaning of a word. `sample`: an example line; "" without one."""
 
     help: str
     sample: str

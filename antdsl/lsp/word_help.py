@@ -83,7 +83,7 @@ def _describe_builtin_attribute(key: NameKey) -> str | None:
 
 
 def _describe_defaults(name: str) -> str:
-    """The defaults of a setting: of edition 1, and of later ones where they differ."""
+    """Return the default of a setting in edition 1, and in each later edition with another default."""
     row = DEFAULT_BY_SETTING[name]
     texts = [row.get_default(edition) or "none" for edition in EDITIONS]
     changed_defaults = [f"in `ant {edition}`: {text}" for edition, text in zip(EDITIONS, texts, strict=True) if text != texts[0]]
@@ -146,7 +146,7 @@ def _describe_value_word(key: NameKey) -> str | None:
 
 
 def _describe_unit(key: NameKey) -> str | None:
-    """Describe a unit, alone or made of others: `mm/s`, `%/s`. None for an unknown one."""
+    """Return the help for a unit, which may consist of several units, such as `mm/s`; None for an unknown unit."""
     measure = find_unit_measure(key[1])
     if measure is None:
         return None
@@ -182,8 +182,10 @@ def _make_word_rule(table: Mapping[str, tables.WordHelp | ThingKindRow], explana
 
 
 def describe_keyword(word: str, begins_line: bool) -> str | None:
-    """Return the description of a keyword, or None. A word that begins a line differs from the same word inside one: `on spawn {
-    … }`, `field trail on ground`."""
+    """Return the description of a keyword; None for another word.
+
+    `begins_line`: whether the word begins a line. Then it has another meaning, as `on` in `on spawn { … }` and in `field trail on
+    ground`."""
     if not begins_line:
         return (
             format_markdown(tables.INNER_WORD_HELP[word].sample, tables.INNER_WORD_HELP[word].help)
@@ -271,8 +273,9 @@ def list_known_words() -> set[str]:
 
 
 def explain_word(word: str) -> str | None:
-    """Return all meanings of a word of the language, of a scene or of the library, as Markdown, each separate; None for an
-    unknown word. A unit may be compound, and have a number before it."""
+    """Return all meanings of a word of the language, of scenes or of the library as Markdown; None for an unknown word.
+
+    The word may be a unit of several units, with a number before it."""
     meanings = [(title, rule(("", word))) for title, table, rule in _WORD_MEANINGS if word in table]
     unit = word.lstrip("0123456789. ")
     if not meanings and (unit_text := _describe_unit(("unit", unit))):

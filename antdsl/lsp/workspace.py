@@ -57,10 +57,10 @@ class NameIndex:
 class OpenDocument:
     """A file in its current state, in the editor or on disk.
 
-    `resolve`: returns the bindings of the file and all files that it uses.
-    `file_stamp`: identifies the state of the file on disk; None for an open buffer.
-    `last_valid_scene`: the names of the scene before an edit, for the time in which its text is not YAML.
-    """
+    - `resolve`: returns the bindings of the file and of all files that it uses.
+    - `file_stamp`: two numbers that identify the state of the file on disk; None for an open buffer.
+    - `version`: the editor's number of the state of an open buffer.
+    - `last_valid_scene`: the names of the scene in its last valid text. They are used while the text is not valid YAML."""
 
     path: Path
     text: DocumentText
@@ -98,8 +98,8 @@ class OpenDocument:
         bindings = self.resolve(self.path) if self.is_program else NO_BINDINGS
         if self._cached_index is None or self._cached_index[0] is not bindings:
             name_occurrences = find_occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
-            name_occurrences = sorted(name_occurrences, key=lambda occurrence: self.start(occurrence.span))
-            self._cached_index = bindings, NameIndex(name_occurrences, [self.start(each.span) for each in name_occurrences])
+            name_occurrences = sorted(name_occurrences, key=lambda occurrence: self.find_start(occurrence.span))
+            self._cached_index = bindings, NameIndex(name_occurrences, [self.find_start(each.span) for each in name_occurrences])
         return self._cached_index[1]
 
     @property
@@ -119,11 +119,11 @@ class OpenDocument:
             )
         return index
 
-    def start(self, span: Span) -> int:
+    def find_start(self, span: Span) -> int:
         """Return the start offset of a span in this document's text."""
         return self._find_file_span(span).start
 
-    def end(self, span: Span) -> int:
+    def find_end(self, span: Span) -> int:
         """Return the end offset of a span in this document's text."""
         return self._find_file_span(span).end
 
@@ -131,9 +131,9 @@ class OpenDocument:
         """Return a span of a parsed part as a span of the complete file."""
         return self.parsed[0].file_span(span) if self.is_program else span
 
-    def range(self, span: Span) -> TextRange:
+    def find_range(self, span: Span) -> TextRange:
         """Return the lines and columns of a span."""
-        return self.text.range(self.start(span), self.end(span))
+        return self.text.find_range(self.find_start(span), self.find_end(span))
 
     def find_occurrences(self, offset: int) -> list[NameOccurrence]:
         """Return the names at an offset. A name that starts at or covers the offset precedes one that ends there."""
@@ -141,10 +141,10 @@ class OpenDocument:
         name_occurrences: list[NameOccurrence] = []
         for number in range(bisect_right(index.start_offsets, offset) - 1, -1, -1):
             each = index.occurrences[number]
-            if self.end(each.span) < offset or len(name_occurrences) > _MAX_OCCURRENCES_AT_OFFSET:
+            if self.find_end(each.span) < offset or len(name_occurrences) > _MAX_OCCURRENCES_AT_OFFSET:
                 break
             name_occurrences.insert(0, each)
-        return sorted(name_occurrences, key=lambda occurrence: self.end(occurrence.span) == offset)
+        return sorted(name_occurrences, key=lambda occurrence: self.find_end(occurrence.span) == offset)
 
     def find_word_at(self, offset: int) -> tuple[int, int]:
         """Return the start and end offsets of the word at an offset."""
@@ -202,7 +202,7 @@ class Workspace:
         self._last_good_programs.pop(path, None)
         self._check_memos.pop(path, None)
 
-    def document(self, path: Path) -> OpenDocument | None:
+    def find_document(self, path: Path) -> OpenDocument | None:
         """Return a file as in the editor, or else as on disk; None when it cannot be read."""
         open_document = self.open_documents.get(path)
         if open_document is not None:
@@ -229,16 +229,17 @@ class Workspace:
             if document.is_program and "parsed" in document.__dict__:
                 file = document.parsed[0]
                 if span.source is file.source or span.source in file.parts:
-                    return document, document.range(span)
-        named_document = self.document(Path(os.path.realpath(span.source.path)))
-        return (named_document, named_document.range(span)) if named_document is not None else None
+                    return document, document.find_range(span)
+        named_document = self.find_document(Path(os.path.realpath(span.source.path)))
+        return (named_document, named_document.find_range(span)) if named_document is not None else None
 
     # --- checking ---
 
     def check_document(self, path: Path) -> DocumentCheck | None:
-        """Return the checked document; it is checked again where a file that it depends on has changed. None if there is no
-        document."""
-        document = self.document(path)
+        """Return the result of checking a document; None if there is no document.
+
+        The result is cached until the document, or a file that it depends on, changes."""
+        document = self.find_document(path)
         if document is None:
             return None
         stored = self._check_by_path.get(path)
@@ -251,8 +252,9 @@ class Workspace:
         return result
 
     def _find_dependency_state(self, path: Path) -> object:
-        """Return all inputs of a check: the related documents in their current state."""
-        return [(each, self.document(each)) for each in self.find_linked_files(path)]
+        """Return a value that changes whenever an input of a document's check changes: the document or a file that it depends
+        on."""
+        return [(each, self.find_document(each)) for each in self.find_linked_files(path)]
 
     def find_bindings(self, path: Path) -> NameBindings:
         """Return the resolved names of a program, as far as its text is valid."""
@@ -265,10 +267,11 @@ class Workspace:
         return self._last_good_programs.get(path) or (result.program if result is not None else None)
 
     def find_parsed_files(self, path: Path) -> ParsedFileCache:
-        """Return the cached parse results for the chain. Documents open in the editor have priority."""
+        """Return the parsed files for the checks of `antdsl check`. Documents that are open in the editor replace files on
+        disk."""
         programs: ParsedFileCache = {}
         for each in {*self.open_documents, *self.find_linked_files(path), *self._list_libraries()}:
-            document = self.document(each)
+            document = self.find_document(each)
             if document is not None and document.is_program:
                 file, report = document.parsed
                 programs[str(each)] = (file, report)
@@ -297,13 +300,13 @@ class Workspace:
     def find_diagnostics(self, path: Path) -> list[Diagnostic]:
         """Return the findings in this document; a finding about the complete document has no span. A YAML file that is not a
         scene has no findings, because editors send every YAML file."""
-        document = self.document(path)
+        document = self.find_document(path)
         if document is not None and not document.is_program and not _SCENE_KEY_PATTERN.search(document.text.text):
             return []
         result = self.check_document(path)
         if result is None:
             return []
-        document, own_path = self.document(path), str(path)
+        document, own_path = self.find_document(path), str(path)
         diagnostics = [
             d for d in result.report.sort_by_place() if d.span is None or os.path.realpath(d.span.source.path) == own_path
         ]
@@ -324,14 +327,14 @@ class Workspace:
             if each in paths or len(paths) > limits.MAX_USED_FILES:
                 continue
             paths[each] = None
-            document = self.document(each)
+            document = self.find_document(each)
             if document is not None:
                 stack += document.used_files if document.is_program else document.scene.files
         return list(paths)
 
     def find_related_files(self, path: Path) -> list[Path]:
         """Return all files in which a name of this file may occur: linked by `use`, or by scenes that use them together."""
-        links = {each: set(self.find_linked_files(each)) for each in self.files()}
+        links = {each: set(self.find_linked_files(each)) for each in self.list_files()}
         links.setdefault(path, set(self.find_linked_files(path)))
         members = set(links[path]) | {path}
         has_grown = True
@@ -347,7 +350,7 @@ class Workspace:
         """Return a scene, the scenes that it extends, and all scenes that extend one of these."""
         linked_files = {
             each: {p for p in self.find_linked_files(each) if p.suffix != PROGRAM_SUFFIX}
-            for each in self.files()
+            for each in self.list_files()
             if each.suffix != PROGRAM_SUFFIX
         }
         own_files = linked_files.get(path, {p for p in self.find_linked_files(path) if p.suffix != PROGRAM_SUFFIX})
@@ -358,7 +361,7 @@ class Workspace:
         """Return the open scenes that use a program or extend a scene."""
         return [each for each in self.open_documents if each != path and path in self.find_linked_files(each)]
 
-    def files(self) -> list[Path]:
+    def list_files(self) -> list[Path]:
         """Return the programs and scenes below the editor's folders, and the open ones.
 
         Large folders are not searched at every request. A result is valid for twenty times the duration of its search, or until

@@ -45,7 +45,7 @@ def check(
     declared = Declarations(TYPING_RULES, report, strict, memo=memo)
     loader = FileLoader(report, library, modules)
     declared.find_library, declared.find_library_behaviour = loader.find_library, loader.find_library_behaviour
-    names = [loader.file(file) for file in files]
+    names = [loader.load_file(file) for file in files]
     for each in names:
         declare_names(declared, each)
     for each in names:

@@ -30,7 +30,9 @@ def sum_exactly(values: NDArray[Any]) -> np.float64:
 
 
 def evaluate_aggregate(world: World, populations: dict[str, Population], plan: AggregatePlan) -> Any:
-    """Return the number: float64 for totals and counts, float32 for all else. Without agents, it is as for an empty set."""
+    """Return the number that an aggregate computes: float64 for totals and counts, float32 for others.
+
+    Without agents, it is the result of the reduction of an empty set."""
     if plan.kind == "field" and plan.body_register is None:
         values = world.fields[plan.subject].values
         if plan.reducer == "count":
@@ -86,8 +88,7 @@ def evaluate_uniform_node(world: World, node: ir.PlanNode, spec_values: dict[str
 
 
 def _is_exact(node: ir.PlanNode, value: Any) -> bool:
-    """Return whether a value is exact: a total, a value computed only from totals, a truth value, or a whole number as in the
-    source."""
+    """Return whether the value of a node is exact. Totals, results of only totals, bools and whole constants are exact."""
     if isinstance(value, np.float32):
         return node.op == "const" and float(value).is_integer()
     return True

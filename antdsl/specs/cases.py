@@ -24,10 +24,14 @@ MAX_NAMED_AGENTS = 8  # maximum number of ids in a failure
 
 @dataclass(frozen=True, slots=True)
 class SpecFailure:
-    """An expectation of a spec that was not met. `values`: text as in the source and its value. `agent`: species and id of the
-    first failing agent of an `each`; `other_count`: how many more in that frame; `agents`: the ids of the first of them.
-    `wait_start_frame`: the frame in which the agent's expired waiting time began. `states_and_position`: its states and its
-    position, by name."""
+    """An expectation of a spec that was not met.
+
+    - `values`: the values in the condition, each as its text in the source and its formatted value.
+    - `agent`: the species and the id of the first failing agent of an `each`.
+    - `other_count`: the number of other agents that fail in the same frame.
+    - `agents`: the ids of the failing agents, at most MAX_NAMED_AGENTS.
+    - `wait_start_frame`: the frame in which the agent's expired waiting time began.
+    - `states_and_position`: the states and the position of the agent, each as a name and a text."""
 
     message: str
     span: Span | None
@@ -43,8 +47,10 @@ class SpecFailure:
 
 @dataclass(frozen=True, slots=True)
 class SavedFrames:
-    """The cache with the frames `first_frame` .. `frame` before a failure, and the commands that show them and that continue from
-    there. `note`: what did not work; then there may be no folder."""
+    """The cache with the frames from `first_frame` to the failure in `frame`.
+
+    - `folder`: the folder of the cache; None if it could not be written. `note`: the problem in words; "" without one.
+    - `view_command`: the command that shows the frames. `resume_command`: the command that continues the run from there."""
 
     folder: Path | None
     note: str = ""
@@ -56,7 +62,7 @@ class SavedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparisonShot:
-    """The run that a spec compares with."""
+    """The reference run of a spec, as a shot and the spec's plan for it."""
 
     shot: Shot
     plan: SpecPlan
@@ -64,8 +70,11 @@ class ComparisonShot:
 
 @dataclass(slots=True, eq=False)
 class SpecCase:
-    """One spec with one seed. `outcome`: passed; failed; allowed, if it failed but enough other seeds passed; or waiting, if it
-    was not run to its end."""
+    """One spec with one seed.
+
+    - `outcome`: passed, failed, allowed or waiting. An allowed case has failed, but enough other seeds have passed. A waiting
+      case has not run to its end.
+    - `frames`, `seconds`: the number of judged frames, and the time that the run took."""
 
     spec: Spec
     plan: SpecPlan
@@ -173,8 +182,9 @@ class CaseFinder:
         return list(made.values())
 
     def _find_comparison_shot(self, scene: Path, spec: Spec) -> ComparisonShot | None:
-        """Return the other run of a comparing spec. The spec's own changes also apply there, unless `against` changes the same
-        names."""
+        """Return the reference run of a spec; None if the spec has none, or if it has errors.
+
+        The changes of the spec apply there too, except names that its `against` block changes."""
         assert spec.reference_run is not None
         if spec.reference_run.scene is not None:
             scene_path = self._find_named_scene(Path(spec.span.source.path), spec.reference_run.scene)
@@ -196,7 +206,7 @@ class CaseFinder:
         return self.shots[key]
 
     def _find_plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
-        """Return the spec as the scene's own program has it, which may have more species than the file alone."""
+        """Return the plan of a spec in the program of the scene, which may have more species than the file of the spec."""
         same_spec = _find_same_spec(shot.program, spec)
         if same_spec is None:
             message = f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`"
@@ -223,7 +233,10 @@ def _find_first_line(spec: Spec) -> Span:
 
 @dataclass(frozen=True, slots=True)
 class SpecVerdict:
-    """A spec that requires a share of its seeds: how many of how many passed. `holds` is None while some are waiting."""
+    """The verdict about a spec of which a share of the seeds must pass.
+
+    `passed_count`, `case_count`: the numbers of seeds that have passed, and of all seeds. `holds`: whether enough seeds have
+    passed; None if cases are still waiting."""
 
     spec: Spec
     passed_count: int
@@ -231,16 +244,18 @@ class SpecVerdict:
     holds: bool | None
 
 
-def settle_verdicts(cases: Sequence[SpecCase]) -> list[SpecVerdict]:
-    """Return the verdicts after all runs. Failures in a spec of which enough seeds passed become `allowed`."""
+def resolve_verdicts(cases: Sequence[SpecCase]) -> list[SpecVerdict]:
+    """Return the verdicts about all specs that require a share of their seeds. Call this after all runs.
+
+    If enough seeds of a spec have passed, its failed cases get the outcome `allowed`."""
     groups: dict[tuple[str, int, str], list[SpecCase]] = {}
     for case in cases:
         if case.spec.pass_share < 1:
             groups.setdefault((case.spec.span.source.path, case.spec.span.start, str(case.scene)), []).append(case)
-    return [_settle_group(group) for group in groups.values()]
+    return [_resolve_verdict(group) for group in groups.values()]
 
 
-def _settle_group(group: list[SpecCase]) -> SpecVerdict:
+def _resolve_verdict(group: list[SpecCase]) -> SpecVerdict:
     pass_count = sum(case.outcome == "passed" for case in group)
     if any(case.outcome == "waiting" for case in group):
         return SpecVerdict(group[0].spec, pass_count, len(group), None)

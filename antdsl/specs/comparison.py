@@ -18,8 +18,10 @@ JudgementKey = tuple[str, int]
 
 
 class ComparedRun:
-    """The reference run of a comparison. Call `record_frame` at each of its frames, from the first on. Frames are counted from
-    the first, so the two scenes may have different frame numbers. `dt`: seconds per frame."""
+    """The values of the reference run of a spec. Call `record_frame` at each frame of that run, from the first on.
+
+    Frames are counted from the first frame of each run, so the two scenes may have different frame numbers. `dt`: seconds per
+    frame."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.evaluator = SpecEvaluator(plan, world)
@@ -36,10 +38,12 @@ class ComparedRun:
     def record_frame(self, world: World) -> None:
         """Store the numbers of this frame, and whether it is the first in which the condition of a `sooner` holds."""
         self.evaluator.evaluate_frame(world, self.blank_values)
-        self.values_by_frame.append({each.name: self.evaluator.value(world, each.value) for each in self.plan.reference_values})
+        self.values_by_frame.append(
+            {each.name: self.evaluator.evaluate_node(world, each.value) for each in self.plan.reference_values}
+        )
         for place, line in self.lines.items():
             assert isinstance(line.plan.condition, ir.PlanNode)
-            holds = bool(self.evaluator.value(world, line.plan.condition))
+            holds = bool(self.evaluator.evaluate_node(world, line.plan.condition))
             if len(line.find_failed(observe_aggregate(world.frame, False, self.first, holds, None))):
                 self.steps_by_line.setdefault(place, world.frame - self.first)
 
@@ -48,10 +52,10 @@ class ComparedRun:
         return self.values_by_frame[min(frame, len(self.values_by_frame) - 1)]
 
     def find_steps_until_held(self, line: JudgementPlan) -> int | None:
-        """Return after how many steps the condition of a `sooner` held in the reference run; None if it never did."""
+        """Return the number of steps until the condition of a `sooner` held in the reference run; None if it never held."""
         return self.steps_by_line.get(_make_line_key(line))
 
 
 def _make_line_key(line: JudgementPlan) -> JudgementKey:
-    """Return a line's location in the text, which is the same in both runs."""
+    """Return the key of a line of a spec: its location in the source, which is the same in both runs."""
     return line.span.source.path, line.span.start

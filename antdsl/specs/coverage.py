@@ -16,8 +16,10 @@ CoverageKey = tuple[str, int, str]  # source, offset in it, name
 
 @dataclass(slots=True)
 class CoverageEntry:
-    """A state (`forager.main.search`) or a change by its key (`forager.main.search->approach#1`), with its count: agents in a
-    state per frame, or agents that changed."""
+    """A state or a transition, and how often it occurred.
+
+    `name`: such as `forager.main.search` for a state, `forager.main.search->approach#1` for a transition. `count`: of a state,
+    the agents in it, added over all frames; of a transition, the agents that took it."""
 
     name: str
     span: Span
@@ -26,8 +28,9 @@ class CoverageEntry:
 
 @dataclass(frozen=True, slots=True)
 class _MachineCoverage:
-    """A machine's states and changes in the order of their numbers in the plan. `claim_changes`: changes that depend on a
-    claim."""
+    """The entries of one machine's states and transitions, in the order of their numbers in the plan.
+
+    `claim_changes`: the numbers of the transitions that depend on a claim."""
 
     species: str
     name: str
@@ -85,8 +88,9 @@ def _count_all_changes(world: World, machines: list[_MachineCoverage]) -> None:
 
 
 def _count_changes(world: World, machine: _MachineCoverage) -> None:
-    """Count a step. Call it after all agents have acted, before those that die in it are removed. Changes are numbered as in
-    `plan.machines`."""
+    """Count the transitions of a machine in a step. Call this after all agents have acted, before dead agents are removed.
+
+    Transitions have the numbers of `plan.machines`."""
     population = world.populations[machine.species]
     previous_states, next_states = (table.get(f"{machine.name}.state") for table in (population.start, population.now))
     if previous_states is not None and next_states is not None:

@@ -35,8 +35,9 @@ MAX_STORED_CASES = 5  # maximum number of stored cases of one `antdsl test`
 
 @dataclass(frozen=True, slots=True)
 class FailurePoint:
-    """The frame in which a case failed, the hash of its state (None if the step itself failed), and the state of an earlier
-    frame."""
+    """The frame in which a case failed, with the data to simulate it again.
+
+    `hash`: the hash of the state in this frame; None if the step to it failed. `arrays`: the stored state of an earlier frame."""
 
     frame: int
     hash: str | None
@@ -49,8 +50,9 @@ class FailurePoint:
 
 
 class StateCopies:
-    """Copies of a run's state, of which only the last one is stored. If anything moves by the scene's frames, only the first copy
-    is stored, because the run can only continue from there."""
+    """Stores the last periodic copy of a run's state.
+
+    If the scene moves anything by its frames, the first copy is stored instead, because the run can only continue from there."""
 
     def __init__(self, setting: WorldSetting) -> None:
         self.keeps_first_copy = bool(setting.motion) or any(camera.moves for camera in setting.cameras.values())
@@ -76,7 +78,8 @@ class FailureSaver:
     count: int = 0
 
     def save_failure(self, run: SpecRun, case: SpecCase, failure_point: FailurePoint, binding_cache: BindingCache) -> SavedFrames:
-        """Simulate up to the failure again, into a cache. Problems are reported in the `SavedFrames`."""
+        """Simulate the frames before a failure again, and write them into a cache. The result's `note` has the problem, if
+        any."""
         self.count += 1
         if self.count > MAX_STORED_CASES:
             return SavedFrames(None, f"not saved: only the first {MAX_STORED_CASES} are")

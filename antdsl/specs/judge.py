@@ -16,15 +16,16 @@ from antdsl.specs.cases import MAX_NAMED_AGENTS, SpecFailure
 from antdsl.specs.comparison import ComparedRun
 from antdsl.specs.lines import AgentIds, FrameObservation, JudgementLine, count_duration_steps, observe_aggregate
 from antdsl.specs.queries import SpecEvaluator, extend_table
-from antdsl.specs.value_text import describe_whereabouts, format_value
+from antdsl.specs.value_text import describe_states_and_position, format_value
 from antdsl.syntax.words import NUMBER_REGEX
 
 _NUMBER_PATTERN = re.compile(NUMBER_REGEX)
 
 
 class SpecJudge:
-    """Call `judge_frame` for each frame from the first on, until `is_over`. `failures` are in order of detection. A spec that
-    compares runs also has the reference run."""
+    """Judges one spec over a run. Call `judge_frame` for each frame, from the first on, until `is_over` is true.
+
+    `failures`: the failures in the order of detection. A spec that compares runs also needs the reference run."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ComparedRun | None = None) -> None:
         self.plan, self.first, self.reference_run = plan, world.frame, compared_run
@@ -80,7 +81,7 @@ class SpecJudge:
     def _evaluate_condition(self, world: World, node: ir.PlanNode | str) -> bool:
         """Return whether a condition on aggregates holds; NaN makes it false."""
         assert isinstance(node, ir.PlanNode)
-        return bool(self.evaluator.value(world, node))
+        return bool(self.evaluator.evaluate_node(world, node))
 
     def _find_released(self, line: JudgementLine, ids: AgentIds) -> NDArray[np.bool_]:
         """Return the agents for which an `until` of the same block has held before this frame."""
@@ -117,13 +118,15 @@ class SpecJudge:
         reading_values: list[tuple[ReadingPlan, Any]] = []
         for reading in plan.readings:
             if reading.node is not None:
-                reading_values.append((reading, self.evaluator.value(world, reading.node)))
+                reading_values.append((reading, self.evaluator.evaluate_node(world, reading.node)))
             elif row is not None and row >= 0 and reading.register is not None:
                 reading_values.append((reading, spec_world.populations[plan.species].now[reading.register][row]))  # type: ignore[index]
         return _format_readings(world, reading_values, plan.span.text)
 
     def _record_failure(self, world: World, spec_world: World, line: JudgementLine, agents: AgentIds) -> None:
-        """Close a line and store its failure, with aggregate values or those of the failed agent with the least id."""
+        """Store the failure of a line, and stop judging the line.
+
+        The failure has the values of aggregates, or of the failed agent with the least id."""
         line.is_open = False
         plan, fps = line.plan, float(world.setting.fps)
         first_agent = int(agents.min())
@@ -131,7 +134,7 @@ class SpecJudge:
         if plan.species is not None:
             row = int(spec_world.populations[plan.species].find_rows(np.array([first_agent]))[0])
             if row >= 0:
-                self.evaluator.run(spec_world, "blend", plan.species, np.array([row]))
+                self.evaluator.run_block(spec_world, "blend", plan.species, np.array([row]))
         values = self._format_values(world, spec_world, plan, row)
         text = " ".join(plan.span.text.split())
         message = f"{text}{f' ({line.failure_reason})' if line.failure_reason else ''}"
@@ -142,7 +145,7 @@ class SpecJudge:
             failure = replace(
                 failure, agent=(plan.species, first_agent), other_count=len(agents) - 1, agents=named_agents,
                 wait_start_frame=line.find_start_frame(first_agent),
-                states_and_position=describe_whereabouts(world, plan.species, row or 0) if there_still else (),
+                states_and_position=describe_states_and_position(world, plan.species, row or 0) if there_still else (),
             )  # fmt: skip
         self.failures.append(failure)
 
@@ -154,8 +157,9 @@ def find_last_frame(plan: SpecPlan, world: World, last_scene_frame: int) -> int:
 
 
 def _format_readings(world: World, reading_values: list[tuple[ReadingPlan, Any]], line: str) -> tuple[tuple[str, str], ...]:
-    """Return each reading's text in the program and its formatted value. Values have all digits if different values, or a value
-    and a number of the line, would otherwise look alike."""
+    """Return, for each reading, its text in the program and its formatted value.
+
+    Values have all digits if two different values, or a value and a number in the line, would otherwise look equal."""
     texts = [" ".join(reading.span.text.split()) for reading, _ in reading_values]
     values = [format_value(world, value, reading.type, reading.unit) for reading, value in reading_values]
     written_numbers = {float(number) for number in _NUMBER_PATTERN.findall(line)}

@@ -1,4 +1,4 @@
-"""The kinds of lines: which agents fail a line in each frame, and why.
+"""The kinds of lines: which agents fail a line in each frame, and why. `since` means the condition of a `when`.
 
 A line about aggregates is judged like one about a single agent with the id 0 that exists from the first frame on."""
 
@@ -26,8 +26,11 @@ _NEVER_FRAME = -(2**62)
 
 @dataclass(slots=True, eq=False)
 class FrameObservation:
-    """One frame of the agents that a line concerns: `first_frames` is each one's first frame, `is_released` marks those with an
-    `until` that held before."""
+    """What a line of a spec observes in one frame. The arrays have one row for each agent that the line concerns.
+
+    - `first_frames`: the first frame of each agent.
+    - `condition_holds`, `since_holds`: whether the condition of the line, and that of its `when`, holds (None: no `when`).
+    - `is_released`: whether an `until` of the same block has held for the agent before."""
 
     frame: int
     is_final: bool
@@ -63,10 +66,15 @@ def count_duration_steps(world: World, time: ir.PlanNode | None) -> int | None:
 
 @dataclass(slots=True, eq=False)
 class JudgementLine:
-    """One judgement in progress; times in steps. Tables are by id. `is_fulfilled`: the agent has fulfilled the line; `count`:
-    frames for which the condition has held; `previous_since`: where `since` held before; `pending_since_frames`: the frame in
-    which it
-    became true."""
+    """The state of judging one line of a spec over a run. Arrays are indexed by the agent's id.
+
+    - `steps`, `held_steps`: the times of the line and of its `held`, in steps; None without one.
+    - `is_open`: whether the line is still judged. `failure_reason`: the reason of the last failure in words.
+    - `is_fulfilled`: whether the agent has fulfilled the line.
+    - `count`: the number of successive frames in which the condition has held.
+    - `previous_since`: whether the condition of the `when` held in the previous frame.
+    - `pending_since_frames`: the frame in which the agent's current waiting time began; _NEVER_FRAME without one.
+    - `waiting_ids`: the ids of the agents that waited in the previous frame."""
 
     plan: JudgementPlan
     steps: int | None
@@ -80,8 +88,9 @@ class JudgementLine:
     waiting_ids: AgentIds = field(default_factory=_NO_IDS.copy)
 
     def find_failed(self, observation: FrameObservation) -> AgentIds:
-        """Return which agents fail in this frame. `failure_reason` gets the reason in words, empty if the condition alone is the
-        reason."""
+        """Return the ids of the agents that fail in this frame.
+
+        Sets `failure_reason` to the reason in words; "" if the condition alone is the reason."""
         self.failure_reason = ""
         if self.held_steps is not None:
             self.count = extend_table(self.count, observation.ids, 0)
@@ -131,7 +140,7 @@ def _judge_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
 
 
 def _judge_eventually(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the ids that fail `eventually` or `within`. A `within` also fails when its time is over."""
+    """Return the ids of the agents that fail `eventually` or `within`. A `within` fails as soon as its time is over."""
     line.is_fulfilled = extend_table(line.is_fulfilled, observation.ids, False)
     line.is_fulfilled[observation.ids[observation.condition_holds | observation.is_released]] = True
     waiting = ~line.is_fulfilled[observation.ids]
@@ -157,8 +166,8 @@ def _judge_eventually(line: JudgementLine, observation: FrameObservation) -> Age
 
 
 def _update_since(line: JudgementLine, observation: FrameObservation) -> BoolArray:
-    """Return for which agents `since` holds now but not in the previous frame, bool [agents]. Store its values for the next
-    frame."""
+    """Return whether the `when` of each agent holds in this frame but did not in the previous one, bool[n]. Store the current
+    values for the next frame."""
     assert observation.since_holds is not None
     line.previous_since, line.pending_since_frames = (
         extend_table(line.previous_since, observation.ids, False),
@@ -170,8 +179,7 @@ def _update_since(line: JudgementLine, observation: FrameObservation) -> BoolArr
 
 
 def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Judge `since` with `within` or `eventually`. If several waiting times overlap, the first one counts: when it ends, the
-    others end."""
+    """Judge a `when` with `within` or `eventually`. Of overlapping waiting times only the first counts; all end with it."""
     comes = _update_since(line, observation)
     pending: AgentIds = line.pending_since_frames[observation.ids]
     pending = np.where(comes & (pending == _NEVER_FRAME), observation.frame, pending)
@@ -195,7 +203,7 @@ def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> A
 
 
 def _judge_since_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Judge `since` with `for`. If several times overlap, the last one counts, because it ends after the others."""
+    """Judge a `when` with `for`. If several times overlap, the last one counts, because it ends after the others."""
     assert line.steps is not None
     comes = _update_since(line, observation)
     line.pending_since_frames[observation.ids[comes]] = observation.frame

@@ -30,8 +30,9 @@ _UNKNOWN_VALUE = 1e300  # not representable as float32; marks agents that did no
 
 
 class SpecEvaluator:
-    """Evaluates the expressions of a spec. Call `evaluate_frame` at each frame from the first on; then `values` has the
-    aggregates by name."""
+    """Evaluates the expressions of a spec. Call `evaluate_frame` at each frame, from the first on.
+
+    `values`: after this call, the aggregates of the frame, by name."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.plan = plan
@@ -46,7 +47,7 @@ class SpecEvaluator:
         self.start_values: dict[str, NDArray[np.float64]] = {}  # by agent id
         self.field_reading_species = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
-    def value(self, world: World, node: ir.PlanNode) -> Any:
+    def evaluate_node(self, world: World, node: ir.PlanNode) -> Any:
         """Return the value of a node that is equal for all agents."""
         return evaluate_uniform_node(world, node, self.values)
 
@@ -68,7 +69,7 @@ class SpecEvaluator:
         spec_world.populations = {name: self._make_queried_population(spec_world, name) for name in self.plan.plan.species}
         spec_world.spec_values = dict.fromkeys(self.value_names, np.float32(0))  # no value is computed yet
         self.backend.begin(spec_world)
-        self.run(spec_world, "decide")
+        self.run_block(spec_world, "decide")
         for each in self.plan.aggregates:
             self.values[each.name] = evaluate_aggregate(world, spec_world.populations, each)
         for start in self.plan.start_values:
@@ -79,11 +80,11 @@ class SpecEvaluator:
                 self._record_first_values(spec_world.populations[start.species], start.name, start.source_register)
         spec_world.spec_values |= {name: np.float32(number) for name, number in self.values.items()}
         self.backend.begin(spec_world)
-        self.run(spec_world, "act")
+        self.run_block(spec_world, "act")
         return spec_world
 
-    def run(self, spec_world: World, block: str, species: str | None = None, rows: Any = None) -> None:
-        """Evaluate the expressions of a block for all agents, or for these rows of a species."""
+    def run_block(self, spec_world: World, block: str, species: str | None = None, rows: Any = None) -> None:
+        """Run a block of the spec for all agents, or for the rows `rows` of one species. Results go into its registers."""
         for name, population in spec_world.populations.items():
             if len(population) and getattr(population.plan, block).statements and species in (None, name):
                 self.backend.run(spec_world, population, block, rows)
@@ -143,7 +144,7 @@ class SpecEvaluator:
 
 
 def extend_table(table: NDArray[Any], ids: NDArray[np.int64], fill_value: Any) -> NDArray[Any]:
-    """Return the table, extended to every existing id; ids count from 0."""
+    """Return the table with at least one row for each id in `ids`. New rows have the value `fill_value`."""
     missing_count = int(ids.max(initial=-1)) + 1 - len(table)
     return (
         table if missing_count <= 0 else np.concatenate([table, np.full(max(missing_count, len(table)), fill_value, table.dtype)])
@@ -163,7 +164,7 @@ def _make_population(
 def _make_result_arrays(
     registers: Mapping[str, ir.Register], given_arrays: Mapping[str, Any], count: int
 ) -> dict[str, NDArray[Any]]:
-    """Return arrays for the results of the blocks; a number that is not computed stays NaN."""
+    """Return one array for each register that is not in `given_arrays`. Numbers are NaN until a block computes them."""
     result_registers = [register for register in registers.values() if register.name not in given_arrays]
     return {r.name: np.full(count, np.nan if r.kind is ir.ValueKind.F32 else 0, DTYPE_BY_KIND[r.kind]) for r in result_registers}
 
@@ -180,7 +181,7 @@ def _has_field_requests(species: ir.SpeciesPlan) -> bool:
 
 
 def measure_geometry(world: World, population: Population, name: str) -> FloatArray:
-    """Return a measure of GEOMETRY for each agent, float32[n]; lengths in mm."""
+    """Return the measure `name` of GEOMETRY_MEASURES for each agent, float32[n]. Lengths are in mm."""
     return _MEASURE_FUNCTIONS[name](world, population)
 
 

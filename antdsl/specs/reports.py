@@ -24,38 +24,38 @@ def as_json(cases: Sequence[SpecCase], coverage: SpecCoverage, report: Report, g
     document = {
         "passed": sum(case.outcome == "passed" for case in cases),
         "failed": sum(case.outcome == "failed" for case in cases),
-        "specs": [_case_entry(case) for case in cases],
-        "golden": [_golden_entry(result) for result in goldens],
+        "specs": [_make_case_entry(case) for case in cases],
+        "golden": [_make_golden_entry(result) for result in goldens],
         "problems": [
-            {"code": d.code, "message": d.message, "place": _location_entry(d.span), "help": d.help}
+            {"code": d.code, "message": d.message, "place": _make_location_entry(d.span), "help": d.help}
             for d in report.sort_by_place()
             if d.severity == "error"
         ],
         "covered": coverage.covered_share,
         "coverage": {
-            "states": [_coverage_entry(each) for each in coverage.states.values()],
-            "changes": [_coverage_entry(each) for each in coverage.changes.values()],
+            "states": [_make_coverage_entry(each) for each in coverage.states.values()],
+            "changes": [_make_coverage_entry(each) for each in coverage.changes.values()],
         },
     }
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
-def _case_entry(case: SpecCase) -> dict[str, Any]:
+def _make_case_entry(case: SpecCase) -> dict[str, Any]:
     return {
         "name": case.name,
-        "place": _location_entry(case.spec.span),
+        "place": _make_location_entry(case.spec.span),
         "scene": display_path(case.scene),
         "seed": case.seed,
         "set": {change.name: change.value.span.text for change in case.spec.changes},
         "outcome": case.outcome,
         "frames": case.frames,
         "seconds": round(case.seconds, 3),
-        "failures": [_failure_entry(failure) for failure in case.failures],
-        "kept": None if case.saved_frames is None else _saved_entry(case.saved_frames),
+        "failures": [_make_failure_entry(failure) for failure in case.failures],
+        "kept": None if case.saved_frames is None else _make_saved_entry(case.saved_frames),
     }
 
 
-def _saved_entry(saved_frames: SavedFrames) -> dict[str, Any]:
+def _make_saved_entry(saved_frames: SavedFrames) -> dict[str, Any]:
     folder = None if saved_frames.folder is None else display_path(saved_frames.folder)
     return {
         "folder": folder, "note": saved_frames.note, "begins": saved_frames.first_frame,
@@ -63,7 +63,7 @@ def _saved_entry(saved_frames: SavedFrames) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _golden_entry(result: GoldenResult) -> dict[str, Any]:
+def _make_golden_entry(result: GoldenResult) -> dict[str, Any]:
     return {
         "scene": display_path(result.scene),
         "set": dict(result.changes),
@@ -75,15 +75,16 @@ def _golden_entry(result: GoldenResult) -> dict[str, Any]:
         "words": result.message,
         "made": result.origin,
         "differences": [
-            {"who": d.owner, "what": d.attribute, "whom": d.member, "now": d.now, "was": d.old_value} for d in result.differences
+            {"who": d.owner, "what": d.attribute, "whom": d.member, "now": d.current_value, "was": d.old_value}
+            for d in result.differences
         ],
     }
 
 
-def _failure_entry(failure: SpecFailure) -> dict[str, Any]:
+def _make_failure_entry(failure: SpecFailure) -> dict[str, Any]:
     return {
         "message": failure.message,
-        "place": _location_entry(failure.span),
+        "place": _make_location_entry(failure.span),
         "frame": failure.frame,
         "time": failure.time,
         "agent": None if failure.agent is None else {"species": failure.agent[0], "id": failure.agent[1]},
@@ -95,11 +96,11 @@ def _failure_entry(failure: SpecFailure) -> dict[str, Any]:
     }
 
 
-def _coverage_entry(entry: CoverageEntry) -> dict[str, Any]:
-    return {"name": entry.name, "place": _location_entry(entry.span), "count": entry.count}
+def _make_coverage_entry(entry: CoverageEntry) -> dict[str, Any]:
+    return {"name": entry.name, "place": _make_location_entry(entry.span), "count": entry.count}
 
 
-def _location_entry(span: Span | None) -> dict[str, Any] | None:
+def _make_location_entry(span: Span | None) -> dict[str, Any] | None:
     if span is None:
         return None
     place = find_line_range(span)
@@ -110,25 +111,27 @@ def _location_entry(span: Span | None) -> dict[str, Any] | None:
 
 
 def as_junit(cases: Sequence[SpecCase], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
-    """Return a suite for each program, as build servers read it. A case that was not finished, or may fail since enough seeds
-    passed, counts as skipped. Golden runs, and errors in files that prevented specs from running, have separate suites."""
+    """Return the results as JUnit XML, with one suite for each program.
+
+    Waiting and allowed cases count as skipped. Golden runs, and errors in files that prevented specs from running, have separate
+    suites."""
     errors = [d for d in report.sort_by_place() if d.severity == "error"]
     differ = [result for result in goldens if result.outcome == "differs"]
     root = ElementTree.Element(
-        "testsuites", {"name": "antdsl test"} | _junit_counts(cases, len(errors), len(goldens), len(differ))
+        "testsuites", {"name": "antdsl test"} | _make_junit_counts(cases, len(errors), len(goldens), len(differ))
     )
     if errors:
-        suite = ElementTree.SubElement(root, "testsuite", {"name": "files"} | _junit_counts((), len(errors)))
+        suite = ElementTree.SubElement(root, "testsuite", {"name": "files"} | _make_junit_counts((), len(errors)))
         for problem in errors:
-            _junit_error(suite, problem)
+            _add_junit_error(suite, problem)
     for path in dict.fromkeys(case.spec.span.source.path for case in cases):
         file_cases = [case for case in cases if case.spec.span.source.path == path]
-        suite = ElementTree.SubElement(root, "testsuite", {"name": escape_text(path)} | _junit_counts(file_cases))
+        suite = ElementTree.SubElement(root, "testsuite", {"name": escape_text(path)} | _make_junit_counts(file_cases))
         for case in file_cases:
-            _junit_case(suite, case)
+            _add_junit_case(suite, case)
     if goldens:
         suite = ElementTree.SubElement(
-            root, "testsuite", {"name": "golden runs"} | _junit_counts((), 0, len(goldens), len(differ))
+            root, "testsuite", {"name": "golden runs"} | _make_junit_counts((), 0, len(goldens), len(differ))
         )
         for result in goldens:
             name = escape_text(f"{result.name}, seed {result.seed}")
@@ -140,7 +143,7 @@ def as_junit(cases: Sequence[SpecCase], report: Report, goldens: Sequence[Golden
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _junit_counts(cases: Sequence[SpecCase], errors: int = 0, goldens: int = 0, golden_failures: int = 0) -> dict[str, str]:
+def _make_junit_counts(cases: Sequence[SpecCase], errors: int = 0, goldens: int = 0, golden_failures: int = 0) -> dict[str, str]:
     numbers = {
         "tests": len(cases) + errors + goldens,
         "failures": sum(case.outcome == "failed" for case in cases) + golden_failures,
@@ -150,7 +153,7 @@ def _junit_counts(cases: Sequence[SpecCase], errors: int = 0, goldens: int = 0, 
     return {name: str(number) for name, number in numbers.items()} | {"time": f"{sum(case.seconds for case in cases):.3f}"}
 
 
-def _junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
+def _add_junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
     where = "antdsl" if problem.span is None else find_line_range(problem.span).path
     case = ElementTree.SubElement(suite, "testcase", classname=escape_text(where), name=problem.code)
     ElementTree.SubElement(case, "error", message=escape_text(problem.message), type=problem.code).text = format_full(
@@ -158,7 +161,7 @@ def _junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
     )
 
 
-def _junit_case(suite: ElementTree.Element, case: SpecCase) -> None:
+def _add_junit_case(suite: ElementTree.Element, case: SpecCase) -> None:
     place = find_line_range(case.spec.span)
     name = f"{case.name} [{Path(case.scene).name}, seed {case.seed}]"
     testcase = ElementTree.SubElement(

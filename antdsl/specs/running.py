@@ -21,15 +21,21 @@ FrameCallback = Callable[[SpecRun, int, int], None]
 
 @dataclass(slots=True)
 class RunContext:
-    """The work beyond the outcomes, and the callbacks: `report_case` for each case, `frame` for the progress of a run.
-    `messages`: deviations of a run from the request, each once, as sentences for the user; they change no verdict."""
+    """The options, callbacks and results that all runs share, except the outcomes of cases.
+
+    - `failure_saver`: saves the frames before failures; None: do not save. `golden_comparison`: compares golden runs; None: do
+      not.
+    - `report_case`: called after each case. `report_frame`: called with a run, the number of its frame, and that of its last
+      frame.
+    - `messages`: sentences for the user about deviations of a run from the request, each once. They change no verdict.
+    - `worlds`: the worlds of the current run."""
 
     options: Options
     coverage: SpecCoverage = field(default_factory=SpecCoverage)
     failure_saver: FailureSaver | None = None
     golden_comparison: GoldenComparison | None = None
     report_case: Callable[[SpecCase], None] = lambda case: None
-    frame: FrameCallback = lambda run, frame, last: None
+    report_frame: FrameCallback = lambda run, frame, last: None
     # runs of one scene differ only in seeds and params, and share the ground
     binding_cache: BindingCache = field(default_factory=BindingCache)
     messages: dict[str, None] = field(default_factory=dict)
@@ -37,7 +43,8 @@ class RunContext:
 
 
 def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
-    """Run everything and set the outcome of each case. A problem of one run, even a fault, only fails its own cases."""
+    """Simulate all runs and set the outcome of each case. A problem in one run, even a fault, only fails the cases of this
+    run."""
     for run in runs:
         started = perf_counter()
         moments: dict[int, FailurePoint] = {}
@@ -68,7 +75,7 @@ def _fail_cases(run: SpecRun, failure: SpecFailure) -> None:
 
 
 def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, FailurePoint]) -> None:
-    """Simulate and judge. `failure_points` receives the first failure of each case, by its id."""
+    """Simulate a run and judge its cases. `failure_points` receives the first failure of each case, by the `id()` of the case."""
     rivals = _run_compared(run, work)
     try:
         world = _make_world(run.shot, run.seed, work)
@@ -90,7 +97,7 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
                     failure_points[id(case)] = trail.make_failure_point(world)
         if watch is not None:
             watch.observe_frame(world)
-        work.frame(run, world.frame - first, last - first)
+        work.report_frame(run, world.frame - first, last - first)
         if all(judge.is_over for _, judge in judges) and (watch is None or watch.is_over):
             return None if watch is None else watch.end(world)
         if trail is not None:
@@ -155,7 +162,7 @@ def _simulate_compared(run: SpecRun, work: RunContext, shot: Shot, cases: list[S
     while True:
         for compared_run in rivals.values():
             compared_run.record_frame(world)
-        work.frame(run, world.frame - first, last - first)
+        work.report_frame(run, world.frame - first, last - first)
         if world.frame >= last:
             return rivals
         step(world)

@@ -110,7 +110,7 @@ def describe_coverage(coverage: SpecCoverage) -> str:
     both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
     both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
     wide = max((len(f"{each.count:,}") for each, _ in both), default=0)
-    lines = [f"{each.count:>{wide},}  {'  ' if noun == 'change' else ''}{_short_name(each.name)}" for each, noun in both]
+    lines = [f"{each.count:>{wide},}  {'  ' if noun == 'change' else ''}{_shorten_name(each.name)}" for each, noun in both]
     return "\n".join(lines)
 
 
@@ -122,13 +122,13 @@ def describe_uncovered(coverage: SpecCoverage) -> str:
             covered_count = sum(each.count > 0 for each in table.values())
             lines.append(f"{noun} {verb}: {covered_count} of {len(table)}")
     never = _find_uncovered(coverage)
-    lines += [f"  {each.span}: `{_short_name(each.name)}` was never {verb}" for each, verb in never[:_MAX_LISTED_UNCOVERED]]
+    lines += [f"  {each.span}: `{_shorten_name(each.name)}` was never {verb}" for each, verb in never[:_MAX_LISTED_UNCOVERED]]
     if len(never) > _MAX_LISTED_UNCOVERED:
         lines.append(f"  and {len(never) - _MAX_LISTED_UNCOVERED} more")
     return "\n".join(lines)
 
 
-def _short_name(name: str) -> str:
+def _shorten_name(name: str) -> str:
     """Return a name without internal parts: the machine `main`, and the number of a change if it is the first."""
     return name.replace(".main.", ".").removesuffix("#1").replace("->", " -> ")
 

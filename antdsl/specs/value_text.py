@@ -30,7 +30,7 @@ def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact:
     return _format_number(world, value, unit, is_exact)
 
 
-def describe_whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
+def describe_states_and_position(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
     """Return the agent's states, the time since it entered them, and its position in the scene's units."""
     population = world.populations[species]
     entries = []

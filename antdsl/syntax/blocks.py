@@ -38,7 +38,7 @@ class SourceLine:
 
 
 class MappedText:
-    """Text for the parser, with a mapping from its positions to the source."""
+    """The text of a line for the parser, and the mapping from positions in this text to offsets in the source."""
 
     def __init__(self, source: Source, parts: list[tuple[str, int, int]]) -> None:
         self.source = source
@@ -57,7 +57,7 @@ class MappedText:
         return offset + min(position - self.part_starts[part], length)
 
     def span(self, start: int, end: int) -> Span:
-        """Return the source span of a range of positions."""
+        """Return the span in the source of the text from position `start` to `end`."""
         first = self.find_source_offset(start)
         if end <= start:
             return Span(self.source, first, first)
@@ -81,6 +81,7 @@ class MappedText:
         return MappedText(self.source, [*previous_parts, (text, span.start, span.end - span.start), *next_parts])
 
     def _cut_pieces(self, start: int, end: int) -> list[tuple[str, int, int]]:
+        """Return the parts between two positions, each as its text, its source offset and its length in the source."""
         cut = []
         for (text, offset, length), begin in zip(self.parts, self.part_starts, strict=True):
             low, high = max(start, begin) - begin, min(end, begin + len(text)) - begin
@@ -113,7 +114,7 @@ def map_text(scan: TokenScan, line: SourceLine) -> MappedText:
 
 
 def _make_brace_fix(scan: TokenScan, line_end: int, brace: ScannedToken) -> Fix | None:
-    """Return the fix that moves the brace to the end of the line above, or None if a comment is between them."""
+    """Return the fix that moves `brace` to the end of the line above, which ends at `line_end`; None if a comment is between."""
     text = scan.source.text[line_end : brace.start]
     return None if text.strip() else Fix(Span(scan.source, line_end, brace.end), " {")
 

@@ -27,7 +27,7 @@ def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
             scan.report_error("nesting-too-deep", message, token.start, token.end, "name inner parts with `let`")
             return None
     scan.tokens = join_lines(scan)
-    return _BracePairer(scan, _ParenthesisPairer(scan).run()).run()
+    return _BracePairer(scan, _ParenthesisPairer(scan).pair_tokens()).pair_tokens()
 
 
 def get_token_text(scan: TokenScan, token: ScannedToken) -> str:
@@ -45,7 +45,7 @@ class _ParenthesisPairer:
         self.open: list[int] = []  # indices in `out` of open brackets
         self.indents = _compute_line_indents(scan.tokens)
 
-    def run(self) -> list[ScannedToken]:
+    def pair_tokens(self) -> list[ScannedToken]:
         """Return all tokens with paired parentheses, without line ends inside them."""
         tokens, index = self.scan.tokens, 0
         while index <= len(tokens):
@@ -56,7 +56,7 @@ class _ParenthesisPairer:
                 continue
             if token is None:
                 break
-            self.step(index, token, text)
+            self.pair_token(index, token, text)
             index += 1
         for token in self.out:
             if token.kind == "soft":
@@ -70,7 +70,8 @@ class _ParenthesisPairer:
             return False
         return tokens[index + 1].kind == "word" and get_token_text(self.scan, tokens[index + 1]) not in _JOINING_WORDS
 
-    def step(self, index: int, token: ScannedToken, text: str) -> None:
+    def pair_token(self, index: int, token: ScannedToken, text: str) -> None:
+        """Add the next token to the output, with the brackets that it closes or that are missing before it."""
         tokens = self.scan.tokens
         if text in ("(", "[") and not self.open and self.is_block_opening(index):
             first = get_token_text(self.scan, tokens[self.find_line_start(index)])
@@ -166,8 +167,9 @@ class _ParenthesisPairer:
         return False
 
     def close_unclosed(self, index: int) -> int:
-        """Close a bracket that stays open at the end of its line, or of the following lines that are indented more. Returns where
-        to continue."""
+        """Report and close a bracket that is still open at the end of its line, or of the following lines that are indented more.
+
+        Returns the index of the token at which pairing continues."""
         first, last = self.open[0], self.out[self.open[-1]]
         indent = self.indents[self.origin[first]]
         cut = len(self.out)
@@ -200,7 +202,10 @@ class _ParenthesisPairer:
 
 @dataclass(slots=True)
 class _OpenBrace:
-    """An open brace: its token, its index in the output, and the indents of its line and its contents."""
+    """An open brace.
+
+    `indent`: the indent of the line with the brace. `line`: the number of this line. `inner_indent`: the indent of the
+    contents."""
 
     token: ScannedToken
     indent: int
@@ -223,7 +228,7 @@ class _BracePairer:
         )  # whether the text indents its blocks
         self.surplus_closings = 0  # closing braces minus opening ones
 
-    def run(self) -> list[ScannedToken]:
+    def pair_tokens(self) -> list[ScannedToken]:
         """Return all tokens with paired braces."""
         signs = [get_token_text(self.scan, token) for token in self.tokens if token.kind in ("open", "close")]
         depth = lowest = 0
@@ -234,14 +239,15 @@ class _BracePairer:
             return self.tokens
         self.surplus_closings = -depth
         for index, token in enumerate(self.tokens):
-            self.step(token, self.indents[index])
+            self.pair_token(token, self.indents[index])
         if self.open_braces:
             end = self.tokens[-1].end
             _report_unclosed(self.scan, self.open_braces[-1].token, "{", end)
             self.out.extend(ScannedToken("close", end, end, -1, "}") for _ in self.open_braces)
         return self.out
 
-    def step(self, token: ScannedToken, indent: int) -> None:
+    def pair_token(self, token: ScannedToken, indent: int) -> None:
+        """Add the next token to the output, with the braces that are missing before it. `indent`: the indent of its line."""
         sign = get_token_text(self.scan, token) if token.kind in ("open", "close") else ""
         self.line += token.kind == "end" and self.scan.source.text[token.start] == "\n"
         if token.kind != "end" and sign != "}":
@@ -287,7 +293,7 @@ class _BracePairer:
         return True
 
     def drop_brace(self, token: ScannedToken) -> bool:
-        """Report a `}` without a `{`, and remove it. Return False: the token is not used."""
+        """Report a `}` without a `{`. Return False, because the caller must leave this token out."""
         self.scan.report_error(
             "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
         )

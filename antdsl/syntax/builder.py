@@ -23,7 +23,7 @@ class Token(Protocol):
 
 
 class SpanMaker(Protocol):
-    """The location of the parsed text in the source."""
+    """Converts positions in the parsed text to spans in the source."""
 
     def span(self, start: int, end: int) -> Span: ...
 
@@ -396,5 +396,5 @@ class Builder:
 
 
 def _drop_absent(parts: Sequence[Any]) -> tuple[Any, ...]:
-    """Return the existing arguments: none for an empty pair of parentheses."""
+    """Return the parts that are not None. An empty pair of parentheses has none."""
     return tuple(part for part in parts if part is not None and not hasattr(part, "start_pos"))

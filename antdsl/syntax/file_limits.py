@@ -18,7 +18,7 @@ NO_SIZES: FileSizes = (0, 0, 0)
 
 
 def count_sizes(scan: TokenScan, lines: list[SourceLine]) -> FileSizes:
-    """Return the number of words, statements and species of a text."""
+    """Return the numbers of words, statements and species of a text, in this order."""
     return len(scan.tokens), sum(1 for _ in _iterate_lines(lines)), len(_find_species_words(scan, lines))
 
 
@@ -34,8 +34,9 @@ def is_within_limits(sizes: FileSizes) -> bool:
 
 
 def report_too_many(scan: TokenScan, lines: list[SourceLine]) -> bool:
-    """Report a text with more words, statements or species than allowed, and return whether it has. They are counted before
-    parsing and checking, which cost more."""
+    """Return whether a text has more words, statements or species than allowed; report an error if so.
+
+    Call this before parsing and checking, which cost more."""
     species = _find_species_words(scan, lines)
     statements = [line.tokens[0] for line in _iterate_lines(lines)]
     counts = ((species, limits.MAX_FILE_SPECIES, "species"), (statements, limits.MAX_FILE_STATEMENTS, "statements"))

@@ -18,7 +18,7 @@ _VERB_RULES_PATTERN = re.compile(r"(?<=\n)ask: .*?(?=// --- end of the verbs)", 
 
 
 def make_grammar_text() -> str:
-    """Return the grammar with a form and a terminal for each verb of the table."""
+    """Return the text of the grammar, with a form and a terminal for each verb in the table of verbs."""
     rows = [row for row in VERB_BY_WORD.values() if row.shape != "own"]
     forms = "\n    | ".join(f"{row.word.upper()} {SHAPE_PATTERNS[row.shape]}".rstrip() for row in rows)
     terminals = "\n".join(f"{row.word.upper()}.1: /{row.word}(?![a-z_0-9])/" for row in rows)

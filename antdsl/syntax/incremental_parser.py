@@ -38,8 +38,9 @@ class TextBlock:
 
 
 def cut_blocks(text: str) -> list[TextBlock] | None:
-    """Return the blocks of a text in order: those at the top of the file; for a species, its first line and its members. None if
-    the brackets are not paired, or something else requires the whole text."""
+    """Return the blocks of a text, in order. None if the text must be parsed as one block, for example without paired brackets.
+
+    Each item at the top of the file is a block. A species is several blocks: its first line, and its members."""
     tops, members = _find_bounds(text)
     if not tops or not _EDITION_PATTERN.match(text, 0, tops[0]):
         return None
@@ -52,8 +53,10 @@ def cut_blocks(text: str) -> list[TextBlock] | None:
 
 
 def _find_bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
-    """Return where blocks begin at the top of the file. Also return, by the offset of each opening brace there, where its own
-    lines begin and where it closes."""
+    """Return the offsets at which the items at the top of a file begin, and the contents of their braces.
+
+    The contents are, by the offset of the opening brace: the offsets of its lines, and the offset of the closing brace. The first
+    result is None if the brackets are not paired."""
     tops: list[int] = [0] if _find_first_word(text, 0) in _TOP_LEVEL_WORDS else []
     members: dict[int, tuple[list[int], int]] = {}
     stack: list[str] = []
@@ -115,8 +118,10 @@ class IncrementalParser:
     _parse_count: int = 0
 
     def parse(self, source: Source) -> tuple[n.File, Report]:
-        """Return the same file and errors as `syntax.parse`. The file's nodes have locations in its parts, which
-        `File.file_span` converts. Comments after the closing brace of a species are left out."""
+        """Return the parsed file and its errors, as `syntax.parse` does.
+
+        The nodes have locations in separately parsed parts of the file, which `File.file_span` converts to locations in the file.
+        Comments after the closing brace of a species are left out."""
         cut_list = cut_blocks(source.text)
         if cut_list is None or len(cut_list) < 3:
             return parse(source)
@@ -145,8 +150,9 @@ class IncrementalParser:
         return _join_parts(source, parts)
 
     def _count_unchanged(self, blocks: list[TextBlock], texts: list[str]) -> tuple[int, int]:
-        """Return how many blocks at the beginning and at the end are unchanged. Blocks with equal text have different locations,
-        so their order identifies them."""
+        """Return the number of unchanged blocks at the beginning of the file, and the number at its end.
+
+        Blocks with equal text have different locations, so their order identifies them."""
         cached_blocks, limit = self._cached_blocks, min(len(self._cached_blocks), len(blocks))
         head_count = tail_count = 0
         while head_count < limit and self._is_unchanged(cached_blocks[head_count], blocks[head_count], texts[head_count]):
@@ -191,7 +197,7 @@ def _join_parts(source: Source, parts: list[tuple[TextBlock, ParsedPart]]) -> tu
 
 
 def move_diagnostic(diagnostic: Diagnostic, to_file_span: Callable[[Span], Span]) -> Diagnostic:
-    """Return a diagnostic with its locations in complete files instead of in parts of them."""
+    """Return a diagnostic with all its spans converted by `to_file_span`, from a part of a file to the complete file."""
     labels = tuple(Label(to_file_span(label.span), label.text) for label in diagnostic.labels)
     fix = Fix(to_file_span(diagnostic.fix.span), diagnostic.fix.text) if diagnostic.fix is not None else None
     return replace(

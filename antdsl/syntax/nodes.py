@@ -16,6 +16,7 @@ NodeT = TypeVar("NodeT")
 
 @dataclass_transform(frozen_default=True, eq_default=False)
 def node_class(cls: type[NodeT]) -> type[NodeT]:
+    """Make a class of nodes a frozen dataclass with slots. Its objects compare by identity."""
     return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
@@ -88,7 +89,7 @@ class Index:
 
 @node_class
 class IndexAll:
-    """`likes[n in SET]`, where a line adds to one value for each member of a set."""
+    """`likes[n in SET]`: the values about all members of the set `over`, on the left of an assignment."""
 
     owner: Expr
     variable: Name
@@ -107,7 +108,7 @@ class Argument:
 
 @node_class
 class Comprehension:
-    """`n in SET: EXPR`, only as the single argument of a call such as `sum(…)`."""
+    """`n in SET: EXPR`, only as the single argument of a call such as `sum(…)`. `over`: the set. `body`: the expression."""
 
     variable: Name
     over: Expr
@@ -302,6 +303,8 @@ class Take:
 
 @node_class
 class Weight:
+    """A line of `choose { … }`: a state and the weight with which it is chosen."""
+
     target: Name
     weight: Expr
     span: Span
@@ -309,7 +312,7 @@ class Weight:
 
 @node_class
 class Target:
-    """Where a transition goes: a state's name, `previous`, or `choose { … }` (`choices`)."""
+    """The state that a transition leads to: a named state, `previous`, or one of the `choices` of `choose { … }`."""
 
     name: Name | None
     is_previous: bool
@@ -319,9 +322,13 @@ class Target:
 
 @node_class
 class Change:
-    """A transition. `delay` holds for `when after 0.5 s`; `condition` is None then. `held` goes with a condition. `over` is the
-    time in which one clip gives way to the other. `any_except` is a tuple for `from any except a, b when …` and None for a
-    transition inside a state."""
+    """A transition.
+
+    - `interrupt`: whether the line begins with `interrupt`.
+    - `delay`: the time of `when after 0.5 s`, which has no `condition`.
+    - `held`: the time for which the condition must have held.
+    - `over`: the time in which the previous clip fades out.
+    - `any_except`: the states a, b of `from any except a, b when …`; None for a transition inside a state."""
 
     interrupt: bool
     condition: Expr | None
@@ -345,6 +352,8 @@ class Let:
 
 @node_class
 class State:
+    """`state NAME "label" colour { … }`. `at_least`: the time for which an agent stays at least."""
+
     name: Name
     label: Text | None
     colour: Name | None
@@ -360,6 +369,8 @@ class State:
 
 @node_class
 class Relax:
+    """`relax to V over T`, in the declaration of an attribute."""
+
     to: Expr
     over: Expr
     span: Span
@@ -367,6 +378,8 @@ class Relax:
 
 @node_class
 class ForEach:
+    """`for each S, strongest N`: declares a pair value about agents of the species S, for at most N of them."""
+
     species: Name
     strongest: Expr | None
     span: Span
@@ -404,6 +417,8 @@ class AnimalProperty:
 
 @node_class
 class Latch:
+    """`latch NAME = ON until UNTIL`: a bool that is on from one condition until another."""
+
     name: Name
     on: Expr
     until: Expr
@@ -445,14 +460,18 @@ class On:
 
 @node_class
 class Layer:
+    """A line of `layers`. `is_face_line`: whether it begins with `face`, so that it only turns the body."""
+
     push: Expr
     condition: Expr | None
     span: Span
-    faces: bool = False  # `face e`
+    is_face_line: bool = False  # `face e`
 
 
 @node_class
 class Layers:
+    """`layers { … }`. `mode`: the word that says how the layers are combined; None for the default."""
+
     mode: Name | None  # `sum`, `first`; None is the budget
     layers: tuple[Layer, ...]
     span: Span
@@ -557,11 +576,15 @@ class Behaviour:
 
 @node_class
 class SpecLine:
-    """A line of a spec. `kind`: for seeds pass set against always never eventually finally sooner within until each.
+    """A line of a spec.
 
-    `for` and `within` have a `time`; a `for` without a condition is the length of the run. `condition` also holds the value of
-    `seeds` (a number or a range), `pass` and `set`. `target`: what `set` sets, the species of `each` (a NameRef), or the scene of
-    `against` (a Text). `since`: the condition of a `when`."""
+    - `kind`: the word `for`, `seeds`, `pass`, `set`, `against`, `always`, `never`, `eventually`, `finally`, `sooner`, `within`,
+      `until` or `each`.
+    - `target`: what `set` sets, the species of `each` (a NameRef), or the scene of `against` (a Text).
+    - `time`: the time of `for` and `within`. A `for` without a condition sets the length of the run.
+    - `condition`: the condition of an expectation, or the value of `seeds` (a number or a range), `pass` or `set`.
+    - `lines`: the lines inside `each` or `against`. `held`: the time for which the condition must have held.
+    - `since`: the condition of a `when`, at which the time starts."""
 
     kind: str
     target: Expr | Text | None
@@ -586,8 +609,12 @@ TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
 
 @node_class
 class File:
-    """One parsed file. `items`: what could be read, in text order, even if other parts were broken. `skipped_spans`: locations of
-    lines that were not understood as in the source, which the report of parsing lists. `has_errors`: that report has an error."""
+    """One parsed file.
+
+    - `items`: the items that could be read, in text order, even if other parts of the file have errors.
+    - `skipped_spans`: the locations of lines that were skipped or repaired. The report of parsing has an error for each.
+    - `has_errors`: whether the report of parsing has an error.
+    - `parts`: the separately parsed parts of the file, with their offsets in the file."""
 
     source: Source
     edition: Number | None
@@ -600,12 +627,11 @@ class File:
 
     @property
     def edition_number(self) -> int:
-        """Return the edition of the language that the file has; the newest one if it names none, or none that exists."""
+        """Return the edition that the file names; the newest edition if it names none, or one that does not exist."""
         exists = self.edition is not None and self.edition.value in EDITIONS
         return int(self.edition.value) if self.edition is not None and exists else NEWEST_EDITION
 
     def file_span(self, span: Span) -> Span:
-        """Return the span in the complete file of a span in one of its parts, which `incremental_parser` parses as separate
-        sources with known offsets."""
+        """Return the span in the complete file for a span in one of its `parts`."""
         base = self.parts.get(span.source)
         return span if base is None else Span(self.source, base + span.start, base + span.end)

@@ -55,13 +55,15 @@ _SLOT_SEPARATORS = frozenset((
 
 
 @lru_cache(maxsize=1)
-def _load_tools() -> tuple[Lark, Builder]:
+def _load_parser_and_builder() -> tuple[Lark, Builder]:
     builder = Builder()
     return load_parser(builder), builder
 
 
 def parse(source: Source) -> tuple[n.File, Report]:
-    """Parse a text. The file has everything that was understood; the report lists the rest with locations. Never raises."""
+    """Parse a text. Return a file with everything that could be read, and a report with an error for each other part.
+
+    Never raises."""
     report = Report()
     other = _detect_other_language(source.text)
     if other is not None:
@@ -82,13 +84,15 @@ def parse(source: Source) -> tuple[n.File, Report]:
     if report_too_many(scanned, lines):
         return n.File(source, None, None, (), tuple(scanned.comments), has_errors=True), report
     with _builder_lock:
-        return _FileParser(scanned).file(lines), report
+        return _FileParser(scanned).parse_file(lines), report
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParsedPart:
-    """Lines of a file that were read separately. `edition` and `help` only exist if the part begins the file. `sizes`: the number
-    of its words, statements and species."""
+    """The result of parsing complete lines of a file separately from the rest.
+
+    `edition`, `help`: of a part that begins the file; None for other parts. `sizes`: its numbers of words, statements and
+    species."""
 
     source: Source
     nodes: tuple[Any, ...]
@@ -118,7 +122,7 @@ def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> Par
     with _builder_lock:
         reading = _FileParser(scanned)
         edition, help, lines = reading.parse_beginning(lines) if is_file_start else (None, None, lines)
-        nodes = reading.lines(lines, rule)
+        nodes = reading.parse_lines(lines, rule)
         return ParsedPart(source, nodes, report, tuple(scanned.comments), reading.list_recovered_spans(), edition, help, sizes)
 
 
@@ -131,20 +135,20 @@ def _detect_other_language(text: str) -> str | None:
 
 
 class _FileParser:
-    """One text that is being parsed."""
+    """Parses the lines of one scanned text."""
 
     def __init__(self, scan: TokenScan) -> None:
         self.scan = scan
         self.source = scan.source
         self.report = scan.report
-        self.parser, self.builder = _load_tools()
+        self.parser, self.builder = _load_parser_and_builder()
         self.builder.body_by_offset = {}
 
     # --- the file ---
 
-    def file(self, lines: list[SourceLine]) -> n.File:
+    def parse_file(self, lines: list[SourceLine]) -> n.File:
         edition, help, lines = self.parse_beginning(lines)
-        items = self.lines(lines, "top")
+        items = self.parse_lines(lines, "top")
         if not items and self.report.ok:
             help_text = "write a `species`, or a `behaviour` that other files can use"
             self.report.error("empty-file", "file declares nothing", Span(self.source, 0, 0), help_text)
@@ -176,7 +180,7 @@ class _FileParser:
                 fix, message = Fix(Span(self.source, 0, 0), f"{FIRST_LINE}\n"), "file does not name its edition"
                 self.report.warning("missing-edition", message, span, FIRST_LINE_ADVICE, fix=fix)
             return None, lines
-        nodes = self.line(lines[0], "header")
+        nodes = self.parse_line(lines[0], "header")
         for node in nodes:
             if isinstance(node, FileHeader):
                 if node.edition.value not in EDITIONS:
@@ -187,18 +191,18 @@ class _FileParser:
 
     # --- lines ---
 
-    def lines(self, lines: list[SourceLine], rule: str) -> tuple[Any, ...]:
-        return tuple(node for line in lines for node in self.line(line, rule))
+    def parse_lines(self, lines: list[SourceLine], rule: str) -> tuple[Any, ...]:
+        return tuple(node for line in lines for node in self.parse_line(line, rule))
 
-    def line(self, line: SourceLine, rule: str) -> list[Any]:
-        """Return the nodes of a line: one; none if the line is invalid; two if a line end is missing."""
+    def parse_line(self, line: SourceLine, rule: str) -> list[Any]:
+        """Return the nodes of a line: one node, none if the line is invalid, or two if a line end is missing."""
         first = get_token_text(self.scan, line.tokens[0])
         if line.groups and first not in LINE_WORDS_BY_RULE[rule] and not self.has_reached_error_limit():
             first = find_nearest_name(first, LINE_WORDS_BY_RULE[rule]) or first
         for group in line.groups:
-            self.mark_block_faults(group)
+            self.suppress_block_errors(group)
             body = "weight" if group.is_choice else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*"))
-            self.builder.body_by_offset[group.opening.start] = self.lines(group.lines, body) if body else ()
+            self.builder.body_by_offset[group.opening.start] = self.parse_lines(group.lines, body) if body else ()
         text = map_text(self.scan, line)
         from lark.exceptions import UnexpectedInput
 
@@ -212,7 +216,7 @@ class _FileParser:
                 insort(self.scan.faults, unexpected.span.start)
             return [] if at_error_limit else self.recover_line(line, text, rule, unexpected)
 
-    def mark_block_faults(self, group: BraceGroup) -> None:
+    def suppress_block_errors(self, group: BraceGroup) -> None:
         """Suppress errors in a block without `}`. Its end is unknown, so its last line may be outside the block."""
         if group.closing_brace.inserted_text and group.lines:
             one_line = "\n" not in self.source.text[group.opening.start : group.closing_brace.end]
@@ -320,7 +324,7 @@ class _FileParser:
     ) -> Iterator[MappedText]:
         suggestion = suggest_first_word(unexpected)
         if suggestion is not None:
-            yield text.replace_range(0, len(unexpected.first), suggestion)
+            yield text.replace_range(0, len(unexpected.first_word), suggestion)
         if unexpected.token_text == "=" and "SAME" in unexpected.expected_terminals:
             yield text.replace_range(position, position + 1, ":")
             yield text.replace_range(position, position + 1, "==")
@@ -341,8 +345,10 @@ class _FileParser:
         yield from self.iterate_bare_blocks(line, text, rule)
 
     def find_gap(self, line: SourceLine, text: MappedText, position: int) -> tuple[list[int], list[int], int]:
-        """Return where the unreadable part may begin and end: next to the separators around it, and at the line's ends. The third
-        value is where the previous separator begins, for leaving out the whole clause."""
+        """Return the positions at which the unreadable part of a line may begin, those at which it may end, and a third position.
+
+        The unreadable part may begin and end next to the separators around it, and at the line's ends. The third position is the
+        beginning of the previous separator, for a repair without the clause that follows this separator."""
         marks: list[tuple[int, int]] = []
         depth = 0
         for token in line.tokens:
@@ -360,7 +366,7 @@ class _FileParser:
         return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause
 
     def iterate_bare_blocks(self, line: SourceLine, text: MappedText, rule: str) -> Iterator[MappedText]:
-        """Yield a block with an unreadable first line, with only its word, its name and its braces."""
+        """Yield shortened texts of the first line of a block that cannot be read: only the word, the name and the braces."""
         words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
         first = get_token_text(self.scan, line.tokens[0])
         if not line.groups or BODY_RULE_BY_LINE.get((rule, first)) is None or len(words) < 2:

@@ -77,7 +77,7 @@ def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, opened: 
     workspace = Workspace([tmp_path])
     for file, text in (("bug.ant", PROGRAM), ("base.yaml", BASE), ("child.yaml", CHILD), ("ground.ply", "")):
         (tmp_path / file).write_text(text, encoding="utf-8")
-    document = workspace.document(tmp_path / opened)
+    document = workspace.find_document(tmp_path / opened)
     assert document is not None
     offset = document.text.text.index(name)
     texts: dict[Path, str] = {}

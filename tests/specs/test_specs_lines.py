@@ -11,7 +11,7 @@ from test_specs import BLOCK, FLIES, GROUND, MORTAL, OPTION_SETS, SCENE, WALKER,
 
 from antdsl.plan.lowering.spec_blocks import JudgementPlan
 from antdsl.source import Source, Span
-from antdsl.specs.cases import settle_verdicts
+from antdsl.specs.cases import resolve_verdicts
 from antdsl.specs.lines import FrameObservation, JudgementLine
 
 # In the scene of `WALKER`, `tick` is 0 at frame 1, grows by 0.2 a frame and reaches 2 at frame 11; ten frames a second.
@@ -107,10 +107,10 @@ def test_a_share_of_the_seeds_is_enough(folder: Path) -> None:  # noqa: F811
     line = "seeds 1 .. 8; for 0.1 s; always: max(walker.luck) < 0.85"
     plain = judged(folder, spec(line), program)
     passed = sum(case.outcome == "passed" for case in plain)
-    assert 0 < passed < 8 and not settle_verdicts(plain)
+    assert 0 < passed < 8 and not resolve_verdicts(plain)
     for share, holds in ((passed / 8, True), ((passed + 0.5) / 8, False)):
         cases = judged(folder, spec(f"{line}; pass {share * 100} %"), program)
-        (verdict,) = settle_verdicts(cases)
+        (verdict,) = resolve_verdicts(cases)
         assert (verdict.passed_count, verdict.case_count, verdict.holds) == (passed, 8, holds)
         outcomes = {case.outcome for case in cases}
         assert outcomes == ({"passed", "allowed"} if holds else {"passed", "failed"})

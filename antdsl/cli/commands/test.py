@@ -62,7 +62,7 @@ def test(
     from antdsl.files import find_files
     from antdsl.runtime import Options
     from antdsl.specs import RunContext, collect_cases, run_cases
-    from antdsl.specs.cases import settle_verdicts
+    from antdsl.specs.cases import resolve_verdicts
     from antdsl.specs.failure_cache import FailureSaver
     from antdsl.specs.golden.golden_comparison import GoldenComparison
     from antdsl.specs.golden.golden_runs import find_golden_path
@@ -114,7 +114,7 @@ def test(
                     check_interrupt()
                     progress.show_frame(run, number, last)
 
-                work.frame = frame
+                work.report_frame = frame
                 run_cases(runs, work)
                 goldens.write_golden_files()
         except KeyboardInterrupt:
@@ -124,7 +124,7 @@ def test(
             print_note(note, to_stderr=True)
         print_report(goldens.report, to_stderr=True)
         report.extend(goldens.report)
-        verdicts = settle_verdicts(all_cases)
+        verdicts = resolve_verdicts(all_cases)
         lines = [describe_verdict(verdict) for verdict in verdicts]
         lines += [describe_golden(result) for result in goldens.results if not quiet or result.outcome == "differs"]
         lines.append(describe_counts(all_cases, len(report.errors), goldens.results))

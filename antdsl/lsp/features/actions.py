@@ -27,7 +27,7 @@ def find_quick_fixes(workspace: Workspace, document: OpenDocument, start: int, e
     fixes = []
     for complaint in workspace.find_diagnostics(document.path):
         span = complaint.span
-        if span is None or document.start(span) > end or document.end(span) < start:
+        if span is None or document.find_start(span) > end or document.find_end(span) < start:
             continue
         edit = find_edit(document, complaint)
         if edit is not None:
@@ -39,11 +39,11 @@ def find_edit(document: OpenDocument, diagnostic: Diagnostic) -> TextEdit | None
     """Return the edit for a finding: its fix, or the suggested name if the finding covers a single name."""
     if diagnostic.fix is not None:
         span = diagnostic.fix.span
-        return TextEdit(document.start(span), document.end(span), diagnostic.fix.text)
+        return TextEdit(document.find_start(span), document.find_end(span), diagnostic.fix.text)
     suggestion = _SUGGESTION_PATTERN.search(diagnostic.help or "")
     if suggestion is None or diagnostic.span is None or not _NAME_PATTERN.fullmatch(diagnostic.span.text):
         return None
-    return TextEdit(document.start(diagnostic.span), document.end(diagnostic.span), suggestion.group(1))
+    return TextEdit(document.find_start(diagnostic.span), document.find_end(diagnostic.span), suggestion.group(1))
 
 
 def _format_title(document: OpenDocument, edit: TextEdit) -> str:

@@ -137,7 +137,7 @@ def _propose_units(prefix: str) -> Iterator[CompletionItem]:
 
 
 def _propose_targets(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose what may follow `->`: a state, a type or a value."""
+    """Propose what may follow `->`: states, types or values."""
     if re.match(r"behaviour\b", request.prefix):
         yield from _propose_types(request)
     elif request.context.rule == "rule":
@@ -220,7 +220,7 @@ def _propose_motion_measures(request: CompletionRequest) -> Iterator[CompletionI
 def _propose_spec_settings(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose what a spec may set: params and settings of fields, with their current value."""
     for table in request.names.species.values():
-        for name, member in table.own.items():
+        for name, member in table.own_members.items():
             if isinstance(member, nodes.ParamDecl):
                 yield _make_setting_item(f"{table.name}.{name}", member.declaration.value, member.declaration.help)
     for field, node in request.names.fields.items():

@@ -22,9 +22,12 @@ class ContextBlock:
 
 @dataclass(frozen=True, slots=True)
 class CursorContext:
-    """The text before a position. `line`: the statement so far, without closed parts. `word_prefix`: the beginning of a word at
-    its end.
-    `called_function`: the function with open brackets. `arguments`: the text between them so far."""
+    """The context of a position, from the text before it.
+
+    - `blocks`: the open blocks, outermost first.
+    - `line`: the statement up to the position, without bracketed parts that are closed.
+    - `word_prefix`: the unfinished word at its end; "" without one.
+    - `called_function`: the function with an open bracket, if there is one. `arguments`: the text after this bracket."""
 
     blocks: tuple[ContextBlock, ...]
     line: str

@@ -56,7 +56,7 @@ class CompletionRequest:
 
     @property
     def edition(self) -> int:
-        """The edition of the language that the file has."""
+        """Return the edition of the language that the file names."""
         return self.document.parsed[0].edition_number if self.document.is_program else NEWEST_EDITION
 
     @property
@@ -66,7 +66,7 @@ class CompletionRequest:
 
 
 def make_thing_proposer(*kinds: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
-    """Return a function that proposes things of these kinds, or all things without a kind."""
+    """Return a function that proposes the things of the kinds `kinds`; without kinds, all things."""
 
     def propose_things(request: CompletionRequest) -> Iterator[CompletionItem]:
         for name, item in request.names.things.items():
@@ -141,7 +141,7 @@ def propose_members(request: CompletionRequest) -> Iterator[CompletionItem]:
     local = _find_local_names(request)
     table = request.names.species.get(request.species or "")
     if word in request.names.modules and word not in local:
-        module = request.workspace.document(request.names.modules[word])
+        module = request.workspace.find_document(request.names.modules[word])
         for behaviour in module.names.behaviours.values() if module is not None else ():
             yield _make_call_item(behaviour)
         return
@@ -164,7 +164,7 @@ def propose_members(request: CompletionRequest) -> Iterator[CompletionItem]:
             yield CompletionItem(member_name, "property", type)
     elif owner.kind in (TypeKind.AGENT, TypeKind.SPECIES):
         other = request.names.species.get(owner_name)
-        for own, member in (other.own if other is not None else {}).items():
+        for own, member in (other.own_members if other is not None else {}).items():
             node = find_declaring_node(member)
             yield CompletionItem(own, "property", f"of {owner_name}", find_help_text(node))
         if owner.kind is TypeKind.AGENT:
@@ -213,7 +213,7 @@ def _find_behaviour(request: CompletionRequest, function_name: str) -> nodes.Beh
     """Return the behaviour with this name, or with this name after the alias of a file; None if there is none."""
     alias, dot, name = function_name.partition(".")
     if dot:
-        module = request.workspace.document(request.names.modules[alias]) if alias in request.names.modules else None
+        module = request.workspace.find_document(request.names.modules[alias]) if alias in request.names.modules else None
         return module.names.behaviours.get(name) if module is not None else None
     return dict(_list_known_behaviours(request)).get(function_name)
 
@@ -221,7 +221,7 @@ def _find_behaviour(request: CompletionRequest, function_name: str) -> nodes.Beh
 def _list_known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, nodes.Behaviour]]:
     """Yield the behaviours of the used libraries, then those of the file."""
     for path in request.names.libraries.values():
-        library = request.workspace.document(path.resolve())
+        library = request.workspace.find_document(path.resolve())
         if library is not None:
             yield from library.names.behaviours.items()
     yield from request.names.behaviours.items()
@@ -247,7 +247,7 @@ def _make_call_item(node: nodes.Behaviour) -> CompletionItem:
 def propose_own_names(request: CompletionRequest, only_assignable: bool = False) -> Iterator[CompletionItem]:
     """Propose the params and attributes of the species. `only_assignable`: only those that a statement may set."""
     table = request.names.species.get(request.species or "")
-    for name, member in (table.own if table is not None else {}).items():
+    for name, member in (table.own_members if table is not None else {}).items():
         if only_assignable and not isinstance(member, nodes.Declaration):
             continue
         node = find_declaring_node(member)

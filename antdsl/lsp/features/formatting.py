@@ -10,7 +10,7 @@ from antdsl.lsp.workspace import OpenDocument
 from antdsl.source import Source
 
 
-def formatting_edits(document: OpenDocument) -> list[TextEdit] | None:
+def find_formatting_edits(document: OpenDocument) -> list[TextEdit] | None:
     """Return the edits that format a document; an empty list if it is formatted, None for a text with errors, which stays
     unchanged."""
     new_text, _ = syntax.format(Source(str(document.path), document.text.text))

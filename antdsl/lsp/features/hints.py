@@ -31,16 +31,16 @@ def find_hints(workspace: Workspace, document: OpenDocument) -> list[InlayHint]:
     """Return the hints of a program in text order."""
     fps = find_frame_rate(workspace, document)
     all_hints = [hint for item in document.parsed[0].items for hint in _find_item_hints(item, fps)]
-    return sorted(all_hints, key=lambda hint: document.start(hint.span))
+    return sorted(all_hints, key=lambda hint: document.find_start(hint.span))
 
 
 def find_frame_rate(workspace: Workspace, document: OpenDocument) -> Fraction | None:
     """Return the frames per second of the scenes that use a program; None where they disagree or give none."""
     rates = set()
-    for path in workspace.files():
+    for path in workspace.list_files():
         if path.suffix == ".ant" or document.path not in workspace.find_linked_files(path):
             continue
-        scene = workspace.document(path)
+        scene = workspace.find_document(path)
         if scene is not None:
             try:
                 rates.add(Fraction(scene.scene.fps or "24"))

@@ -56,7 +56,7 @@ class NameLocation:
     @property
     def range(self) -> TextRange:
         """Return the lines and columns of the name."""
-        return self.document.range(self.span)
+        return self.document.find_range(self.span)
 
 
 def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey) -> tuple[OpenDocument, Declaration] | None:
@@ -67,7 +67,7 @@ def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey)
         paths = [document.path, *(path for path in workspace.find_related_files(document.path) if path != document.path)]
     brought = None
     for path in paths:
-        other = workspace.document(path)
+        other = workspace.find_document(path)
         if other is None or not other.is_program:
             continue
         for each in _list_candidate_keys(other, key):
@@ -96,8 +96,9 @@ def find_occurrence_at(document: OpenDocument, offset: int) -> NameOccurrence | 
 
 
 def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -> list[NameLocation]:
-    """Return where the name at an offset is declared: in this file, another file or the library. If a file is named, return that
-    file."""
+    """Return the location at which the name at an offset is declared: in this file, in another file or in the library.
+
+    If the offset is in the path of a file, return that file."""
     locations: dict[tuple[Path, int], NameLocation] = {}
     for occurrence in document.find_occurrences(offset):
         key = occurrence.key
@@ -112,7 +113,7 @@ def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -
             place = find_declaration(workspace, document, key)
             if place is not None:
                 locations.setdefault(
-                    (place[0].path, place[0].start(place[1].name.span)), NameLocation(place[0], place[1].name.span)
+                    (place[0].path, place[0].find_start(place[1].name.span)), NameLocation(place[0], place[1].name.span)
                 )
         if locations and occurrence.span != document.find_occurrences(offset)[0].span:
             break
@@ -122,7 +123,7 @@ def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -
 def _find_item_locations(workspace: Workspace, document: OpenDocument, name: str) -> Iterator[NameLocation]:
     """Yield where scenes name an item: this scene, and those that it extends or that extend it."""
     for path in workspace.find_extending_scenes(document.path):
-        other = workspace.document(path)
+        other = workspace.find_document(path)
         if other is not None and name in other.scene.items:
             yield NameLocation(other, other.scene.items[name])
 
@@ -131,7 +132,7 @@ def _find_related_documents(workspace: Workspace, key: NameKey) -> Iterator[Open
     from antdsl.resources import find_library_file
 
     path = find_library_file(key[1]) if key[0] == "library" else Path(key[1])
-    document = workspace.document(path.resolve()) if path is not None else None
+    document = workspace.find_document(path.resolve()) if path is not None else None
     if document is not None:
         yield document
 
@@ -148,20 +149,22 @@ def find_references(
     locations: dict[tuple[Path, int], NameLocation] = {}
     for other, occurrence in _find_all_occurrences(workspace, document, keys):
         if include_declaration or not occurrence.is_declaration:
-            locations.setdefault((other.path, other.start(occurrence.span)), NameLocation(other, occurrence.span))
+            locations.setdefault((other.path, other.find_start(occurrence.span)), NameLocation(other, occurrence.span))
     return sorted(
         locations.values(),
         key=lambda occurrence: (
             occurrence.document.path != document.path,
             occurrence.document.path,
-            occurrence.document.start(occurrence.span),
+            occurrence.document.find_start(occurrence.span),
         ),
     )
 
 
 def resolve_key(workspace: Workspace, document: OpenDocument, key: NameKey) -> NameKey:
-    """Return the key of a name that this file alone does not resolve: an item of the base scene, or a declaration of a
-    program."""
+    """Return the key of the declaration that a name has in another file: an item of the base scene, or a declaration of a
+    program.
+
+    A key that this file resolves is returned unchanged."""
     if key[0] not in _CANDIDATE_KINDS:
         return key
     if key[0] == "?scene" and any(_find_item_locations(workspace, document, key[1])):
@@ -187,7 +190,7 @@ def _find_all_occurrences(
         paths += [Path(key[1]) for key in keys if key[0] in ("behaviour", "inner") and Path(key[1]) not in paths]
     key_by_name = {key[-1]: key for key in keys}
     for path in paths:
-        other = workspace.document(path)
+        other = workspace.find_document(path)
         for occurrence in other.occurrences if other is not None else ():
             key = occurrence.key
             known_key = key_by_name.get(key[-1]) if key[0] in _CANDIDATE_KINDS else None
@@ -227,7 +230,8 @@ def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new
         workspace, document, {resolve_key(workspace, document, each.key) for each in _find_occurrences_at(document, offset)}
     )
     occurrences = {
-        (other.path, other.start(each.span)): (other, each) for other, each in _find_all_occurrences(workspace, document, keys)
+        (other.path, other.find_start(each.span)): (other, each)
+        for other, each in _find_all_occurrences(workspace, document, keys)
     }
     for key in keys:
         place = find_declaration(workspace, document, key)
@@ -251,15 +255,17 @@ def _is_built_in(key: NameKey, new_name: str) -> bool:
 
 
 def _find_jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys: set[NameKey]) -> set[NameKey]:
-    """Return the keys that are renamed together with `keys`. `take 1 load from meal` names the animal's `load` and the food's at
-    once: if one is renamed, so is the other."""
+    """Return `keys` and the keys of all names that must be renamed together with them.
+
+    The word `load` in `take 1 load from meal` names an attribute of the animal and one of the food. If one is renamed, the other
+    must be renamed too."""
     pairs: list[set[NameKey]] = []
     for path in workspace.find_related_files(document.path):
-        other = workspace.document(path)
+        other = workspace.find_document(path)
         by_place: dict[int, set[NameKey]] = {}
         for each in other.occurrences if other is not None else ():
             assert other is not None
-            by_place.setdefault(other.start(each.span), set()).add(each.key)
+            by_place.setdefault(other.find_start(each.span), set()).add(each.key)
         pairs += [key_set for key_set in by_place.values() if len(key_set) > 1]
     has_grown = True
     while has_grown:
@@ -278,7 +284,7 @@ def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey
         rivals |= {(kind, new_name) for kind in ("thing", "field", "species", "event")}
     hiding = key[0] in ("thing", "field", "species", "event", "own", "let", "element", "inner")
     for path in {*workspace.find_related_files(document.path), *([Path(key[1])] if key[0] in ("behaviour", "inner") else [])}:
-        other = workspace.document(path)
+        other = workspace.find_document(path)
         if other is None:
             continue
         names = other.names.declaration_by_key if other.is_program else {}
@@ -291,15 +297,15 @@ def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey
             if (
                 each[-1] == new_name
                 and each[0] in ("own", "let", "inner", "thing", "field", "species", "event")
-                and _share_scope(key, each)
+                and _is_scope_shared(key, each)
             ):
                 raise RenameRejected(f"`{new_name}` already exists and would be used instead: {other.path.name}")
         if any(each.key[0] == "element" and each.span.text == new_name for each in other.occurrences):
             raise RenameRejected(f"a local `{new_name}` in {other.path.name} would hide it")
 
 
-def _share_scope(key: NameKey, other: NameKey) -> bool:
-    """Return whether two names are visible at a common position."""
+def _is_scope_shared(key: NameKey, other: NameKey) -> bool:
+    """Return whether there is a position in a program at which both names are visible."""
     world = ("thing", "field", "species", "event")
     if key[0] in world or other[0] in world:
         return key[0] in world or key[0] in ("own", "let", "element", "inner")

@@ -121,7 +121,7 @@ def find_folds(document: OpenDocument) -> list[FoldedRange]:
         sign = piece.group()
         if sign[0] == "#":
             line = text.find_line_column(piece.start())[0]
-            if not text.line(line)[: piece.start() - text.line_starts[line]].strip():
+            if not text.get_line(line)[: piece.start() - text.line_starts[line]].strip():
                 comments.append(line)
         elif sign in "{([":
             stack.append(piece.start())
@@ -148,7 +148,7 @@ def _find_scene_folds(document: OpenDocument) -> list[FoldedRange]:
     stack = list(list_symbols(document))
     while stack:
         symbol = stack.pop()
-        (first, _), (last, _) = document.range(symbol.span)
+        (first, _), (last, _) = document.find_range(symbol.span)
         if last > first:
             folds_by_line.setdefault(first, FoldedRange(first, last))
         stack += symbol.children

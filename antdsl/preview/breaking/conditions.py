@@ -69,7 +69,7 @@ class ConditionWatcher:
         judged_world = evaluator.evaluate_frame(world, {})
         if self.line.species is None:
             assert not isinstance(self.line.condition, str)
-            return np.zeros(int(bool(evaluator.value(world, self.line.condition))), np.int64)
+            return np.zeros(int(bool(evaluator.evaluate_node(world, self.line.condition))), np.int64)
         judged = judged_world.populations[self.line.species]
         assert isinstance(self.line.condition, str)
         return judged.ids[judged.now[self.line.condition].astype(np.bool_)]
@@ -78,7 +78,7 @@ class ConditionWatcher:
         readings = []
         for reading in self.line.readings:
             if reading.node is not None:
-                value = format_value(world, evaluator.value(world, reading.node), reading.type, reading.unit)
+                value = format_value(world, evaluator.evaluate_node(world, reading.node), reading.type, reading.unit)
                 readings.append(f"{' '.join(reading.span.text.split())} is {value}")
         return f" ({', '.join(dict.fromkeys(readings))})" if readings else ""
 

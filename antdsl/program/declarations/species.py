@@ -355,16 +355,16 @@ def _check_layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
 def _check_layer(scope: NameScope, node: nodes.Layer, word_counts: dict[str, int]) -> model.Layer:
     """Check a layer. Its key is its first word, such as `separate`; a second layer with this word has the key `separate#2`."""
     text = " ".join(node.push.span.text.split())
-    steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.faces
+    steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.is_face_line
     word = _find_layer_word(node.push)
-    if node.faces:
+    if node.is_face_line:
         text, word = f"face {text}", f"face {word}"
     word_counts[word] = word_counts.get(word, 0) + 1
     key = word if word_counts[word] == 1 else f"{word}#{word_counts[word]}"
     push = None
     own = scope.species
     taken = {*own.attributes, *own.bindings} if own else set()
-    if node.faces:
+    if node.is_face_line:
         push = type_facing_direction(scope, node.push)
     elif isinstance(node.push, nodes.NameRef) and is_state_name(scope, word) and own and word not in taken:
         message = f"`{word}` is a state, but a layer must be a wish"
@@ -374,7 +374,7 @@ def _check_layer(scope: NameScope, node: nodes.Layer, word_counts: dict[str, int
     elif not steered:
         push = type_value_as(scope, node.push, PUSH_TYPE, "a layer")
     test = type_condition(scope, node.condition, "`when`") if node.condition is not None else None
-    return model.Layer(push, test, text, node.span, key, node.faces)
+    return model.Layer(push, test, text, node.span, key, node.is_face_line)
 
 
 def _find_layer_word(push: nodes.Expr) -> str:

@@ -68,7 +68,7 @@ class FileLoader:
         self.known: dict[int, FileNames] = {}
         self.libraries: dict[str, FileNames | None] = {}
 
-    def file(self, node: nodes.File, using_files: tuple[nodes.File, ...] = ()) -> FileNames:
+    def load_file(self, node: nodes.File, using_files: tuple[nodes.File, ...] = ()) -> FileNames:
         """Return the names of a file. `using_files`: the files that use it, outermost first, to detect cycles."""
         if id(node) in self.known:
             return self.known[id(node)]
@@ -93,7 +93,7 @@ class FileLoader:
         """Return a library's behaviour that the language itself needs, or None. The library need not be in use."""
         names = self.libraries.get(library)
         if names is None and (node := self.load_library(library)) is not None:
-            names = self.libraries[library] = self.file(node)
+            names = self.libraries[library] = self.load_file(node)
         return None if names is None else names.own_behaviours.get(behaviour)
 
     def _add_behaviour(self, names: FileNames, node: nodes.Behaviour) -> None:
@@ -115,7 +115,7 @@ class FileLoader:
     def _use_library(self, names: FileNames, name: nodes.Name, using_files: tuple[nodes.File, ...]) -> None:
         if name.text not in self.libraries:
             node = self.load_library(name.text)
-            self.libraries[name.text] = None if node is None else self.file(node, using_files)
+            self.libraries[name.text] = None if node is None else self.load_file(node, using_files)
         file_names = self.libraries[name.text]
         if file_names is None:
             names.missing_uses.add(
@@ -152,7 +152,7 @@ class FileLoader:
             message = f"two files are both named `{alias.text}`"
             self.report.error("duplicate-name", message, alias.span, "give one of them another name")
         else:
-            names.aliases[alias.text] = self.file(node, using_files)
+            names.aliases[alias.text] = self.load_file(node, using_files)
 
 
 # --- names of all files together -------------------------------------------------------------------------------------

@@ -50,8 +50,8 @@ class FingerprintColumn:
         """Return the unique name of the column, such as `forager.load`."""
         return f"{self.owner}.{self.attribute}" if self.attribute else self.owner
 
-    def find_value_bits(self) -> NDArray[np.uint64]:
-        """Return the bits of the values, 64 for each value."""
+    def convert_to_bits(self) -> NDArray[np.uint64]:
+        """Return the bits of each value as one unsigned integer, uint64[n]."""
         if self.values.dtype.itemsize == 8:
             return self.values.view(np.uint64)
         if self.values.dtype.itemsize == 4:
@@ -60,19 +60,20 @@ class FingerprintColumn:
 
     def compute_sums(self) -> tuple[int, int]:
         """Return the sum and the weighted sum of the bits, modulo 2^64."""
-        bits = self.find_value_bits()
+        bits = self.convert_to_bits()
         return int(bits.sum(dtype=np.uint64)), int(((self.ids + 1).astype(np.uint64) * bits).sum(dtype=np.uint64))
 
     def find_only_change(self, old_sums: tuple[int, int]) -> tuple[int, Any] | None:
-        """Return the row and the old value of the only value that changed since the sums were `old_sums`; None if several
-        changed."""
+        """Return the row of the only value that differs from the recorded run, and its recorded value; None if several differ.
+
+        `old_sums`: the sum and the weighted sum of the recorded values."""
         new_sums = self.compute_sums()
         changed, weighted = ((b - a) % 2**64 for a, b in zip(old_sums, new_sums, strict=True))
         matching_rows = np.flatnonzero((self.ids + 1).astype(np.uint64) * np.uint64(changed) == np.uint64(weighted))
         if not changed or len(matching_rows) != 1:
             return None
         row = int(matching_rows[0])
-        previous_bits = (int(self.find_value_bits()[row]) - changed) % 2**64
+        previous_bits = (int(self.convert_to_bits()[row]) - changed) % 2**64
         size = self.values.dtype.itemsize
         if previous_bits >= 2 ** (8 * size):
             return None
@@ -146,7 +147,7 @@ def _make_agent_columns(world: World, program: Program, population: Population) 
             continue
         column = _make_column(name, key, type_by_attribute, ids, population.now[key][rows])
         if column is None:
-            rest = rest * _MIX_MULTIPLIER + FingerprintColumn(name, key, 9, ids, population.now[key][rows]).find_value_bits()
+            rest = rest * _MIX_MULTIPLIER + FingerprintColumn(name, key, 9, ids, population.now[key][rows]).convert_to_bits()
         else:
             agent_columns.append(column)
     stored_arrays = [population.born, population.quarantined, *population.position.T]
@@ -155,7 +156,7 @@ def _make_agent_columns(world: World, program: Program, population: Population) 
     for array in stored_arrays:
         for part in array.T if array.ndim == 2 else (array,):
             rest = (
-                rest * _MIX_MULTIPLIER + FingerprintColumn(name, "", 9, ids, np.ascontiguousarray(part)[rows]).find_value_bits()
+                rest * _MIX_MULTIPLIER + FingerprintColumn(name, "", 9, ids, np.ascontiguousarray(part)[rows]).convert_to_bits()
             )
     return [*agent_columns, FingerprintColumn(name, "memory", 9, ids, rest, is_opaque=True)]
 
@@ -189,40 +190,44 @@ def digest_agents(world: World, population: Population, program: Program) -> str
     """Return four hexadecimal digits for each of the agents that `choose_sample_indices` names."""
     mixed = np.zeros(len(population), np.uint64)
     for column in _make_agent_columns(world, program, population):
-        mixed = (mixed ^ column.find_value_bits()) * _MIX_MULTIPLIER
+        mixed = (mixed ^ column.convert_to_bits()) * _MIX_MULTIPLIER
     sample = choose_sample_indices(len(population))
     return (mixed >> np.uint64(48)).astype(">u2")[sample].tobytes().hex()
 
 
 def choose_sample_indices(count: int) -> NDArray[np.int64]:
-    """Return which of `count` agents a digest distinguishes, by index in the order of ids."""
+    """Return the indices, in the order of ids, of the agents among `count` agents that a digest distinguishes."""
     return np.unique(np.arange(MAX_SAMPLED_AGENTS) * count // MAX_SAMPLED_AGENTS) if count else np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class StateDifference:
-    """`member`: the agent, item or cell, if it is a single known one, or some of the agents that differ; empty if none is known.
-    `now` and `old_value`: values in the author's terms; empty if they are unknown."""
+    """An attribute with values that differ from those of the golden run.
+
+    `member`: the agent, item or cell that differs, or some of the agents that differ; "" if none is known. `current_value`,
+    `old_value`: the value in this run and in the golden run, as an author would write it; "" if it is unknown."""
 
     owner: str
     attribute: str
     member: str
-    now: str
+    current_value: str
     old_value: str
 
     def __str__(self) -> str:
         name = f"`{self.owner}.{self.attribute}`" if self.attribute else f"`{self.owner}`"
         name += f" of {self.member}" if self.member else ""
-        if self.now and self.old_value and self.now != self.old_value:
-            return f"{name} is {self.now}, was {self.old_value}"
+        if self.current_value and self.old_value and self.current_value != self.old_value:
+            return f"{name} is {self.current_value}, was {self.old_value}"
         return f"{name} differs"
 
 
 def find_differences(
     world: World, program: Program, recorded_sums: Mapping[str, tuple[str, str, str]], recorded_digests: Mapping[str, str]
 ) -> list[StateDifference]:
-    """Return all attributes that differ, the most informative first. `recorded_sums`: sums and words by key; `recorded_digests`:
-    digests by species."""
+    """Return all attributes that differ, the most informative first.
+
+    `recorded_sums`: by the key of a column, the recorded sum, weighted sum and summary. `recorded_digests`: the recorded digests
+    of agents, by species."""
     columns = build_columns(world, program)
     differing_agents = {
         name: _name_differing(world, program, name, text) for name, text in recorded_digests.items() if name in world.populations
@@ -289,7 +294,7 @@ def _find_member_name(column: FingerprintColumn, row: int) -> str:
 
 
 def _name_differing(world: World, program: Program, name: str, recorded_digest: str) -> str:
-    """Return which of the agents in a digest differ; empty if the digest is not about the same agents."""
+    """Return the names of the agents whose digits in a digest differ; "" if the digest is about other agents."""
     population = world.populations[name]
     rows, digest = choose_sample_indices(len(population)), digest_agents(world, population, program)
     if len(digest) != len(recorded_digest):

@@ -14,8 +14,11 @@ GoldenKey = tuple[Path, tuple[tuple[str, str], ...]]
 
 @dataclass(slots=True)
 class GoldenComparison:
-    """`update`: the first seed of each scene and each set of changed params becomes a golden run. Otherwise the stored run is
-    compared. Problems of a file are in `report`."""
+    """The comparison of the runs of one `antdsl test` with golden runs, or the recording of new golden runs.
+
+    - `update`: whether the first seed of each scene and each set of changed params becomes a golden run. Otherwise these runs are
+      compared with the stored ones.
+    - `report`: the problems of golden files. `files`: the contents of golden files, by path; None for a missing file."""
 
     update: bool = False
     report: Report = field(default_factory=Report)

@@ -1,7 +1,7 @@
 """Golden runs: the results of a run, stored as text beside its scene; a later run is compared with it frame by frame.
 
-`scene.golden.json` has a hash for every frame. At most STATIONS times, at regular intervals, it also has the content of
-`fingerprints`. Thus the first frame that differs is always known. The first of those frames after a difference shows which
+`scene.golden.json` has a hash for every frame. At most MAX_RECORDED_FRAMES times, at regular intervals, it also has the content
+of `fingerprints`. Thus the first frame that differs is always known. The first of those frames after a difference shows which
 attribute of which agent differs."""
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ class GoldenModel(BaseModel):
 
 
 class GoldenFrame(GoldenModel):
-    """A frame. `parts`: those that differ from the last frame with parts; `agents`: the digests by species."""
+    """A frame of a golden run.
+
+    `parts`: by the key of a column, its sum, weighted sum and summary. Columns that equal those of the last frame with `parts`
+    are left out. `agents`: the digests of agents, by species."""
 
     frame: int
     hash: GoldenText
@@ -71,8 +74,12 @@ class GoldenError(Exception):
 
 @dataclass(slots=True)
 class GoldenResult:
-    """The outcome of a golden run: same, differs, written, or waiting. `frame`: the first that differs; `detail_frame`: the frame
-    in which `differences` was determined; `origin`: where the golden run was recorded, if the environment is different."""
+    """The result of comparing a run with its golden run, or of recording it.
+
+    - `outcome`: same, differs, written or waiting. `message`: the reason in words, if there is one.
+    - `frame`: the first frame that differs. `detail_frame`: the frame in which `differences` were determined.
+    - `origin`: the environment in which the golden run was recorded, if it is not the current one.
+    - `frames`: the number of compared frames."""
 
     scene: Path
     changes: Mapping[str, str]

@@ -31,9 +31,13 @@ class TokenLeaf:
 
 @dataclass(slots=True)
 class BracketSlot:
-    """The content between two commas, with the comma. `leading_comments`: comments on lines before it. `trailing_comment`: the
-    comment after it.
-    `inner_comments`: comments in its middle, each with the index of the next node."""
+    """The content between two commas, with the second comma.
+
+    - `leading_comments`: the comments on the lines before the content. `trailing_comment`: the comment after the content.
+    - `inner_comments`: each comment in the middle as the index of the next node, the comment, and whether the previous token is
+      on the same line.
+    - `operands`: the content split at its operators, if there are comments between them.
+    - `is_indented`: whether the content is indented once more, as the body after `n in SET:`."""
 
     nodes: list[LayoutNode] = field(default_factory=list)
     leading_comments: list[n.Comment] = field(default_factory=list)
@@ -55,7 +59,9 @@ class BracketSlot:
 
 @dataclass(slots=True)
 class BracketGroup:
-    """`( … )` or `[ … ]`. `end_comments`: comments before its end."""
+    """A pair of parentheses or square brackets with its content. `end_comments`: the comments before the closing bracket.
+
+    `is_forced_open`: whether a comment requires that the content is on separate lines."""
 
     opening: TokenLeaf
     slots: list[BracketSlot]
@@ -69,7 +75,9 @@ LayoutNode = TokenLeaf | BracketGroup
 
 
 class BracketReader:
-    """Reads the nodes of one statement. `take_comment_before` returns the next comment before an offset."""
+    """Reads the words and brackets of one statement.
+
+    `take_comment_before`: returns the next comment if it is before an offset, and marks it as used."""
 
     def __init__(
         self,

@@ -1,4 +1,6 @@
-"""Aligns the marks of successive lines of one kind: `->`, `=`, values, helps, comments."""
+"""Aligns successive lines of one kind in columns: at `->`, at `=`, at values, at help texts, and at comments.
+
+A mark is the word, sign or position at which a line is cut into cells."""
 
 from __future__ import annotations
 
@@ -15,8 +17,11 @@ _MIN_COMMENT_BLANKS = 2  # minimum blanks before a comment
 
 @dataclass(slots=True)
 class LayoutRow:
-    """A statement or a comment before layout: the cells of its first line, and the following lines. Rows of one `kind` are
-    aligned. `is_separate`: it does not affect the alignment of its neighbours."""
+    """A statement or a comment before alignment.
+
+    - `kind`: successive rows of one kind are aligned.
+    - `cells`: the texts of the first line between its marks. `following_lines`: the other lines.
+    - `is_separate`: whether the row is left out of the alignment of its neighbours."""
 
     kind: str
     cells: list[str]
@@ -27,7 +32,9 @@ class LayoutRow:
 
 
 def split_cells(statement: LayoutStatement) -> tuple[str, list[Sequence[LayoutNode | LayoutBlock]]]:
-    """Return the kind that a one-line statement is aligned with, and its parts cut at the marks. The last cell is the help."""
+    """Return the kind of a one-line statement, and the parts of each of its cells. The last cell is the help text.
+
+    Statements of one kind are aligned with each other. A statement without marks has one cell."""
     parts, words = statement.parts, statement.first_words
     kind, mark = _find_alignment(statement.rule, words)
     if mark is None:
@@ -58,7 +65,7 @@ def _find_second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
 
 
 def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, MarkFinder | None]:
-    """Return, from the rule and the first words of a line, the kind it is aligned with, and the mark."""
+    """Return the kind of a line, and the function that finds its mark (None: no mark), from its rule and its first words."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
         return rule, _find_second_part
@@ -77,14 +84,14 @@ def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, MarkFinder | 
 
 
 def _find_member_alignment(words: Sequence[str]) -> tuple[str, MarkFinder | None]:
-    """Return the kind of a species line that begins with a name: an attribute or a given property."""
+    """Return the kind and the mark finder of a species line that begins with a name: an attribute or a given property."""
     if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
         return "plain", None
     return ("declaration", _find_sign("=")) if words[1:2] in (["="], [":"]) else ("given", _find_second_part)
 
 
 def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
-    """Return the lines of a block, with marks aligned within a run of lines without a blank line or a comment line in between."""
+    """Return the lines of a block. Lines are aligned with each other up to the next blank line or comment line."""
     lines: list[str] = []
     for run in _split_runs(rows):
         if run[0].has_blank_before:

@@ -71,11 +71,13 @@ def read_items(file: n.File) -> list[LayoutItem]:
     scanned = scan(file.source, Report())
     tokens = pair_brackets(scanned)
     assert tokens is not None, "a file with too many brackets open was not parsed without an error"
-    return _ItemReader(scanned, *_find_marks(file)).read_lines(cut_lines(scanned, tokens), "top", 0, len(file.source.text))
+    return _ItemReader(scanned, *_find_call_ends_and_minus_signs(file)).read_lines(
+        cut_lines(scanned, tokens), "top", 0, len(file.source.text)
+    )
 
 
-def _find_marks(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
-    """Return the ends of functions with following arguments, and the positions of minus signs with nothing on their left."""
+def _find_call_ends_and_minus_signs(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
+    """Return the end offsets of the names of called functions, and the offsets of minus signs with one operand."""
     calls: set[int] = set()
     minus: set[int] = set()
     stack: list[Any] = [file.items]
@@ -103,19 +105,23 @@ def _find_called_name(part: object) -> n.Name | None:
 
 @dataclass(slots=True)
 class _ItemReader:
-    """One walk over the lines of a text; comments are taken in the order of the text."""
+    """Reads the lines and comments of a text, both in the order of the text.
+
+    - `function_ends`: the end offsets of the names of called functions.
+    - `unary_minus_offsets`: the offsets of minus signs with one operand.
+    - `used_comment_count`: the number of comments that have been placed."""
 
     scan: TokenScan
     function_ends: frozenset[int]
     unary_minus_offsets: frozenset[int]
-    taken_count: int = field(default=0)  # number of comments already placed
+    used_comment_count: int = field(default=0)  # number of comments already placed
 
     def take_comment_before(self, offset: int) -> n.Comment | None:
         """Return the next comment if it begins before an offset."""
         comments = self.scan.comments
-        if self.taken_count < len(comments) and comments[self.taken_count].span.start < offset:
-            self.taken_count += 1
-            return comments[self.taken_count - 1]
+        if self.used_comment_count < len(comments) and comments[self.used_comment_count].span.start < offset:
+            self.used_comment_count += 1
+            return comments[self.used_comment_count - 1]
         return None
 
     def count_line_ends(self, start: int, end: int) -> int:
@@ -133,10 +139,12 @@ class _ItemReader:
         return item_list
 
     def has_blank_line(self, item_list: list[LayoutItem], last: int, start: int) -> bool:
+        """Return whether a blank line is between the end `last` of the previous item and the offset `start`."""
         return bool(item_list) and self.count_line_ends(last, start) > 1
 
     def add_comments(self, item_list: list[LayoutItem], last: int, end: int) -> int:
-        """Put the comments up to `end` after the last statement or on separate lines; return where the last of them ends."""
+        """Add the comments before the offset `end` to the last statement, or as separate lines. Return the end of the last
+        one."""
         while (comment := self.take_comment_before(end)) is not None:
             text = comment.text.rstrip()
             previous_item = item_list[-1] if item_list else None
@@ -176,7 +184,9 @@ class _ItemReader:
         head = None
         comments = self.scan.comments
         limit = group.lines[0].start if group.lines else end
-        if self.taken_count < len(comments) and not self.count_line_ends(start, comments[self.taken_count].span.start):
+        if self.used_comment_count < len(comments) and not self.count_line_ends(
+            start, comments[self.used_comment_count].span.start
+        ):
             comment = self.take_comment_before(limit)
             if comment is not None:
                 head, start = comment.text.rstrip(), comment.span.end

@@ -39,8 +39,9 @@ def format(source: Source) -> tuple[str | None, Report]:
 
 
 def report_too_long(source: Source, text: str, report: Report) -> bool:
-    """Report a text that exceeds the limits only after layout, and return whether it does. Joined lines and added blanks can make
-    a text longer."""
+    """Return whether a formatted text exceeds the limits of a file; report an error if so.
+
+    Joined lines and added blanks can make a text longer than its source."""
     line = max(text.split("\n"), key=len).strip()
     if len(line) > limits.MAX_LINE_CHARACTERS:
         message = f"line that begins with `{line[:40]}` would have more than {limits.MAX_LINE_CHARACTERS} characters"

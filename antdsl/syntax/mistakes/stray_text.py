@@ -68,7 +68,7 @@ def check_stray_text(scan: TokenScan) -> None:
     """Report characters that are not allowed anywhere in a text."""
     _report_forbidden(scan)
     _report_invisible(scan)
-    _report_markers(scan)
+    _report_conflicts_and_fences(scan)
     _report_long_lines(scan)
 
 
@@ -94,8 +94,10 @@ def _report_invisible(scan: TokenScan) -> None:
             scan.report_error("control-character", message, match.start(), match.end(), "delete it", "")
 
 
-def _report_markers(scan: TokenScan) -> None:
-    """Keep the first side of a merge conflict, so that the rest of the file can be checked."""
+def _report_conflicts_and_fences(scan: TokenScan) -> None:
+    """Report lines of a merge conflict and of Markdown fences, and replace them by blanks.
+
+    The first version in a conflict stays and the second becomes blank, so that the rest of the file can be checked."""
     if "<<<<<<<" in scan.source.text or ">>>>>>>" in scan.source.text:
         drop_from = -1
         for match in _MERGE_CONFLICT_PATTERN.finditer(scan.source.text):

@@ -25,12 +25,12 @@ from antdsl.syntax.words import (
 
 @dataclass(frozen=True, slots=True)
 class UnexpectedToken:
-    """A position where a line could not be read further. `previous_text` and `token_text`: the texts on both sides
-    (`token_text` is empty at the line's end). `expected_terminals`: the names of the terminals that were possible there.
-    `rule`: the grammar rule that reads the line."""
+    """The token at which the parser could not continue to read a line. `rule`: the grammar rule that reads the line.
+    - `previous_text`, `token_text`: the text of the token before it, and its own text ("" at the end of the line).
+    - `expected_terminals`: the names of the terminals that were possible in its place."""
 
     rule: str
-    first: str
+    first_word: str
     previous_text: str
     previous_kind: str
     token_text: str
@@ -54,18 +54,18 @@ _JOINING_WORDS = frozenset(
     ("any", "at", "each", "else", "except", "from", "held", "least", "over", "strongest", "take", "then", "until", "when")
 )
 _VALUE_TERMINALS = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
-_ASSIGNMENT_SIGNS = {"=", "+=", "-=", "[", "."}
+_SIGNS_AFTER_TARGET = {"=", "+=", "-=", "[", "."}
 # Words before a condition in brackets, where no argument name is possible.
 _QUERY_START_PATTERN = re.compile(r"\b(?:share|count|any|every)\(\s*[a-z_][a-z_0-9.]*\s*\Z|[(,]\s*(?:state|previous|next)\s*\Z")
-_WRITING_SIGNS = ("=", "+=", "-=")
+_ASSIGNMENT_OPERATORS = ("=", "+=", "-=")
 # Terminals after which a value begins.
 _WORDS_BEFORE_VALUES = ("when", "and", "or", "not", "no", "steer", "face", "then", "else", "if", "until")
-_VALUE_STARTING_WORDS = frozenset((*_WORDS_BEFORE_VALUES, *"=<>+-*/", *_WRITING_SIGNS, "<=", ">=", "=="))
+_VALUE_STARTING_WORDS = frozenset((*_WORDS_BEFORE_VALUES, *"=<>+-*/", *_ASSIGNMENT_OPERATORS, "<=", ">=", "=="))
 _COMPARISON_SIGNS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
 def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
-    """Return the error about a line that cannot be read: the first kind of mistake that matches."""
+    """Return the error about a line that cannot be read, with the explanation of the first kind of mistake that matches."""
     for kind in (
         _explain_quoted_library, _explain_inner_after, _explain_misspelling, _explain_misplaced, _explain_comma,
         _explain_no_line, _explain_label, _explain_unit, _explain_equals, _explain_double_comparison,
@@ -82,19 +82,19 @@ def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
     if slip is not None:
         help, fix = f"did you mean `{slip}`?", Fix(unexpected.span, slip)
     elif _has_missing_colon(unexpected):
-        fix = _insert_before(unexpected, ": ")
+        fix = _make_fix_before_token(unexpected, ": ")
         help = f"to name an argument, write `{unexpected.previous_text}: {unexpected.token_text}`"
     elif (
         unexpected.token_kind == "word"
         and unexpected.following_text == ":"
         and {"RPAR", "_COMMA"} <= unexpected.expected_terminals
     ):
-        help, fix = f"write a comma before `{unexpected.token_text}:`", _insert_behind(unexpected, ",")
+        help, fix = f"write a comma before `{unexpected.token_text}:`", _make_fix_after_previous(unexpected, ",")
     elif _has_missing_arrow(unexpected):
-        help, fix = f"write `-> {unexpected.token_text}`", _insert_before(unexpected, "-> ")
+        help, fix = f"write `-> {unexpected.token_text}`", _make_fix_before_token(unexpected, "-> ")
     elif has_missing_brackets(unexpected):
         help = f"write `{unexpected.previous_text}({unexpected.token_text})`"
-        place = Span(unexpected.span.source, _insert_behind(unexpected, "").span.start, unexpected.span.end)
+        place = Span(unexpected.span.source, _make_fix_after_previous(unexpected, "").span.start, unexpected.span.end)
         fix = Fix(place, f"({unexpected.token_text})")
     return Diagnostic(
         "unexpected-text", f"{message}, expected {_describe_expected(unexpected)}", unexpected.span, help=help, fix=fix
@@ -102,7 +102,7 @@ def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
 
 
 def _explain_inner_after(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """`when meal and after 1 s`: only the whole condition may be `after`."""
+    """Return the error about `after` inside a condition, as in `when meal and after 1 s`; None for another mistake."""
     if unexpected.previous_text != "after" or unexpected.earlier_text not in ("and", "or") or unexpected.token_kind != "number":
         return None
     source = unexpected.span.source
@@ -114,9 +114,9 @@ def _explain_inner_after(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """`use "steering"`: a library has no quotes, a file has an ending and a name."""
+    """Return the error about a library in quotes, as in `use "steering"`; None for another mistake."""
     name = unexpected.previous_text.strip('"')
-    if unexpected.first != "use" or "AS" not in unexpected.expected_terminals or not name.isidentifier():
+    if unexpected.first_word != "use" or "AS" not in unexpected.expected_terminals or not name.isidentifier():
         return None
     start = unexpected.span.source.text.rindex(unexpected.previous_text, 0, unexpected.span.start)
     span = Span(unexpected.span.source, start, start + len(unexpected.previous_text))
@@ -163,7 +163,7 @@ def _has_missing_colon(unexpected: UnexpectedToken) -> bool:
 
 
 def make_plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
-    """Return the same error without a guess at the intended text: for a file with a great many mistakes."""
+    """Return the error about a line that cannot be read, without advice. It is used in files with very many mistakes."""
     if not unexpected.token_text:
         return Diagnostic("unfinished-line", f"line ends after {_quote_text(unexpected.previous_text)}", unexpected.span)
     return Diagnostic(
@@ -174,24 +174,24 @@ def make_plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
 def suggest_first_word(unexpected: UnexpectedToken) -> str | None:
     """Return the word that a line's first word is a misspelling of, if the line has no other valid meaning; else None."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
-    other = FOREIGN_FIRST_WORDS.get(unexpected.first)
-    if other in words and unexpected.token_text not in _WRITING_SIGNS:
+    other = FOREIGN_FIRST_WORDS.get(unexpected.first_word)
+    if other in words and unexpected.token_text not in _ASSIGNMENT_OPERATORS:
         return other
-    declares = unexpected.earlier_text == unexpected.first and unexpected.token_text == "="  # `parm smell = …`
+    declares = unexpected.earlier_text == unexpected.first_word and unexpected.token_text == "="  # `parm smell = …`
     if (
-        unexpected.first in words
-        or not unexpected.first.isidentifier()
-        or (unexpected.token_text in (*_WRITING_SIGNS, "(") and not declares)
+        unexpected.first_word in words
+        or not unexpected.first_word.isidentifier()
+        or (unexpected.token_text in (*_ASSIGNMENT_OPERATORS, "(") and not declares)
     ):
         return None
-    return find_nearest_name(unexpected.first, words)
+    return find_nearest_name(unexpected.first_word, words)
 
 
 def _explain_misspelling(unexpected: UnexpectedToken) -> Diagnostic | None:
     suggestion = suggest_first_word(unexpected)
     if suggestion is None:
         return None
-    message = f"`{unexpected.first}` does not begin a line here"
+    message = f"`{unexpected.first_word}` does not begin a line here"
     return Diagnostic(
         "unknown-line",
         message,
@@ -202,9 +202,9 @@ def _explain_misspelling(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
-    if unexpected.first in LINE_WORDS_BY_RULE[unexpected.rule] or unexpected.first not in LINE_CONTEXT_BY_WORD:
+    if unexpected.first_word in LINE_WORDS_BY_RULE[unexpected.rule] or unexpected.first_word not in LINE_CONTEXT_BY_WORD:
         return None
-    return make_misplaced_diagnostic(unexpected.first, unexpected.first_span)
+    return make_misplaced_diagnostic(unexpected.first_word, unexpected.first_span)
 
 
 def make_misplaced_diagnostic(word: str, span: Span) -> Diagnostic:
@@ -224,7 +224,7 @@ def _explain_no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_label(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """Handle `f(a b: 1)`, where the word before the colon was parsed as something else."""
+    """Return the error about an argument name that follows a value without a comma, as in `f(a b: 1)`; None otherwise."""
     names = (
         unexpected.previous_kind == "word"
         and unexpected.token_text == ":"
@@ -240,7 +240,7 @@ def _explain_label(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_comma(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """Handle `(0,15)`, a decimal comma as in many countries, where it cannot be two arguments."""
+    """Return the error about a decimal comma, as in `(0,15)`, where there cannot be two arguments; None for another mistake."""
     token_span, source = unexpected.span, unexpected.span.source
     comma = token_span.start if unexpected.token_text == "," else token_span.start - 1 if unexpected.previous_text == "," else -1
     span = find_comma_number(source, comma) if comma > 0 else None
@@ -256,7 +256,7 @@ def _explain_unit(unexpected: UnexpectedToken) -> Diagnostic | None:
         or unexpected.following_text == ":"
     ):
         return None
-    if unexpected.following_text in _ASSIGNMENT_SIGNS and "$END" in unexpected.expected_terminals:
+    if unexpected.following_text in _SIGNS_AFTER_TARGET and "$END" in unexpected.expected_terminals:
         return _explain_line_end(unexpected)
     if (
         _has_missing_arrow(unexpected)
@@ -293,7 +293,7 @@ def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:
 def has_doubled_sign(unexpected: UnexpectedToken) -> bool:
     """Return whether `==` stands for `=`, as in `let x == 1`."""
     names = unexpected.previous_kind == "word" and unexpected.earlier_text in ("let", "param", "latch", "keep")
-    return unexpected.token_text == "==" and (names or unexpected.previous_text == unexpected.first)
+    return unexpected.token_text == "==" and (names or unexpected.previous_text == unexpected.first_word)
 
 
 def _explain_double_comparison(unexpected: UnexpectedToken) -> Diagnostic | None:
@@ -310,18 +310,18 @@ def _explain_second_line(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 def _explain_line_end(unexpected: UnexpectedToken) -> Diagnostic:
     message = f"`{unexpected.token_text}` in the middle of a line"
-    fix = _insert_before(unexpected, "; ")
+    fix = _make_fix_before_token(unexpected, "; ")
     return Diagnostic(
         "missing-line-end", message, unexpected.span, help="begin a new line with it, or write `;` before it", fix=fix
     )
 
 
-def _insert_before(unexpected: UnexpectedToken, text: str) -> Fix:
+def _make_fix_before_token(unexpected: UnexpectedToken, text: str) -> Fix:
     """Return a fix that inserts text between what was read and the unexpected token."""
     return Fix(Span(unexpected.span.source, unexpected.span.start, unexpected.span.start), text)
 
 
-def _insert_behind(unexpected: UnexpectedToken, text: str) -> Fix:
+def _make_fix_after_previous(unexpected: UnexpectedToken, text: str) -> Fix:
     """Return a fix that inserts text directly after what was read, before the blanks."""
     source, start = unexpected.span.source, unexpected.span.start
     end = len(source.text[:start].rstrip())
@@ -331,7 +331,7 @@ def _insert_behind(unexpected: UnexpectedToken, text: str) -> Fix:
 def is_line_start(unexpected: UnexpectedToken) -> bool:
     """Return whether the unexpected token is a word that begins a line, after something that could end one."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
-    assigns = bool(words) and unexpected.token_kind == "word" and unexpected.following_text in _ASSIGNMENT_SIGNS
+    assigns = bool(words) and unexpected.token_kind == "word" and unexpected.following_text in _SIGNS_AFTER_TARGET
     return (unexpected.token_text in words or assigns) and "$END" in unexpected.expected_terminals
 
 
@@ -381,12 +381,12 @@ def _format_form(unexpected: UnexpectedToken) -> str:
     if (
         unexpected.rule == "statement"
         and unexpected.token_text == "("
-        and unexpected.previous_text == unexpected.first not in LINE_WORDS_BY_RULE["statement"]
+        and unexpected.previous_text == unexpected.first_word not in LINE_WORDS_BY_RULE["statement"]
     ):
-        return f"write `steer {unexpected.first}(…)` to move that way"
+        return f"write `steer {unexpected.first_word}(…)` to move that way"
     form = (
-        EXAMPLE_LINES.get(unexpected.first)
-        if unexpected.first in LINE_WORDS_BY_RULE[unexpected.rule]
+        EXAMPLE_LINES.get(unexpected.first_word)
+        if unexpected.first_word in LINE_WORDS_BY_RULE[unexpected.rule]
         else EXAMPLE_LINE_BY_RULE.get(unexpected.rule)
     )
     if form is None:
