@@ -17,7 +17,7 @@ include_patterns = ["docs/**.md", "grammar/README.md", "examples/*/README.md", "
 exclude_patterns = ["docs/**/out"]
 html_theme = "furo"
 pygments_style, pygments_dark_style = "friendly", "native"
-html_copy_source = html_show_sphinx = False
+html_copy_source = html_show_sphinx = html_show_copyright = False
 myst_heading_anchors = 6
 # Pages show wrong programs on purpose, and programs in languages without a lexer.
 suppress_warnings = ["misc.highlighting_failure"]
