@@ -135,7 +135,7 @@ def _compute_face_boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Flo
 
 
 class _RayScenePair:
-    """Combines two ray scenes of one mesh each; the faces of the second are numbered after those of the first."""
+    """Combines two ray scenes of one mesh each. Faces of the second scene are numbered after the faces of the first."""
 
     def __init__(self, first: RayScene, second: RayScene, faces: int) -> None:
         self._first_scene, self._second_scene, self._first_face_count = first, second, faces

@@ -90,7 +90,8 @@ LineList = Literal["notes", "edits"]
 
 
 class DraftLine(_RequestModel):
-    """Check a note or an edit, and with `apply` add it. `agents`: the value of the verb. `values`: those of the other keys."""
+    """Check a note or an edit, and with `apply` add it. `agents`: the value of the verb. `values`: the values of the other
+    keys."""
 
     op: Literal["direct"]
     list: LineList
@@ -138,11 +139,11 @@ class AgentRef(_RequestModel):
 class SetDisplay(_RequestModel):
     """Set all that a page displays in addition to the agents. A new request replaces the previous one.
 
-    `columns`, `fields`, `flows`: the displayed ones, by name.
+    `columns`, `fields`, `flows`: the names of the columns, fields and flows to display.
     `solids`: whether solids are displayed.
     `follow`: the followed agent.
-    `planned`: the agents with displayed future paths; None for none. An empty tuple means all agents, if there are at most 300.
-    """
+    `planned`: the agents with displayed future paths; None for none. An empty tuple means all agents, if there are at most
+    300."""
 
     op: Literal["look"]
     columns: tuple[ColumnRef, ...] = Field((), max_length=64)

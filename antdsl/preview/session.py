@@ -264,7 +264,7 @@ class Session:
 
     def replace_notes(self, notes: HandNotes, description: str, text: str = "") -> Outcome:
         """Replace the notes by hand. The session goes back to the last frame that the change does not affect, and continues from
-        there with the current files and values. `description` and `text`: of the outcome."""
+        there with the current files and values. `description`, `text`: the values of the outcome with these names."""
         frame = find_last_unaffected_frame(self.notes, notes)
         choices, layers = replace(self.choices, notes=list_active_lines(notes)), self._current_stretch.disabled_layers
         if frame == inf:

@@ -48,7 +48,7 @@ def build_child_environment() -> dict[str, str]:
 def list_module_folders() -> list[str]:
     """Return folders of modules for the child.
 
-    They are those of this process without relative ones and the working directory, then the folder of antdsl itself."""
+    They are the absolute folders of this process without the working directory, then the folder of antdsl itself."""
     try:
         working_folder = os.path.realpath(os.getcwd())
     except OSError:

@@ -54,7 +54,8 @@ def migrate_agents(
 ) -> tuple[MigratedSpecies, dict[str, NDArray[Any]]]:
     """Move agents, given by their rows in `old_world`, to a world that has no agents of the species yet.
 
-    Return the result, and the registers with retained values. `fill_registers` fills the others once all species are migrated."""
+    Return the result of the migration, and the registers with retained values. When all species are migrated, `fill_registers`
+    fills the other registers."""
     old_population, new_population = old_world.populations[name], world.populations[name]
     migrated = MigratedSpecies(name, len(rows))
     footing, place, moved = find_footings(old_world, world, old_population)
@@ -214,7 +215,7 @@ def _migrate_states(
 
 
 def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Convert the numbers of clips to those of the new plan. A clip that is no longer used becomes none."""
+    """Convert the numbers of clips in `values` to the numbers of the new plan. Removed clips become none."""
     number = np.array([new_plan.clips.index(clip) if clip in new_plan.clips else -1 for clip in old_plan.clips] + [-1])
     for machine in new_plan.machines:
         for register in (f"{machine.name}.{part}" for part in ("clip", "clip_before", "clip_earlier")):

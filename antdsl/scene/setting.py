@@ -210,7 +210,7 @@ class CameraData:
 
     Positions are in mm, directions in the scene's axes.
     `focal`: the focal length in mm for a sensor of `SENSOR_WIDTH_MM`; 0 for `DEFAULT_FOCAL_MM`.
-    `first`: the frame of the first row. The first and last rows hold outside."""
+    `first`: the frame of the first row. Before the first and after the last row, the values stay constant."""
 
     at: NDArray[np.float64]
     look_at: NDArray[np.float64]
@@ -232,9 +232,10 @@ class CameraData:
 class DetailData:
     """Level of detail by distance (mm) from a camera.
 
-    `near_distance`: up to here, feelers hit triangles.
-    `far_distance`: up to here, feelers hit boxes. Beyond it, they hit nothing.
-    `camera` float64 (frames, 3): its position at each frame from `first` on. The first and last positions hold outside."""
+    `near_distance`: up to this distance, feelers hit triangles.
+    `far_distance`: up to this distance, feelers hit boxes. Beyond it, they hit nothing.
+    `camera` float64 (frames, 3): the camera's position at each frame from `first` on. It is constant before and after these
+    frames."""
 
     camera: NDArray[np.float64]
     near_distance: float

@@ -92,7 +92,9 @@ def _settle_agents(cache: EditedCache, shot: Shot, affected: dict[int, int], thr
 
 
 def _choose_agents(cache: EditedCache, shot: Shot, affected: dict[int, int]) -> dict[int, int]:
-    """Return the affected agents that the shot can simulate: of its species, with bodies that edits did not replace."""
+    """Return the affected agents that the shot can simulate.
+
+    They belong to its species and have bodies that edits did not replace."""
     chosen: dict[int, int] = {}
     for number, entry in enumerate(cache.manifest.species):
         keys = np.array([key for key in affected if key % SPECIES_PER_KEY == number], np.int64)

@@ -125,7 +125,7 @@ def _make_manifest(shot: Shot, world: World, bodies: StoredBodies) -> Manifest:
 
 
 def _list_attributes(shot: Shot) -> tuple[str, ...]:
-    """Return the arrays of agents that frames have: those of the output, and what pages show."""
+    """Return the names of the arrays of agents in frames: the attributes of the output, and all that pages display."""
     machines = (machine.name for species in shot.plan.species.values() for machine in species.machines[1:])
     states = (f"{name}.state" for name in machines)
     return tuple(dict.fromkeys((*shot.scene.model.output.attributes, *DISPLAYED_ATTRIBUTES, *states)))

@@ -124,7 +124,7 @@ def gather_actions(world: World, shot: Shot, population: Population, displayed: 
 def make_action_arrays(actions: SpeciesActions) -> Arrays:
     """Return the actions of bodies as arrays.
 
-    - `SPECIES/plays/MACHINE`: of machines that play clips.
+    - `SPECIES/plays/MACHINE`: the clips of a machine, as from `pack_clips`.
     - `SPECIES/wears` uint32[n]: a bit for each worn layer.
     - `SPECIES/look/GROUP` int8[n, 3]: a direction, 127 is 1.
     - `SPECIES/lean` int8[n, 3]: turn, slope, 0; 127 is 1.
@@ -132,8 +132,7 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
     - `SPECIES/feet` and `SPECIES/stance`: if feet are computed.
 
     Arrays of features that a body lacks are left out. For a species with several bodies, each body has these arrays under its
-    key, for its agents only. `SPECIES/body` uint8[n] is the index of each agent's body.
-    """
+    key, for its agents only. `SPECIES/body` uint8[n] is the index of each agent's body."""
     if len(actions.outfits) == 1:
         ((key, worn),) = actions.outfits.items()
         return _make_body_arrays(actions, key, worn)

@@ -110,8 +110,9 @@ def _find_column_factors(world: World, program: Program, interest: PageInterest)
 
 
 def _make_followed_feelers(world: World, program: Program, interest: PageInterest) -> tuple[Arrays, list[tuple[str, int, int]]]:
-    """Return the feelers of all followed agents, one after the other, and a list of these agents with the number of their
-    feelers."""
+    """Return the feelers of all followed agents, one after the other, and a list of these agents.
+
+    An entry of the list has the species, the id, and the number of the agent's feelers."""
     feelers = [(who, make_feeler_arrays(world, program, who.species, who.agent)) for who in interest.followed_agents]
     feelers = [(who, arrays) for who, arrays in feelers if arrays]
     owners = [(who.species, who.agent, len(arrays["feelers"])) for who, arrays in feelers]

@@ -102,7 +102,7 @@ def _make_species_entry(live: Live, names: FileNames, population: Population) ->
 
 
 def _list_layers(session: Session, names: FileNames, population: Population) -> list[dict[str, Any]]:
-    """Return the running layers and those that are off, in text order."""
+    """Return the active and the disabled layers, in the order of the text."""
     entries = []
     for layer in population.plan.layers:
         span = layer.span

@@ -30,7 +30,7 @@ class PageInterest:
 
     @classmethod
     def from_displays(cls, looks: Iterable[SetDisplay]) -> PageInterest:
-        """Return the union of what the pages with these requests display."""
+        """Return the union of the data that pages with these requests display."""
         looks = list(looks)
         followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
         planned = [look.planned for look in looks if look.planned is not None]
@@ -74,6 +74,6 @@ class ViewState:
 
 
 class PacketMaker(Protocol):
-    """Creates the packets of one kind, and returns only those that changed."""
+    """Creates the packets of one kind, and returns only packets that changed."""
 
     def make_packets(self, view_state: ViewState) -> SlotPackets: ...

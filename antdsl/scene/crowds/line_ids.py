@@ -37,7 +37,7 @@ class LineIds:
         return numbers
 
     def resize(self, count: int, next_id: int) -> LineIds:
-        """Return the line with `count` agents: the first ones of this line, and then new ids from `next_id` on."""
+        """Return the line with `count` agents: its first agents, and if these are too few, new ids from `next_id` on."""
         ranges, left = [], count
         for start, size in self.ranges:
             ranges.append((start, min(size, left)))

@@ -59,7 +59,7 @@ class MeshMoves:
     def compute_vertices(self, rest_positions: Floats, frame: int) -> Floats:
         """Return the vertices (n, 3) at a frame, counted from 0. `rest_positions`: their positions at frame 0.
 
-        Before the first and after the last frame, their values hold."""
+        Before the first and after the last frame, the vertices do not move."""
         k = min(max(frame, 0), self.frames - 1)
         place = apply_transforms(self.tracks[:, k].take(self.track_indices, axis=0), rest_positions)
         if len(self.deformed_vertices):
@@ -103,6 +103,8 @@ class GeometryMoves:
         return bool(self.meshes or self.items or self.curves)
 
     def find_positions(self, tracks: Floats, frame: int) -> Floats:
-        """Return the positions (n, 3) of items or of a curve at a frame of the scene. The first and last values hold outside."""
+        """Return the positions (n, 3) of items or of a curve at a frame of the scene.
+
+        `tracks` (frames, n, 3): their positions, which are constant before the first and after the last frame."""
         frame_positions: Floats = tracks[min(max(frame - self.first, 0), len(tracks) - 1)]
         return frame_positions

@@ -53,7 +53,9 @@ def list_simulated_frames(staging: SceneStaging) -> range:
 
 
 def find_frame_files(staging: SceneStaging, text: str, *path: PathKey) -> list[str] | None:
-    """Return the file of each frame if a path has `####`, else None. The first and last existing files also hold outside."""
+    """Return the file of each frame if a path has `####`, else None.
+
+    Frames before the first existing file have the first file, and frames after the last existing file have the last one."""
     files = staging.find_sequence(text, *path)
     if files is None:
         return None
