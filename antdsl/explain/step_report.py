@@ -18,6 +18,7 @@ from antdsl.explain.tracing import AgentTrace
 from antdsl.explain.value_text import locate_span, to_float_triple
 from antdsl.plan.lowering.source_map import make_resting_site
 from antdsl.program.model import Handler, Species
+from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.world import AXES, Population, World
 
 MAX_NEIGHBOUR_POSITIONS = 256  # maximum per set
@@ -123,16 +124,16 @@ def _build_explanation(replay: Replay, frame: int, world: World, population: Pop
 def _list_scene_notes(replay: Replay, world: World, population: Population, row: int) -> tuple[str, ...]:
     """Return a sentence for each note of the scene that directs the agent in a row in this step."""
     scene = replay.shot.scene
-    directing = [
-        active
-        for active in (world.notes.active if world.notes is not None else ())
-        if row in active.rows.get(population.name, ())
-    ]
-    spans = [(active, locate_span(scene.span("notes", scene.model.notes.index(active.note)))) for active in directing]
-    return tuple(
-        f"the scene directs it by {where.text} in {Path(where.file).name}:{where.line}, with weight {active.weight:.3g}"
-        for active, where in spans
-    )
+    lines = []
+    for active in world.notes.active if world.notes is not None else ():
+        at = np.flatnonzero(active.rows.get(population.name, np.empty(0, np.intp)) == row)
+        if len(at):
+            where = locate_span(scene.span("notes", scene.model.notes.index(active.note)))
+            agents = NoteAgents(world, active, population).select(at)
+            words = f"the scene directs it by {where.text} in {Path(where.file).name}:{where.line}, "
+            later = f", {agents.delays[0]} frames later than the note" if agents.delays[0] else ""
+            lines.append(f"{words}with weight {agents.weight[0]:.3g}{later}")
+    return tuple(lines)
 
 
 def _find_active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:

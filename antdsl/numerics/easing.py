@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+Frames = float | NDArray[np.float64]
+
 
 def apply_smoothstep(share: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `share` [n] limited to 0 .. 1 and mapped by the cubic smoothstep function, with slope 0 at both ends."""
@@ -13,8 +15,9 @@ def apply_smoothstep(share: NDArray[np.float64]) -> NDArray[np.float64]:
     return smooth
 
 
-def compute_ease_weight(first: float, last: float, ease_frames: int, frame: int) -> float:
-    """Return a weight from 0 to 1 for a frame. It is 1 from `first` to `last`, and rises and falls smoothly in the `ease_frames`
-    frames before and after."""
-    distance = max(first - frame, frame - last, 0)
-    return float(apply_smoothstep(np.array(1.0 - distance / (ease_frames + 1))))
+def compute_ease_weight(first: Frames, last: Frames, ease_frames: int, frame: int) -> NDArray[np.float64]:
+    """Return 1 in the frames from `first` to `last`, rising and falling smoothly in the `ease_frames` frames around them.
+
+    `first` and `last` can be arrays (n,): then the result is one too."""
+    distance = np.maximum(np.maximum(np.subtract(first, frame), np.subtract(frame, last)), 0)
+    return apply_smoothstep(np.asarray(1.0 - distance / (ease_frames + 1)))

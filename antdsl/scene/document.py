@@ -12,7 +12,7 @@ from typing import Any
 
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Label, Report
-from antdsl.scene.cut_calls import find_closing_parenthesis, suggest_mapping
+from antdsl.scene.flow_mistakes import explain_lone_key, find_closing_parenthesis, suggest_mapping
 from antdsl.scene.indentation import explain_indentation, explain_missing_colon
 from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import find_comma_number, make_comma_diagnostic
@@ -84,6 +84,8 @@ class _DocumentError(Exception):
 # Invisible characters and characters that look like a blank. YAML reads them as letters. Joiners belong to the spelling of words.
 _ODD_BLANK_PATTERN = re.compile("[\u00a0\u00ad\u1680\u180e\u2000-\u200b\u200e\u200f\u202f\u205f-\u2064\u3000]")
 _QUOTED_TEXT_PATTERN = re.compile(r"""'[^'\n]*'|"(?:\\.|[^"\\\n])*"|(?:^|(?<=\s))#[^\n]*""", re.MULTILINE)
+_CALL_PATTERN = re.compile(r"[A-Za-z_]\w*\([^()\n]*\)", re.ASCII)
+_MAX_LINE = 500  # characters around an error that are read for its message
 _FORBIDDEN_CHARACTERS = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
@@ -222,14 +224,25 @@ class _DocumentReader:
         elif "%" in text[start : start + 1]:
             words, help = "directives are not supported", "begin with `antdsl: 1`"
         elif "mapping values are not allowed" in words:
-            words, help = "a second `:` in one line", "put the text in quotes, or start a new line"
+            words, help = "a second `:` in one line", self.find_call_help(start) or "put the text in quotes, or start a new line"
         elif str(getattr(problem, "context", "")).startswith("while parsing a flow"):
             opened = self.find_offset(problem.context_mark)
             closing = "}" if text[opened : opened + 1] == "{" else "]"
             words, help = f"expected `,` or `{closing}`", f"write the missing `{closing}`, or a comma between two values"
+            indexed = re.search(r"([A-Za-z_]\w*)\[([0-9]+)\]?\Z", text[opened : start + 20].partition("]")[0], re.ASCII)
+            if indexed is not None and text[start : start + 1] == "[":
+                help = f"write `{indexed[1]}.{indexed[2]}`"
+            help = self.find_call_help(start) or help
             labels = [Label(Span(self.source, opened, opened + 1), "this is still open")]
         place = Span(self.source, start, min(start + 1, len(text)))
         return self.reject("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
+
+    def find_call_help(self, position: int) -> str | None:
+        """Return what to write instead of the call around a position, such as `all(ant, within: 9 mm)`; None without one."""
+        line = self.source.text[max(0, position - _MAX_LINE) : position + _MAX_LINE]
+        calls = _CALL_PATTERN.finditer(line)
+        at = min(position, _MAX_LINE)
+        return next((suggest_mapping(call[0]) for call in calls if call.start() <= at < call.end()), None)
 
     def explain_problem(self, problem: Any, start: int) -> Diagnostic | None:
         """Return a more precise message for a YAML error in a line, or None. `start`: the offset of the error."""
@@ -321,20 +334,27 @@ class _DocumentReader:
             if text[open_node.start : open_node.start + 1] == "[":
                 self.report_cut_call(open_node)
             return SequenceNode(tuple(open_node.items), span)
-        if text[open_node.start : open_node.start + 1] == "{":
+        is_flow = text[open_node.start : open_node.start + 1] == "{"
+        if is_flow:
             self.report_cut_call(open_node)
         entries: dict[str, DocumentNode] = {}
         keys: dict[str, Span] = {}
         folded: dict[str, str] = {}
-        for key, value in zip(open_node.items[::2], open_node.items[1::2], strict=True):
+        for number, (key, value) in enumerate(zip(open_node.items[::2], open_node.items[1::2], strict=True)):
             if not isinstance(key, ScalarNode) or not key.text:
                 self.report.error("wrong-value", "a key must be one word", key.span, "write `key: value`")
                 continue
             if isinstance(value, ScalarNode) and not value.text and not value.is_quoted:  # `{radius: 0,4 m}`
-                number = find_comma_number(self.source, key.span.start - 1)
-                if number is not None:
-                    self.report.add(make_comma_diagnostic(number))
+                comma_number = find_comma_number(self.source, key.span.start - 1)
+                if comma_number is not None:
+                    self.report.add(make_comma_diagnostic(comma_number))
                     continue
+                if is_flow and not key.is_quoted and not text[key.span.end : value.span.start + 1].lstrip().startswith(":"):
+                    previous = open_node.items[2 * number - 1] if number else None
+                    entry = (list(entries)[-1], previous.text) if isinstance(previous, ScalarNode) and entries else None
+                    message, help = explain_lone_key(key.text, entry)
+                    self.report.error("scene-syntax", message, key.span, help)
+                    raise _DocumentError
             if key.text == "<<":
                 self.report.error("yaml-alias", "merges are not supported", key.span, "repeat the values where they are needed")
                 continue

@@ -202,7 +202,7 @@ def report_model_error(
         owner_text = f"`{walked[-1]}`" if walked and isinstance(walked[-1], str) else "the scene" if not walked else "this line"
         if not walked:
             span = Span(span.source, span.start, min(span.start + 1, span.end))
-        value = _EXAMPLE_VALUES.get(path[-1], "…")
+        value = "[0, 0, 0]" if path[-2:-1] == ("box-region",) else _EXAMPLE_VALUES.get(path[-1], "…")
         report.error("missing-key", f"{owner_text} has no `{path[-1]}`", span, f"add `{path[-1]}: {value}`")
         return
     bad_key = bool(path) and path[-1] == "[key]"
@@ -281,8 +281,10 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     from antdsl.scene.camera_models import CAMERA_MODEL_BY_TYPE_TAG, CameraKey
     from antdsl.scene.crowds.casting_model import RANDOM_VALUE_MODELS
     from antdsl.scene.crowds.crowd_model import LayerChoice
+    from antdsl.scene.notes.note_regions import Band, View
     from antdsl.scene.notes.notes_model import NOTE_MODELS, make_note_tag
     from antdsl.scene.notes.selectors import AgentConditions, Ball, Box
+    from antdsl.scene.notes.stagger import Stagger
 
     # the last word of the path identifies the model that raised the error; tags of the schema are among the words
     models: dict[str, type[ScenePart]] = {
@@ -294,6 +296,9 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
         "mapping-selector": AgentConditions,
         "box-region": Box,
         "ball-region": Ball,
+        "band-region": Band,
+        "view-region": View,
+        "stagger": Stagger,
         **{f"{key}-draw": each for key, each in RANDOM_VALUE_MODELS.items()},
         "fields": scene_model.FieldStart,
         **{make_note_tag(verb): model for verb, model in NOTE_MODELS.items()},

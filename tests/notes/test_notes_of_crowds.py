@@ -107,7 +107,7 @@ def test_the_crowd_parts_for_an_item(tmp_path: Path) -> None:
 
 
 def test_agents_start_when_they_are_released(tmp_path: Path) -> None:
-    track = follow(open_directed(tmp_path, "{release: guards, frame: 20, spread: 10, ease: 4}"), 50)
+    track = follow(open_directed(tmp_path, "{release: guards, frame: 20, stagger: {random: 10}, ease: 4}"), 50)
     moving = track.speeds() > 1e-6
     first = np.array(track.frames[1:])[moving.argmax(axis=0)]
     assert first.min() == 20 and first.max() == 30 and len(set(first.tolist())) > 5

@@ -13,9 +13,11 @@ import pytest
 from edit_scenes import fail, run
 
 from antdsl.outputs.cache.cache_reader import open_cache
+from antdsl.outputs.edits.edit_lines import read_edits
 from antdsl.outputs.edits.edited_cache import open_edited_cache
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, FrameRows
 from antdsl.outputs.edits.side_effects import measure_segment_distances
+from antdsl.outputs.edits.verb_table import VERB_BY_WORD
 
 KILLS = "edits:\n- {kill: guards}  # they distract\n- {kill: bug, share: 50 %, seed: 4}\n"
 
@@ -103,9 +105,31 @@ def strip_texts(png: bytes) -> bytes:
     return png[start : png.index(b"IEND")]
 
 
+CALLS = {  # mistakes in a line, and what to write instead
+    "{VERB: all(bug, within: 9 mm)}": "`{of: bug, near: [0, 0, 0], within: 9 mm}`",
+    "{VERB: [all(bug, within: 9 mm, most: 2), guards]}": "`{of: bug, near: [0, 0, 0], within: 9 mm, most: 2}`",
+    "{VERB: {of: nearest(bug, within: 9 mm)}}": "`{of: bug, near: [0, 0, 0], within: 9 mm, most: 1}`",
+    "VERB: all(bug, within: 9 mm)": "`{of: bug, near: [0, 0, 0], within: 9 mm}`",
+    "{VERB: 'all(bug, within: 9 mm)'}": "`{of: bug, near: [0, 0, 0], within: 9 mm}`",
+    '{VERB: "all(bug)"}': "write `bug`",
+    "{VERB: \"'bug'\"}": "`guards.17`",
+    '{VERB: all(bug, with: "load > 0")}': "put it in quotes",
+    "{VERB: all(bug, within: '9 mm')}": "`{of: bug, near: [0, 0, 0], within: '9 mm'}`",
+    "{VERB:bug}": "write `VERB: bug`",
+    "{VERB:bug, frames: 1..2}": "write `VERB: bug`",
+    "{VERB: bug, frames:1..2}": "write `frames: 1..2`",
+    "{VERB bug, frames: 1..2}": "write `VERB: bug`",
+    "{VERB: bug.1, bug.2}": "`VERB: [bug.1, bug.2]`",
+    "{VERB: bug[2]}": "write `bug.2`",
+    "VERB:bug": "write `VERB: bug`",
+}
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("edits:\n  - kill:bug", "write `kill: bug`"),
+        ("edits:\n  - kill bug", "write `kill: bug`"),
         ("edits: [{kil: bug}]", "did you mean `kill`"),
         ("edits: [{share: 3 %, kill: bug}]", "write `kill` first"),
         ("edits: [{kill: bugs}]", "did you mean `bug`"),
@@ -137,6 +161,17 @@ def test_mistakes_are_reported_at_their_place_and_change_nothing(cache: Path, te
     (cache.parent / "link").symlink_to(cache)
     assert words in fail("edit", cache, "--edits", cache.parent / "edits.yaml")
     assert (cache / "manifest.json").read_bytes() == manifest
+
+
+@pytest.mark.parametrize("form", sorted(CALLS))
+def test_calls_and_missing_spaces_are_reported_for_each_verb(cache: Path, form: str) -> None:
+    manifest = open_cache(cache).manifest
+    for verb in VERB_BY_WORD:
+        if verb != "merge":  # its value is a folder
+            edits, report = read_edits(f"edits:\n  - {form.replace('VERB', verb)}\n".encode(), "edits.yaml", manifest)
+            first = report.errors[0]
+            assert edits is None and first.span is not None and "\n" in first.span.source.text[: first.span.start]
+            assert CALLS[form].replace("VERB", verb) in " ".join(each.help or "" for each in report.errors), (verb, report.errors)
 
 
 def test_flags_that_contradict_are_usage_errors(cache: Path) -> None:

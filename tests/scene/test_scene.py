@@ -115,7 +115,7 @@ output: {attributes: [P, id], checkpoint: 10}
         (b"antdsl: 1\nseed: " + b"9" * 5000 + b"\n", "wrong-value"),
         (b"antdsl: 1\nfps: 1e400\n", "wrong-value"),
         (b"antdsl: 1\nfps: 24/0\n", "wrong-value"),
-        (b"antdsl: 1\nset: {a.b: {x.__class__}}\n", "wrong-value"),
+        (b"antdsl: 1\nset: {a.b: {x.__class__}}\n", "scene-syntax"),
     ],
 )
 def test_hostile_text_is_refused_at_its_place_and_at_once(bad: bytes, code: str) -> None:

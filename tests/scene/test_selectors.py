@@ -124,7 +124,7 @@ def test_keys_of_a_line_narrow_its_agents() -> None:
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ("all(ant", "write a mapping: `{of: ant"),
+        ("all(ant, most: 2)", "write a mapping: `{of: ant"),
         ("guards.", "names no agents"),
         ("guards.-1", "names no agents"),
         ("guards.9..3", "write `guards.3..9`"),

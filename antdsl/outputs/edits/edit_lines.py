@@ -16,12 +16,14 @@ from antdsl.scene.document import (
     DocumentNode,
     MappingNode,
     PathKey,
+    ScalarNode,
     SequenceNode,
     decode_source,
     find_span,
     read_document,
     to_plain_tree,
 )
+from antdsl.scene.flow_mistakes import explain_joined_entry
 from antdsl.scene.load import drop_consequent_errors, report_model_error
 from antdsl.scene.notes.selectors import find_problems, find_unknown_name
 from antdsl.source import Source, Span
@@ -90,7 +92,9 @@ def _read_line(report: Report, document: MappingNode, number: int, node: Documen
 
     known = ", ".join(f"`{word}`" for word in VERB_BY_WORD)
     if not isinstance(node, MappingNode) or not node.entries:
-        report.error("wrong-value", "expected an edit here", node.span, "write a line such as `{kill: ant, share: 30 %}`")
+        joined = explain_joined_entry(node.text) if isinstance(node, ScalarNode) else None
+        message, help = joined or ("expected an edit here", "write a line such as `{kill: ant, share: 30 %}`")
+        report.error("wrong-value", message, node.span, help)
         return
     verb = next(iter(node.entries))
     if verb not in VERB_BY_WORD:

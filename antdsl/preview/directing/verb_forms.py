@@ -19,6 +19,7 @@ from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
 from antdsl.scene.notes.note_values import FrameCount, FrameNumber, Share, SpeedShare
 from antdsl.scene.notes.notes_model import NOTE_MODELS, LookTargets
 from antdsl.scene.notes.selectors import AgentConditions, NearTarget, Region, SelectorKeys
+from antdsl.scene.notes.stagger import StaggerValue
 from antdsl.scene.values import (
     Angle,
     FrameRangeValue,
@@ -70,7 +71,7 @@ _TEXT = KeyKind("text")  # of keys without a kind: pages show a plain field
 _CLIP = KeyKind("clip", "", "walk", "a clip of the body")
 _STATE = KeyKind("state", "", "rest", "a state of the program")
 _MAP = KeyKind("map", "", "damp", "a painted map of the world")
-_THING = KeyKind("thing", "", "foot", "a mesh, an item, items or agents")
+_THING = KeyKind("thing", "", "foot", "a mesh, an item, items, a camera or agents")
 _CAMERA = KeyKind("camera", "", "shot", "a camera of the scene")
 _LOOKS = KeyKind(
     "looks", "", "{head: leaf}", "a part of the body, and a point, item, agent, camera, mesh or `{direction: [0, 1, 0]}`"
@@ -87,6 +88,7 @@ _KINDS: tuple[tuple[Any, KeyKind], ...] = (
     (Region, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box or a ball")),
     (CurveOrPoints, KeyKind("path", "", "[[0, 0, 0], [50, 0, 0]]", "a curve of the world, or points")),
     (LookTargets, _LOOKS),
+    (StaggerValue, KeyKind("stagger", "", "{from: [0, 0, 0], speed: 40 mm/s}", "how much later the frames of each agent are")),
     (SceneWord, _STATE),
     (PointValue, KeyKind("displacement", "", "[40 mm, 0, 0]", "a displacement along the scene's axes")),
     (PointOrName, KeyKind("place", "", "[0, 0, 0]", "a point or an item")),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,17 +15,18 @@ if TYPE_CHECKING:
     from antdsl.scene.notes.notes_model import Note
 
 Rows = NDArray[np.intp]
+Delays = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActiveNote:
-    """A note in one step. `key`: identifies it in the memory. `weight`: its share from 0 to 1, below 1 where it begins and ends.
-    `rows`: its living agents, by species; species without any are left out."""
+    """A note in one step. `key`: identifies it in the memory. `rows`: the living agents for which it holds, by species; species
+    without any are left out. `delays`: by species, how many frames later it is for each of them."""
 
     note: Note
     key: str
-    weight: float
     rows: dict[str, Rows]
+    delays: dict[str, Delays]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +42,23 @@ class NoteAgents:
         return self.active.rows[self.population.name]
 
     @property
-    def weight(self) -> float:
-        return self.active.weight
+    def delays(self) -> Delays:
+        return self.active.delays[self.population.name]
+
+    @property
+    def weight(self) -> NDArray[np.float64]:
+        """The share (k,) of the note from 0 to 1: below 1 where it begins and ends."""
+        return compute_weight(self.active.note, self.delays, self.world.display_frame)
 
     @property
     def ids(self) -> NDArray[np.int64]:
         return self.population.ids[self.rows]
+
+    def select(self, chosen: NDArray[Any]) -> NoteAgents:
+        """Return some of these agents, by their indices or a mask."""
+        name = self.population.name
+        rows, delays = {name: self.rows[chosen]}, {name: self.delays[chosen]}
+        return replace(self, active=replace(self.active, rows=rows, delays=delays))
 
     def read_memory(self, name: str, default: NDArray[Any]) -> NDArray[Any]:
         """Return an array that the note remembers for this species; `default` if there is none."""
@@ -59,6 +71,13 @@ class NoteAgents:
         self.world.notes.memory[f"{self.active.key}.{self.population.name}.{name}"] = array
 
 
-def compute_weight(note: Note, frame: int) -> float:
-    """Return the share of a note in a frame: 1 in its frames, rising and falling smoothly in the frames of its ease."""
-    return compute_ease_weight(note.first_frame, note.last_frame, note.ease_frames, frame)
+def compute_weight(note: Note, delays: Delays, frame: int) -> NDArray[np.float64]:
+    """Return the share of a note in a frame for agents with delays (k,): 1 in its frames, rising and falling smoothly in the
+    frames of its ease."""
+    return compute_ease_weight(np.float64(note.first_frame) + delays, find_last_frames(note, delays), note.ease_frames, frame)
+
+
+def find_last_frames(note: Note, delays: Delays) -> NDArray[np.float64]:
+    """Return the last frame in which a note holds completely, for agents with delays (k,)."""
+    ends_later = note.delay_rule is None or note.delay_rule.ends == "later"
+    return np.float64(note.last_frame) + delays * np.float64(ends_later)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.numerics.vector_rows import length
-from antdsl.runtime.notes.active_notes import NoteAgents
+from antdsl.runtime.notes.active_notes import NoteAgents, find_last_frames
 from antdsl.runtime.notes.targets import find_target
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.casting_model import FacingDirection
@@ -24,19 +24,18 @@ _FAR_MM = 1e6  # mm, at which agents look that look in a direction
 
 
 def change_states(agents: NoteAgents) -> None:
-    """Raise the event of a `change` in its frame."""
+    """Raise the event of a `change`, whose only frame is this one."""
     note, population = agents.active.note, agents.population
     assert isinstance(note, ChangeNote)
-    if agents.world.display_frame == note.frame:
-        for machine in population.plan.machines:
-            _raise_event(agents, machine.name, split_state_name(note.to, machine.name))
+    for machine in population.plan.machines:
+        _raise_event(agents, machine.name, split_state_name(note.to, machine.name))
 
 
 def show_displays(agents: NoteAgents) -> None:
     """Raise the events of the clip and the looks of a note, and set the points that its agents look at."""
-    note, population, rows = agents.active.note, agents.population, agents.rows
-    if agents.world.display_frame > note.last_frame:
-        return  # they fade out
+    note = agents.active.note
+    agents = agents.select(agents.world.display_frame <= find_last_frames(note, agents.delays))  # others fade out
+    population, rows = agents.population, agents.rows
     if note.played_clip:
         _raise_event(agents, PLAY_MACHINE, note.played_clip)
     for group, target in note.looks.items():

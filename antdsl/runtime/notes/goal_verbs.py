@@ -38,34 +38,42 @@ def lead_to_target(agents: NoteAgents, register: str, is_final: bool) -> None:
     """Lead agents of a `reach` to their target."""
     note = agents.active.note
     assert isinstance(note, ReachNote)
-    _wish_journey(agents, find_journey(agents, find_goal(agents.world, note.target), note.frame), register, is_final)
+    journey = find_journey(agents, find_goal(agents.world, note.target), note.frame + agents.delays)
+    _wish_journey(agents, journey, register, is_final)
 
 
 def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:
     """Lead agents of a `path` to its beginning, then along it."""
     note, world = agents.active.note, agents.world
     assert isinstance(note, PathNote)
-    now, then = (find_path_points(world, note, agents.ids, frame) for frame in (world.frame, world.display_frame))
-    if world.display_frame <= note.frames.first:
-        _wish_journey(agents, find_journey(agents, OwnPoints(then), note.frames.first), register, is_final)
-        return
+    count = len(agents.rows)
+    now, then = (
+        np.broadcast_to(find_path_points(world, note, agents.ids, frame, agents.delays), (count, 3))
+        for frame in (world.frame, world.display_frame)
+    )
+    begins = note.frames.first + agents.delays
+    early, late = (np.flatnonzero(mask) for mask in (world.display_frame <= begins, world.display_frame > begins))
+    if len(early):
+        waiting = agents.select(early)
+        _wish_journey(waiting, find_journey(waiting, OwnPoints(then[early]), begins[early]), register, is_final)
+    agents, now, then = agents.select(late), now[late], then[late]
     position, rows = agents.population.position[agents.rows], agents.rows
     velocity = (then - now) / world.dt + (now - position) * (1.0 / _CATCH_UP_SECONDS)
     speed = length(velocity)
     most = read_max_speeds(agents.population, rows)
     velocity = lay_on_ground(agents.population, rows, velocity) * np.minimum(speed, most)[:, None]
-    share = np.full(len(rows), agents.weight)
+    share = agents.weight
     _wish_journey(agents, Journey(velocity, share, share * _compute_urgency(speed, most)), register, is_final)
 
 
-def find_journey(agents: NoteAgents, target: TargetPoints | NearestOnMesh | OwnPoints, frame: int) -> Journey:
-    """Return the journey of agents that are to be at a target in a frame.
+def find_journey(agents: NoteAgents, target: TargetPoints | NearestOnMesh | OwnPoints, frames: NDArray[np.int64]) -> Journey:
+    """Return the journey of agents that are to be at a target in their frames (k,).
 
     Each leaves as late as it can without haste, and keeps away from the target before."""
     world, p, rows = agents.world, agents.population, agents.rows
     offset, distance = target.find_nearest(p.position[rows])
     direction, most = lay_on_ground(p, rows, offset), read_max_speeds(p, rows)
-    seconds = max(frame - world.frame, 1) * world.dt
+    seconds = np.maximum(frames - world.frame, 1) * world.dt
     heading = np.stack([p.now[f"heading.{axis}"][rows] for axis in "xyz"], axis=1).astype(np.float64)
     turn = compute_turn_seconds(heading, direction, p.now["max_turn"][rows].astype(np.float64))
     needs = np.where(distance > 0, distance / np.maximum(most * _CRUISE_SHARE, 1e-9), 0.0) + turn

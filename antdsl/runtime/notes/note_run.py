@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.easing import compute_ease
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
 from antdsl.runtime.moving.correction_walks import CorrectionWalker
@@ -20,6 +21,7 @@ from antdsl.runtime.notes.absences import remove_absent
 from antdsl.runtime.notes.active_notes import ActiveNote, NoteAgents, Rows, compute_weight
 from antdsl.runtime.notes.display_verbs import end_displays
 from antdsl.runtime.notes.outlines import Outline
+from antdsl.runtime.notes.stagger import find_delays, find_greatest_delay
 from antdsl.runtime.notes.target_findings import MissedTarget, find_missed_target
 from antdsl.runtime.notes.verbs import VERBS, VerbFunctions
 from antdsl.runtime.notes.wishes import FINAL_WISH, has_state_wish
@@ -72,10 +74,9 @@ class NoteRun:
         frame: SelectableFrame | None = None
         self.active.clear()
         for key, note in self.notes.items():
-            weight = compute_weight(note, world.display_frame)
-            if weight and VERBS[note.verb] != VerbFunctions():
+            if VERBS[note.verb] != VerbFunctions() and self._may_hold(world, key, note):
                 frame = frame or collect_selectable_frame(world)
-                self.active.append(ActiveNote(note, key, weight, self._find_rows(world, key, note, frame)))
+                self.active.append(self._activate(world, key, note, frame))
         for functions, agents in self._iterate_agents(world):
             if functions.begin is not None:
                 functions.begin(agents)
@@ -129,13 +130,13 @@ class NoteRun:
         for active, cut in cuts:
             assert crowd is not None
             for number, population in enumerate(crowd.species):
-                rows = np.sort(active.rows.get(population.name, np.empty(0, np.intp)))
-                if not len(rows):
+                if population.name not in active.rows:
                     continue
-                arrived, start = population.position, starts[population.name]
-                pushed = ActiveNote(active.note, active.key, active.weight, {population.name: rows})
+                pushed = NoteAgents(world, active, population)
+                pushed = pushed.select(np.argsort(pushed.rows))
+                rows, arrived, start = pushed.rows, population.position, starts[population.name]
                 population.position = start  # steps are measured from there
-                allowed = cut(NoteAgents(world, pushed, population), arrived[rows] - start[rows])
+                allowed = cut(pushed, arrived[rows] - start[rows])
                 population.position = arrived
                 back = allowed - (arrived[rows] - start[rows])
                 at = np.flatnonzero((np.abs(back) > _MIN_CUT_MM).any(axis=1))
@@ -150,6 +151,21 @@ class NoteRun:
         self.missed_targets += [each for each in missed if each is not None]
 
     # --- agents -------------------------------------------------------------------------------------------------------
+
+    def _may_hold(self, world: World, key: str, note: Note) -> bool:
+        """Return whether a note may hold for any agents in this step."""
+        most = find_greatest_delay(world, key, self.memory)
+        return bool(compute_ease(note.first_frame, note.last_frame + most, note.ease_frames, world.display_frame))
+
+    def _activate(self, world: World, key: str, note: Note, frame: SelectableFrame) -> ActiveNote:
+        """Return a note with the agents for which it holds in this step."""
+        rows = self._find_rows(world, key, note, frame)
+        delays = find_delays(world, note, rows, self.memory, key)
+        if note.delay_rule is not None:
+            for name, own in list(rows.items()):
+                chosen = np.flatnonzero(compute_weight(note, delays[name], world.display_frame))
+                rows[name], delays[name] = own[chosen], delays[name][chosen]
+        return ActiveNote(note, key, {name: own for name, own in rows.items() if len(own)}, delays)
 
     def _find_rows(self, world: World, key: str, note: Note, frame: SelectableFrame) -> dict[str, Rows]:
         """Return the living agents of a note, by species. Positions and states are read once, when the note begins."""

@@ -1,4 +1,5 @@
-"""Outlines of things, seen from above: convex polygons of meshes, circles of items and agents, now and in coming frames."""
+"""Outlines of things, seen from above: convex polygons of meshes, circles of items and agents, points of cameras, now and in
+coming frames."""
 
 from __future__ import annotations
 
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vector_rows import find_rows_in_box
 from antdsl.runtime.moving.moving_geometry import compute_vertices
+from antdsl.runtime.notes.targets import find_camera
 from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
+from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
 from antdsl.scene.notes.selection import select_rows
 from antdsl.scene.notes.selectors import AgentName, AnySelector
@@ -29,14 +32,14 @@ class Outline(NamedTuple):
 
 
 def find_outlines(world: World, thing: AnySelector, frame: int) -> list[Outline]:
-    """Return the outlines of a mesh, an item, items or agents at a frame. Those of agents are where their velocity leads them;
-    all others are cached: the frames ahead come later."""
+    """Return the outlines of a mesh, an item, items, a camera or agents at a frame. Those of agents are where their velocity
+    leads them; all others are cached: the frames ahead come later."""
     assert world.notes is not None
     if find_own_agents(world, thing):
         return _predict_agents(world, thing, frame)
     assert isinstance(thing, AgentName)
     name = thing.name
-    cache, key = world.notes.outlines, (name, frame if world.setting.motion else 0)
+    cache, key = world.notes.outlines, (name, frame if is_moving(world, thing) else 0)
     if key not in cache:
         for old in [each for each in cache if each[1] < world.frame]:
             del cache[old]
@@ -45,12 +48,22 @@ def find_outlines(world: World, thing: AnySelector, frame: int) -> list[Outline]
 
 
 def find_own_agents(world: World, thing: AnySelector) -> Mapping[str, NDArray[np.bool_]]:
-    """Return by species which agents a thing is; nothing for meshes and items."""
+    """Return by species which agents a thing is; nothing for meshes, items and cameras."""
     setting, name = world.setting, thing.name if isinstance(thing, AgentName) and thing.first is None else ""
     items = (each for group, members in setting.items.items() for each in (group, *(item.name for item in members)))
-    if name and (name in setting.obstacles or name in setting.surfaces or name in items):
+    if name and (name in setting.obstacles or name in setting.surfaces or name in items or _find_camera(world, thing)):
         return {}
     return select_rows(thing, collect_selectable_frame(world))
+
+
+def is_moving(world: World, thing: AnySelector) -> bool:
+    """Return whether a thing may be elsewhere in other frames."""
+    camera = _find_camera(world, thing)
+    return camera.data.moves if camera is not None else bool(world.setting.motion or find_own_agents(world, thing))
+
+
+def _find_camera(world: World, thing: AnySelector) -> SensedCamera | None:
+    return find_camera(world, thing) if isinstance(thing, AgentName) else None
 
 
 def _predict_agents(world: World, thing: AnySelector, frame: int) -> list[Outline]:
@@ -69,6 +82,9 @@ def _compute_outlines(world: World, name: str, frame: int) -> list[Outline]:
     setting = world.setting
     if name in setting.obstacles or name in setting.surfaces:
         return [Outline(_find_hull(compute_vertices(world, name, frame)[:, axes]), 0.0)]
+    camera = find_camera(world, AgentName(name))
+    if camera is not None:
+        return [Outline(camera.find_position(frame)[None, axes], 0.0)]
     outlines = []
     for group, items in setting.items.items():
         tracks = setting.motion.items.get(group)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from antdsl.numerics.easing import apply_smoothstep
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.runtime.notes.outlines import find_centre, find_outlines, find_own_agents, measure_outlines
+from antdsl.runtime.notes.outlines import find_centre, find_outlines, find_own_agents, is_moving, measure_outlines
 from antdsl.runtime.notes.regions import RegionDistances, cut_inward_steps
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
 from antdsl.runtime.world import World
@@ -38,20 +38,20 @@ def stop_at_outline(agents: NoteAgents, step: Floats) -> Floats:
     outside, outward = measure_outlines(world, outlines, p.position[rows], reach)
     outside = np.where(_find_excluded(agents), np.inf, outside)
     distances = RegionDistances(outside - p.now["radius"][rows], outward)
-    return cut_inward_steps(distances, step, p.normal[rows].astype(np.float64)) if agents.weight == 1.0 else step
+    return cut_inward_steps(agents, distances, step)
 
 
 def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
     """Return how much agents need to make way, from 0 to 1, and the direction (k, 3)."""
     note, world, p, rows = agents.active.note, agents.world, agents.population, agents.rows
     assert isinstance(note, PartNote)
-    distance, moves = note.distance.to_millimetres(world.setting.unit_mm), world.setting.motion
+    distance = note.distance.to_millimetres(world.setting.unit_mm)
     speed = np.maximum(read_max_speeds(p, rows), 1e-6)
     clear = p.now["radius"][rows] + distance * _CLEAR_SHARE
     need, direction = np.zeros(len(rows)), np.zeros((len(rows), 3))
     reach = max(distance, float(clear.max(initial=0.0)))
     centre = find_centre(world, find_outlines(world, note.thing, world.display_frame))
-    for seconds in _AHEAD_SECONDS if moves or find_own_agents(world, note.thing) else _AHEAD_SECONDS[:1]:
+    for seconds in _AHEAD_SECONDS if is_moving(world, note.thing) else _AHEAD_SECONDS[:1]:
         outlines = find_outlines(world, note.thing, world.display_frame + round(seconds / world.dt))
         outside, outward = measure_outlines(world, outlines, p.position[rows], reach)
         outward = _turn_aside(world, outward, find_centre(world, outlines) - centre)

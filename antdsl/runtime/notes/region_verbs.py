@@ -34,8 +34,7 @@ def stop_at_region(agents: NoteAgents, step: Floats) -> Floats:
     distances = measure_note_region(agents)
     assert isinstance(agents.active.note, ForbidNote) and distances is not None
     distances = distances._replace(outside=distances.outside - agents.population.now["radius"][agents.rows])
-    normal = agents.population.normal[agents.rows].astype(np.float64)
-    return cut_inward_steps(distances, step, normal) if agents.weight == 1.0 else step
+    return cut_inward_steps(agents, distances, step)
 
 
 def lead_towards(agents: NoteAgents, register: str, is_final: bool) -> None:

@@ -93,7 +93,7 @@ def compute_region_share(agents: NoteAgents, outside: Floats | None) -> Floats:
     `outside`: the distances from the region; None if the note has none."""
     note, world = agents.active.note, agents.world
     assert isinstance(note, RegionNote)
-    share = np.full(len(agents.rows), agents.weight * note.strength)
+    share = agents.weight * note.strength
     if outside is not None:
         falloff = 0.0 if note.falloff is None else note.falloff.to_millimetres(world.setting.unit_mm)
         share *= apply_smoothstep(1.0 - outside / falloff) if falloff else (outside <= 0)
@@ -112,14 +112,14 @@ def measure_note_region(agents: NoteAgents) -> RegionDistances | None:
     return measure_region(agents.world, note.region, agents)
 
 
-def cut_inward_steps(distances: RegionDistances, step: Floats, normal: Floats) -> Floats:
-    """Return steps (k, 3) mm that end outside a region, or no deeper inside: they slide along its border.
-
-    `normal` (k, 3): of the ground."""
+def cut_inward_steps(agents: NoteAgents, distances: RegionDistances, step: Floats) -> Floats:
+    """Return steps (k, 3) mm of agents that end outside a region, or no deeper inside: they slide along its border. Steps where
+    the note begins or ends stay."""
+    normal = agents.population.normal[agents.rows].astype(np.float64)
     flat = distances.outward_directions - dot(distances.outward_directions, normal)[:, None] * normal
     size = length(flat)
     out = flat / np.where(size > 1e-6, size, np.inf)[:, None]
     reach = np.maximum(distances.outside, 0.0) / np.maximum(size, 1e-6)
-    excess = np.maximum(-dot(step, out) - reach, 0.0)
+    excess = np.where(agents.weight == 1.0, np.maximum(-dot(step, out) - reach, 0.0), 0.0)
     cut: Floats = step + excess[:, None] * out
     return cut

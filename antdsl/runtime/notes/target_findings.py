@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from antdsl.diagnostics import Report
 from antdsl.numerics.vector_rows import length
-from antdsl.runtime.notes.active_notes import NoteAgents
+from antdsl.runtime.notes.active_notes import ActiveNote, NoteAgents
+from antdsl.runtime.notes.stagger import find_delays
 from antdsl.runtime.notes.targets import find_curve, find_goal, find_item_points, find_path_points
 from antdsl.runtime.notes.wishes import Floats, read_max_speeds
 from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
@@ -38,15 +38,18 @@ def find_missed_target(agents: NoteAgents) -> MissedTarget | None:
     Those that are there one step later are in time. On a path, the first and the last frame count."""
     note, world, p = agents.active.note, agents.world, agents.population
     near = read_max_speeds(p, agents.rows) * world.dt
-    if isinstance(note, ReachNote) and world.display_frame == note.frame:
+    frame = world.display_frame - agents.delays
+    if isinstance(note, ReachNote):
+        is_due = frame == note.frame
         _, distance = find_goal(world, note.target).find_nearest(p.position[agents.rows])
-    elif isinstance(note, PathNote) and world.display_frame in (note.frames.first, note.frames.last):
-        points = find_path_points(world, note, agents.ids, world.display_frame)
+    elif isinstance(note, PathNote):
+        is_due = (frame == note.frames.first) | (frame == note.frames.last)
+        points = find_path_points(world, note, agents.ids, world.display_frame, agents.delays)
         distance = length(points - p.position[agents.rows])
         near = near + p.now["size"][agents.rows]  # agents keep apart from others on the same path
     else:
         return None
-    late = np.flatnonzero(distance > near)
+    late = np.flatnonzero(is_due & (distance > near))
     if not len(late):
         return None
     farthest = late[np.lexsort((agents.ids[late], -distance[late]))[0]]
@@ -69,29 +72,32 @@ def find_far_targets(scene: Scene, world: World) -> Report:
     for number, note in enumerate(world.setting.notes):
         if not isinstance(note, ReachNote | PathNote) or note.off == "yes":
             continue
-        for name, mask in select_rows(note.selector, frame).items():
-            p, rows = world.populations[name], np.flatnonzero(mask)
-            for goal in _find_goals(world, note, p.position[rows], p.ids[rows]) if len(rows) else ():
+        rows_by_species = {name: np.flatnonzero(mask) for name, mask in select_rows(note.selector, frame).items() if mask.any()}
+        active = ActiveNote(note, "", rows_by_species, find_delays(world, note, rows_by_species, {}))
+        for name, rows in rows_by_species.items():
+            p = world.populations[name]
+            for goal in _find_goals(NoteAgents(world, active, p)):
                 most = read_max_speeds(p, rows) * goal.seconds
                 worst = int((goal.distance - most).argmax())
                 missing = goal.distance[worst] - most[worst]
                 if missing > 0:
                     text = f"`{name}.{p.ids[rows[worst]]}` cannot {goal.words} in time: it walks {most[worst]:.0f} mm at most in "
-                    text += f"{goal.seconds:.3g} s, and {missing:.1f} mm are missing"
+                    text += f"{goal.seconds[worst]:.3g} s, and {missing:.1f} mm are missing"
                     report.warning("far-target", text, scene.span("notes", number), _HELP)
     return report
 
 
 class _Goal(NamedTuple):
-    """What a note requires: each agent walks a `distance` (n,) mm in `seconds`. `words`: what that is."""
+    """What a note requires: each agent walks a `distance` (n,) mm in `seconds` (n,). `words`: what that is."""
 
     distance: Floats
-    seconds: float
+    seconds: Floats
     words: str
 
 
-def _find_goals(world: World, note: ReachNote | PathNote, position: Floats, ids: NDArray[np.int64]) -> list[_Goal]:
-    """Return what a note requires of agents with these ids at their positions (n, 3). Targets that move are left out."""
+def _find_goals(agents: NoteAgents) -> list[_Goal]:
+    """Return what a `reach` or `path` requires of its agents. Targets that move are left out."""
+    note, world, position = agents.active.note, agents.world, agents.population.position[agents.rows]
     moves = world.setting.motion
     if isinstance(note, ReachNote):
         named = note.target.name if isinstance(note.target, AgentName) else ""
@@ -99,10 +105,12 @@ def _find_goals(world: World, note: ReachNote | PathNote, position: Floats, ids:
         if named and (moving or not len(find_item_points(world, named).points)):
             return []
         distance = find_goal(world, note.target).find_nearest(position)[1]
-        return [_Goal(distance, max(note.frame - world.frame, 0) * world.dt, "reach the target")]
+        return [_Goal(distance, np.maximum(note.frame + agents.delays - world.frame, 0) * world.dt, "reach the target")]
+    assert isinstance(note, PathNote)
     curve, (first, last) = find_curve(world, note.along), note.frames
-    to_start = length(position - find_path_points(world, note, ids, first))
+    begins = first + agents.delays
+    to_start = length(position - find_path_points(world, note, agents.ids, first, np.zeros_like(begins)))
     return [
-        _Goal(to_start, max(first - world.frame, 0) * world.dt, "be at the beginning of the path"),
-        _Goal(np.full(len(position), curve.length), (last - first) * world.dt, "walk along the path"),
+        _Goal(to_start, np.maximum(begins - world.frame, 0) * world.dt, "be at the beginning of the path"),
+        _Goal(np.full(len(position), curve.length), np.full(len(position), (last - first) * world.dt), "walk along the path"),
     ]

@@ -135,13 +135,17 @@ class Centres(NamedTuple):
 
 
 def find_centres(world: World, around: Any) -> Centres:
-    """Return the centres of a ball: of a point, an item or items, or agents that a selector names at the start of the step."""
+    """Return the centres of a ball: of a point, an item or items, a camera, or agents that a selector names at the start of the
+    step."""
     if isinstance(around, tuple) and not isinstance(around, AgentName) and isinstance(around[0], Quantity):
         return Centres(np.array([convert_point(around, world.setting.unit_mm)], np.float64) - world.origin, {})
     if isinstance(around, AgentName) and around.first is None:
         items = find_item_points(world, around.name).points
         if len(items):
             return Centres(items, {})
+        camera = find_camera(world, around)
+        if camera is not None:
+            return Centres(camera.find_position(world.display_frame)[None], {})
     masks = select_rows(around, collect_selectable_frame(world))
     parts = [world.populations[name].position[mask] for name, mask in masks.items()]
     return Centres(np.concatenate([np.empty((0, 3)), *parts]), masks)
@@ -165,14 +169,15 @@ class OwnPoints(NamedTuple):
         return offset, length(offset)
 
 
-def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame: int) -> Floats:
-    """Return where the agents of a `path` are to be in a frame, on the ground: (n, 3), or (1, 3) for all at one point.
+def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame: int, delays: NDArray[np.int64]) -> Floats:
+    """Return where the agents of a `path` with `delays` (n,) are to be in a frame, on the ground: (n, 3), or (1, 3) for all at
+    one point.
 
     Agents that are `apart` follow each other in the order of their ids. Before the curve begins, their places are on its straight
     continuation."""
     curve, (first, last) = find_curve(world, note.along), note.frames
-    share = min(max((frame - first) / max(last - first, 1), 0.0), 1.0)
-    distance = np.full(1, share * curve.length)
+    own_frames = np.full(1, frame) if note.delay_rule is None else frame - delays
+    distance = np.clip((own_frames - first) / max(last - first, 1), 0.0, 1.0) * curve.length
     if note.spacing is not None:
         distance = distance - np.argsort(np.argsort(ids)) * note.spacing.to_millimetres(world.setting.unit_mm)
     last_segment = max(len(curve.samples) - 2, 0)

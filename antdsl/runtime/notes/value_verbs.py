@@ -13,17 +13,17 @@ def set_attributes(agents: NoteAgents) -> None:
     """Set the attributes that a `set` note lists to its values, after the layers of the program have set theirs."""
     note, p, rows, setting = agents.active.note, agents.population, agents.rows, agents.world.setting
     assert isinstance(note, SetNote)
-    weight, previous = agents.weight, compute_weight(note, agents.world.display_frame - 1)
-    growth = max(weight - previous, 0.0) / max(1.0 - previous, 1e-9)  # of what is left to the value
+    weight, previous = agents.weight, compute_weight(note, agents.delays, agents.world.display_frame - 1)
+    growth = np.maximum(weight - previous, 0.0) / np.maximum(1.0 - previous, 1e-9)  # of what is left to the value
     for name, value in note.to.items():
         if name not in p.now:
             continue  # another species of the selection has it
         register = p.now[name]
         if p.plan.registers[name].kind is ValueKind.BOOL:
-            register[rows] = bool(value) if weight == 1.0 else register[rows]
+            register[rows[weight == 1.0]] = bool(value)
             continue
         goal = np.float32(value if isinstance(value, bool) else value.to_base_units(setting.unit_mm, setting.dt))
         own = register[rows]
         # the program may set the value in each step, or it may have stayed as the last step left it
-        share = np.where(own != p.start[name][rows], np.float32(weight), np.float32(1.0 if weight == 1.0 else growth))
-        register[rows] = own + (goal - own) * share if weight < 1.0 else goal
+        share = np.where((own != p.start[name][rows]) | (weight == 1.0), weight, growth).astype(np.float32)
+        register[rows] = np.where(weight < 1.0, own + (goal - own) * share, goal)

@@ -80,8 +80,7 @@ class _NoteCheck:
                 problems += self._find_target_problems(target, (*self.path, *path))
         problems += self._find_region_problems()
         if isinstance(note, PartNote):
-            things, words = self._list_things(*MESH_GROUPS) | self.names.items, "no mesh, item, crowd line or species is named"
-            problems += find_problems(note.thing, self.names, *self.path, "for", others=things, what=words)
+            problems += self._find_thing_problems(note.thing, "for")
         for problem in problems:
             self.report.error("unknown-thing", problem.message, self.scene.span(*problem.path), problem.help)
         self._check_things()
@@ -93,22 +92,28 @@ class _NoteCheck:
 
     def _find_target_problems(self, target: AgentName, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
         others, what = self.names.items | self.names.cameras, "no crowd line, species, item or camera is named"
-        if not isinstance(self.note, ReachNote):
+        if not isinstance(self.note, ReachNote) or "stagger" in path:
             others, what = others | self._list_things(*MESH_GROUPS), "no crowd line, species, item, camera or mesh is named"
         return find_name_problems(target, self.names, path, others, what)
 
     def _find_region_problems(self) -> Iterator[SelectorProblem]:
         region = self.note.region if isinstance(self.note, RegionNote) else None
         around = region.around if isinstance(region, NoteBall) else None
-        path = (*self.path, "in", "around")
         if around is not None and not (isinstance(around, tuple) and isinstance(around[0], Quantity)):
-            things, words = self._list_things(*MESH_GROUPS) | self.names.items, "no mesh, item, crowd line or species is named"
-            yield from find_problems(around, self.names, *path, others=things, what=words)
+            yield from self._find_thing_problems(around, "in", "around")
+
+    def _find_thing_problems(self, thing: AnySelector, *path: PathKey) -> Iterator[SelectorProblem]:
+        """Yield the names of a thing of the world, or of agents, that do not exist."""
+        things = self._list_things(*MESH_GROUPS) | self.names.items | self.names.cameras
+        words = "no mesh, item, camera, crowd line or species is named"
+        return find_problems(thing, self.names, *self.path, *path, others=things, what=words)
 
     def _iterate_targets(self) -> Iterator[tuple[tuple[PathKey, ...], Target]]:
         note = self.note
         if isinstance(note, ReachNote | AttractNote | RepelNote):
             yield (type(note).model_fields["target"].alias or "target",), note.target
+        if note.delay_rule is not None and note.delay_rule.origin is not None:
+            yield ("stagger", "from"), note.delay_rule.origin
         for group, target in note.looks.items():
             yield ("at" if note.verb == "look" else "look_at", group), target
 

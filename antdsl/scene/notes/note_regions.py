@@ -9,17 +9,25 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from antdsl import limits
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
 from antdsl.scene.notes.selectors import Box, Selector, require_region
-from antdsl.scene.values import PointValue, PositiveLength, SceneName, ScenePart
+from antdsl.scene.values import PointValue, PositiveLength, SceneName, ScenePart, describe_value, make_error
 
 
 def _find_curve_tag(value: Any) -> str:
     return "points" if isinstance(value, list) else "curve-name"
 
 
+def _require_curve(value: Any) -> Any:
+    """Return a value unchanged. Raises an error that pydantic reports for a list without points."""
+    if isinstance(value, dict) or (isinstance(value, list) and not all(isinstance(each, list) for each in value)):
+        raise make_error(f"{describe_value(value)} is not a curve", "write its name, or points: `[[0, 0, 0], [50, 0, 0]]`")
+    return value
+
+
 CurveOrPoints = Annotated[
     Annotated[tuple[PointValue, ...], Field(min_length=2, max_length=limits.MAX_NOTE_POINTS), Tag("points")]
     | Annotated[SceneName, Tag("curve-name")],
     Discriminator(_find_curve_tag),
+    BeforeValidator(_require_curve),
 ]
 
 
@@ -35,7 +43,8 @@ _Centre = Annotated[
 
 
 class NoteBall(ScenePart):
-    """All points within `radius` of a point, an item, the nearest of some items, a mesh, or of agents, which it follows."""
+    """All points within `radius` of a point, an item, the nearest of some items, a camera, a mesh, or of agents,
+    which it follows."""
 
     around: _Centre
     radius: PositiveLength
@@ -54,10 +63,12 @@ class View(ScenePart):
     in_view: SceneName
 
 
+_REGION_KINDS = {"along": "band", "width": "band", "around": "ball", "radius": "ball", "in_view": "view"}  # by key
+
+
 def _find_region_tag(value: Any) -> str:
     keys = value if isinstance(value, dict) else ()
-    tags = {"along": "band-region", "around": "ball-region", "in_view": "view-region"}
-    return next((tag for key, tag in tags.items() if key in keys), "box-region")
+    return next((f"{kind}-region" for key, kind in _REGION_KINDS.items() if key in keys), "box-region")
 
 
 NoteRegion = Annotated[

@@ -6,13 +6,14 @@ contacts and obstacles."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import inf
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.crowds.casting_model import FacingDirection
+from antdsl.scene.flow_mistakes import explain_joined_entry
 from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
 from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, SpeedShare
 from antdsl.scene.notes.note_values import FrameCount as FrameCount
@@ -20,6 +21,7 @@ from antdsl.scene.notes.note_values import FrameNumber as FrameNumber
 from antdsl.scene.notes.note_values import Share as Share
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
 from antdsl.scene.notes.selectors import AgentName, AnySelector, NearTarget, Selector, SelectorKeys, combine_selector
+from antdsl.scene.notes.stagger import Stagger, StaggerValue
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     FrameRangeValue,
@@ -28,6 +30,7 @@ from antdsl.scene.values import (
     SceneName,
     ScenePart,
     SceneWord,
+    describe_value,
     make_error,
     parse_any_quantity,
     parse_one_of,
@@ -82,6 +85,11 @@ class Note(ScenePart):
         return {}
 
     @property
+    def delay_rule(self) -> Stagger | None:
+        """Return how much later the note is for each agent; None for equal frames."""
+        return None
+
+    @property
     def first_frame(self) -> float:
         """Return the first frame in which the note holds completely. It begins `ease` frames earlier."""
         return -inf
@@ -92,7 +100,23 @@ class Note(ScenePart):
         return inf
 
 
-class EasedNote(Note):
+class StaggeredNote(Note):
+    """A note with frames. `stagger`: they are later for some agents than for others."""
+
+    stagger: StaggerValue | None = None
+
+    @property
+    def delay_rule(self) -> Stagger | None:
+        return self.stagger
+
+    @model_validator(mode="after")
+    def _check_stagger(self) -> StaggeredNote:
+        if self.stagger is None or isfinite(self.first_frame if self.last_frame == inf else self.last_frame):
+            return self
+        raise make_error("`stagger` has no effect without `frames`", "add `frames: 100..150`")
+
+
+class EasedNote(StaggeredNote):
     """A note that begins and ends smoothly, within `ease` frames."""
 
     ease: FrameCount = DEFAULT_EASE_FRAMES
@@ -168,7 +192,7 @@ class SetNote(TimedNote, SelectorKeys):
     to: Annotated[dict[SceneName, SetValue], Field(min_length=1)]
 
 
-class ChangeNote(Note, SelectorKeys):
+class ChangeNote(StaggeredNote, SelectorKeys):
     """Agents are in a state in `frame`, as by a transition to it. They leave it as their program says."""
 
     verb = "change"
@@ -194,16 +218,15 @@ class RetimeNote(TimedNote, SelectorKeys):
 
 
 class ReleaseNote(EasedNote, SelectorKeys):
-    """Agents stand still until `frame`. With `spread`, each begins up to so many frames later, at random."""
+    """Agents stand still until `frame`."""
 
     verb = "release"
     agents: Selector = Field(alias="release")
     frame: FrameNumber
-    spread: FrameCount = 0
 
     @property
     def last_frame(self) -> float:
-        return self.frame - 1 + self.spread
+        return self.frame - 1
 
 
 class ReachNote(EasedNote, SelectorKeys):
@@ -300,8 +323,8 @@ class LaneNote(RegionNote):
 
 
 class PartNote(TimedNote, SelectorKeys):
-    """Agents make way for a mesh, an item or other agents: from `distance` around their outline seen from above, and where they
-    are going."""
+    """Agents make way for a mesh, an item, a camera or other agents: from `distance` around their outline seen from above, and
+    where they are going."""
 
     verb = "part"
     agents: Selector = Field(alias="part")
@@ -345,8 +368,12 @@ def _find_note_tag(value: Any) -> str:
 
 def _check_verb(value: Any) -> Any:
     """Return the value unchanged. Raises an error if its first key is no verb."""
-    verb = next(iter(value), "") if isinstance(value, dict) else None
-    if verb is None or verb in NOTE_MODELS:
+    if not isinstance(value, dict):
+        joined = explain_joined_entry(value) if isinstance(value, str) else None
+        words = f"{describe_value(value)} is not a note" if joined is None else joined[0]
+        raise make_error(words, "write `{hold: guards, frames: 10..20}`" if joined is None else joined[1])
+    verb = next(iter(value), "")
+    if verb in NOTE_MODELS:
         return value
     known = next((key for key in value if key in NOTE_MODELS), None)
     if known is not None:

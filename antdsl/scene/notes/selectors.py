@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey
+from antdsl.scene.flow_mistakes import suggest_selector
 from antdsl.scene.values import (
     PointOrName,
     PointValue,
@@ -32,8 +33,9 @@ from antdsl.scene.values import (
 )
 
 _NAME_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9_]*)(?:\.([0-9]{1,18})(?:\s*\.\.\s*([0-9]{1,18}))?)?", re.ASCII)
-_CALL_PATTERN = re.compile(r"[A-Za-z_]+\s*\(")
-SELECTOR_FORMS = "write a crowd line or a species, such as `guards`, or one of its agents, `guards.17`, or some, `guards.3..9`"
+SELECTOR_FORMS = "write a crowd line or a species, `guards`, some of its agents, `guards.17` or `guards.3..9`, or a list, "
+SELECTOR_FORMS += "`[guards.17, ant.3]`"
+_TARGET_FORMS = "write a point, `[0, 0, 0]`, or a name, such as `leaf` or `guards.17`"
 
 
 class AgentName(NamedTuple):
@@ -56,7 +58,7 @@ def parse_agent_name(value: Any) -> AgentName:
     text = require_text(value, "agents")
     match = _NAME_PATTERN.fullmatch(text)
     if match is None:
-        help = "write a mapping: `{of: ant, near: leaf, within: 50 mm}`" if _CALL_PATTERN.match(text) else SELECTOR_FORMS
+        help = suggest_selector(text) or SELECTOR_FORMS
         raise make_error(f"{describe_value(text)} names no agents", help)
     if match[2] is None:
         return AgentName(match[1])
@@ -81,7 +83,7 @@ class Ball(ScenePart):
 
 
 def _find_region_tag(value: Any) -> str:
-    return "ball-region" if isinstance(value, dict) and "around" in value else "box-region"
+    return "ball-region" if isinstance(value, dict) and {"around", "radius"} & value.keys() else "box-region"
 
 
 def require_region(value: Any) -> Any:
@@ -98,12 +100,19 @@ Region = Annotated[
 ]
 
 
+def _parse_target_name(value: Any) -> AgentName:
+    """Return the thing or the agents that a text such as `leaf` names. Raises an error that pydantic reports."""
+    if not isinstance(value, str) or not _NAME_PATTERN.fullmatch(value.strip()):
+        raise make_error(f"{describe_value(value)} is not a target", _TARGET_FORMS)
+    return parse_agent_name(value)
+
+
 def _find_near_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "agent-or-item"
 
 
 NearTarget = Annotated[
-    Annotated[PointValue, Tag("point")] | Annotated[AgentName, BeforeValidator(parse_agent_name), Tag("agent-or-item")],
+    Annotated[PointValue, Tag("point")] | Annotated[AgentName, BeforeValidator(_parse_target_name), Tag("agent-or-item")],
     Discriminator(_find_near_tag),
 ]
 

@@ -173,7 +173,7 @@ class PlacingLayer(EditLayer):
 
 def compute_line_ease(line: EasedLine, number: int) -> float:
     """Return how far a line applies in a frame, from 0 to 1."""
-    return 1.0 if line.frames is None else compute_ease_weight(*line.frames, line.ease, number)
+    return 1.0 if line.frames is None else float(compute_ease_weight(*line.frames, line.ease, number))
 
 
 def convert_displacement(value: Any, manifest: Manifest) -> Floats:

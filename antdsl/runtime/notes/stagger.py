@@ -1,0 +1,81 @@
+"""How many frames later a note is for each of its agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.randomness import draw_uniform
+from antdsl.numerics.records import match_ids
+from antdsl.runtime.notes.targets import find_goal
+from antdsl.runtime.world import World
+from antdsl.scene.notes.notes_model import Note
+from antdsl.scene.notes.stagger import Stagger
+
+_SITE = "note.stagger"
+_MAX_DELAY = 10**7  # frames: longer than any run
+Rows = NDArray[np.intp]
+Delays = NDArray[np.int64]
+
+
+def find_delays(
+    world: World, note: Note, rows: Mapping[str, Rows], memory: dict[str, NDArray[Any]], key: str = ""
+) -> dict[str, Delays]:
+    """Return by species the delays of agents in frames; 0 without a `stagger`.
+
+    `memory`: gets the ids and delays (n, 2) of all agents of the note, in the order of ids, below names with its `key`. A delay
+    stays. Agents without one get theirs from their position at the start of this step."""
+    if note.delay_rule is None:
+        return {name: np.zeros(len(own), np.int64) for name, own in rows.items()}
+    ids = {name: world.populations[name].ids[own] for name, own in rows.items()}
+    known = {name: memory.get(_name_delays(key, name), np.empty((0, 2), np.int64)) for name in rows}
+    new = {name: np.sort(own[~match_ids(own, known[name][:, 0])[1]]) for name, own in ids.items()}
+    delays = _compute_delays(world, note.delay_rule, new, sum(map(len, known.values())))
+    result = {}
+    for name, own in known.items():
+        if len(new[name]):
+            own = np.concatenate([own, np.stack([new[name], delays[name]], axis=1)])
+            own = own[np.argsort(own[:, 0])]
+        memory[_name_delays(key, name)] = own
+        result[name] = own[match_ids(ids[name], own[:, 0])[0], 1]
+    return result
+
+
+def find_greatest_delay(world: World, key: str, memory: Mapping[str, NDArray[Any]]) -> int:
+    """Return the greatest delay in frames that the memory has for a note; 0 for none."""
+    known = (memory.get(_name_delays(key, name)) for name in world.populations)
+    return max((int(own[:, 1].max(initial=0)) for own in known if own is not None), default=0)
+
+
+def _name_delays(key: str, species: str) -> str:
+    return f"{key}.{species}.delays"
+
+
+def _compute_delays(world: World, stagger: Stagger, ids: Mapping[str, Delays], known_count: int) -> dict[str, Delays]:
+    """Return the delays of agents with these ids, by species. `known_count`: how many agents have one already."""
+    if stagger.random is not None:
+        draws = {name: draw_uniform(world.setting.seed, 0, name, _SITE, 0, own) for name, own in ids.items()}
+        return {name: np.floor(own.astype(np.float64) * (stagger.random + 1)).astype(np.int64) for name, own in draws.items()}
+    distances = {name: _measure_distances(world, stagger, name, own) for name, own in ids.items()}
+    if stagger.speed is not None:
+        mm_per_frame = stagger.speed.to_base_units(world.setting.unit_mm, world.setting.dt) * world.dt
+        return {name: np.rint(np.minimum(own / mm_per_frame, _MAX_DELAY)).astype(np.int64) for name, own in distances.items()}
+    assert stagger.each is not None
+    names = sorted(ids)
+    distance, every_id = (np.concatenate([group[name] for name in names]) for group in (distances, ids))
+    species = np.repeat(np.arange(len(names)), [len(ids[name]) for name in names])
+    rank = np.empty(len(distance), np.int64)
+    rank[np.lexsort((every_id, species, distance))] = np.arange(known_count, known_count + len(distance))
+    return {name: np.minimum(rank[species == number] * stagger.each, _MAX_DELAY) for number, name in enumerate(names)}
+
+
+def _measure_distances(world: World, stagger: Stagger, species: str, ids: Delays) -> NDArray[np.float64]:
+    """Return how far (mm) agents are from the origin of a stagger; 0 without one, or if it does not exist."""
+    if stagger.origin is None or not len(ids):
+        return np.zeros(len(ids))
+    population = world.populations[species]
+    position = population.position[population.find_rows(ids)]
+    return np.nan_to_num(find_goal(world, stagger.origin).find_nearest(position)[1])

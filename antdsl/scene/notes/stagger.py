@@ -1,0 +1,49 @@
+"""The key `stagger` of notes: the frames of a note are later for some agents than for others."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from antdsl.scene.notes.note_values import FrameCount
+from antdsl.scene.notes.selectors import NearTarget
+from antdsl.scene.values import PositiveSpeed, ScenePart, describe_value, make_error, parse_one_of
+
+_FORMS = "write `{from: [0, 0, 0], speed: 40 mm/s}`, `{each: 2}` or `{random: 12}`"
+
+
+class Stagger(ScenePart):
+    """How much later the frames of a note are for each agent.
+
+    `from`, `speed`: like a wave that starts at a target. `each`: so many frames after the agent before, in the order of ids, or
+    of the distance `from` a target. `random`: up to so many frames. `ends`: `later` too, or at once for all, `together`."""
+
+    origin: NearTarget | None = Field(None, alias="from")
+    speed: PositiveSpeed | None = None
+    each: FrameCount | None = None
+    random: FrameCount | None = None
+    ends: Annotated[str, BeforeValidator(parse_one_of("later", "together"))] = "later"
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Stagger:
+        kinds = [name for name in ("speed", "each", "random") if getattr(self, name) is not None]
+        if not kinds:
+            raise make_error("this does not say how much later each agent is", _FORMS)
+        if len(kinds) > 1:
+            raise make_error(f"`{kinds[0]}` and `{kinds[1]}` exclude each other", _FORMS)
+        if self.speed is not None and self.origin is None:
+            raise make_error("`speed` has no effect without `from`", f"write `{{from: [0, 0, 0], speed: {self.speed.text}}}`")
+        if self.random is not None and self.origin is not None:
+            raise make_error("`from` has no effect with `random`", "write `{from: …, speed: 40 mm/s}`, or only `{random: 12}`")
+        return self
+
+
+def require_stagger(value: object) -> object:
+    """Return a value unchanged. Raises an error that pydantic reports for a text or a list."""
+    if not isinstance(value, dict):
+        raise make_error(f"{describe_value(value)} does not say how much later each agent is", _FORMS)
+    return value
+
+
+StaggerValue = Annotated[Stagger, BeforeValidator(require_stagger)]
