@@ -68,6 +68,13 @@ WRONG = [
      "unknown-thing", "no crowd line, species, item, camera or mesh is named `leef`", "did you mean `leaf`?", "leef"),
     ("{hold: ant, stagger: {each: 2}}",
      "wrong-value", "`stagger` has no effect without `frames`", "add `frames: 100..150`", None),
+    ("{confine: ant, in: {in_view: front, across: 33 %}}",
+     "wrong-value", "`33 %` is not a part of a picture", "write `[0 %, 33 %]`", "33 %"),
+    ("{confine: ant, in: {in_view: front, across: [50 %, 33 %]}}",
+     "wrong-value", "this part of the picture is empty", "`[33 %, 50 %]`", "[50 %, 33 %]"),
+    ("{forbid: ant, in: {along: [front, guards.99], width: 3 mm}}",
+     "unknown-thing", "`guards.99` does not exist", "write a number from 0 to 59", "guards.99"),
+    ("{hold: ant, near: leaf, most: 3, farthest: 2}", "wrong-value", "`most` and `farthest` exclude each other", None, None),
     ("{lane: ant, along: [[0, 0, 0]], width: 4 mm}", "wrong-value", "this list has too few values", None, None),
 ]  # fmt: skip
 

@@ -116,7 +116,7 @@ _KIND_BY_KEY: Mapping[str, KeyKind] = {
     "play": _CLIP, "clip": _CLIP, "painted": _MAP, "for": _THING, "in_view": _CAMERA,
     "to": KeyKind("values", "", "{size: 6 mm}", "attributes with their values"), "at": _LOOKS,
     "share": KeyKind("share", "", "30 %"), "seed": KeyKind("count", "", "4", "the number from which `share` draws"),
-    "without": KeyKind("agents", "", "guards.17"), "most": KeyKind("count", "", "3"),
+    "without": KeyKind("agents", "", "guards.17"), "most": KeyKind("count", "", "3"), "farthest": KeyKind("count", "", "3"),
 }  # fmt: skip
 _FIRST_KEYS, _LAST_KEYS = ("frames",), ("ease",)  # of the keys that are not required
 _UNFILLED_KEYS = frozenset(("agents", "off"))  # the page has a place for these

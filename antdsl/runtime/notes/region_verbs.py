@@ -11,7 +11,7 @@ from antdsl.runtime.notes.pace_verbs import Shares
 from antdsl.runtime.notes.regions import compute_region_share, cut_inward_steps, measure_note_region
 from antdsl.runtime.notes.targets import find_curve, find_goal
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
-from antdsl.scene.notes.notes_model import AttractNote, ForbidNote, LaneNote, RepelNote, SlowNote
+from antdsl.scene.notes.notes_model import AttractNote, ConfineNote, ForbidNote, LaneNote, RepelNote, SlowNote
 
 
 def slow_in_region(agents: NoteAgents) -> Shares:
@@ -23,16 +23,16 @@ def slow_in_region(agents: NoteAgents) -> Shares:
 
 
 def lead_out_of_region(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Lead agents out of the region of a `forbid`, and away from it in its falloff."""
+    """Lead agents out of the region of a `forbid`, and away from it in its falloff; of a `confine` into it."""
     distances = measure_note_region(agents)
     assert distances is not None
     _wish_direction(agents, distances.outward_directions, compute_region_share(agents, distances.outside), register, is_final)
 
 
 def stop_at_region(agents: NoteAgents, step: Floats) -> Floats:
-    """Return the steps (k, 3) mm of agents, cut at the border of a `forbid`."""
+    """Return the steps (k, 3) mm of agents, cut at the border of a `forbid` or `confine`."""
     distances = measure_note_region(agents)
-    assert isinstance(agents.active.note, ForbidNote) and distances is not None
+    assert isinstance(agents.active.note, ForbidNote | ConfineNote) and distances is not None
     distances = distances._replace(outside=distances.outside - agents.population.now["radius"][agents.rows])
     return cut_inward_steps(agents, distances, step)
 

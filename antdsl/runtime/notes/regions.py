@@ -9,12 +9,12 @@ import numpy as np
 from antdsl.numerics.easing import apply_smoothstep
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.runtime.notes.targets import NearestOnMesh, TargetPoints, find_centres, find_curve, find_mesh
+from antdsl.runtime.notes.targets import NearestOnMesh, TargetPoints, find_centres, find_line, find_mesh
 from antdsl.runtime.notes.wishes import Floats
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
 from antdsl.scene.notes.note_regions import Band, NoteRegion, View
-from antdsl.scene.notes.notes_model import RegionNote
+from antdsl.scene.notes.notes_model import ConfineNote, RegionNote
 from antdsl.scene.notes.selectors import AgentName, Box
 from antdsl.scene.thing_models import convert_point
 
@@ -36,7 +36,10 @@ def measure_region(world: World, region: NoteRegion, agents: NoteAgents) -> Regi
         return _measure_view(world, region, position)
     unit_mm = world.setting.unit_mm
     if isinstance(region, Band):
-        closest = find_curve(world, region.along).find_closest(*position.T)
+        curve = find_line(world, region.along)
+        if curve is None:
+            return RegionDistances(np.full(len(position), np.inf), np.zeros((len(position), 3)))
+        closest = curve.find_closest(*position.T)
         nearest = np.stack([closest.px, closest.py, closest.pz], axis=1).astype(np.float64)
         return _measure_tube(position - nearest, region.width.to_millimetres(unit_mm) / 2)
     mesh = find_mesh(world, region.around) if isinstance(region.around, AgentName) else None
@@ -60,8 +63,12 @@ def _measure_tube(offset: Floats, radius: float) -> RegionDistances:
 def _measure_view(world: World, view: View, position: Floats) -> RegionDistances:
     """Return the distances from the pyramid that a camera sees in the new frame: of its planes, the one that is farthest out."""
     eye, ahead, sides = SensedCamera(world.setting.cameras[view.in_view], world.origin).find_pyramid(world.display_frame)
-    outward = ((sign * axis, tangent) for axis, tangent in sides for sign in (1, -1))
-    normals = [-ahead, *((axis - tangent * ahead) / np.sqrt(1 + tangent * tangent) for axis, tangent in outward)]
+    bounds = [
+        (axis, tangent * (2 * share - 1), sign)
+        for (axis, tangent), shares in zip(sides, (view.across, view.up), strict=True)
+        for share, sign in zip(shares, (-1, 1), strict=True)
+    ]
+    normals = [-ahead, *(sign * (axis - bound * ahead) / np.sqrt(1 + bound * bound) for axis, bound, sign in bounds)]
     offset = position - eye
     beyond = np.stack([dot(offset, np.broadcast_to(normal, offset.shape)) for normal in normals], axis=1)
     farthest = beyond.argmax(axis=1)
@@ -109,7 +116,13 @@ def measure_note_region(agents: NoteAgents) -> RegionDistances | None:
     assert isinstance(note, RegionNote)
     if note.region is None:
         return None
-    return measure_region(agents.world, note.region, agents)
+    distances = measure_region(agents.world, note.region, agents)
+    return invert_distances(distances) if isinstance(note, ConfineNote) else distances
+
+
+def invert_distances(distances: RegionDistances) -> RegionDistances:
+    """Return the distances from all that is outside a region."""
+    return RegionDistances(-distances.outside, -distances.outward_directions)
 
 
 def cut_inward_steps(agents: NoteAgents, distances: RegionDistances, step: Floats) -> Floats:

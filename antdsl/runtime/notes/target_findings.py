@@ -9,16 +9,18 @@ import numpy as np
 from antdsl.diagnostics import Report
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.notes.active_notes import ActiveNote, NoteAgents
+from antdsl.runtime.notes.regions import measure_note_region
 from antdsl.runtime.notes.stagger import find_delays
 from antdsl.runtime.notes.targets import find_curve, find_goal, find_item_points, find_path_points
 from antdsl.runtime.notes.wishes import Floats, read_max_speeds
 from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World
 from antdsl.scene import Scene
-from antdsl.scene.notes.notes_model import Note, PathNote, ReachNote
+from antdsl.scene.notes.notes_model import ConfineNote, ForbidNote, Note, PathNote, ReachNote
 from antdsl.scene.notes.selection import select_rows
 from antdsl.scene.notes.selectors import AgentName
 
+_EASE_HELP = "let the note begin earlier, `ease: 48`, or slow what comes in"
 _HELP = "write a later frame, choose nearer agents, or give them a larger `max_speed`"
 
 
@@ -47,6 +49,10 @@ def find_missed_target(agents: NoteAgents) -> MissedTarget | None:
         points = find_path_points(world, note, agents.ids, world.display_frame, agents.delays)
         distance = length(points - p.position[agents.rows])
         near = near + p.now["size"][agents.rows]  # agents keep apart from others on the same path
+    elif isinstance(note, ForbidNote | ConfineNote) and note.first_frame - note.ease_frames > world.setting.first_frame:
+        is_due, distances = frame == note.first_frame, measure_note_region(agents)
+        assert distances is not None
+        distance, near = -distances.outside, np.zeros(len(agents.rows))
     else:
         return None
     late = np.flatnonzero(is_due & (distance > near))
@@ -61,8 +67,15 @@ def report_missed_targets(scene: Scene, world: World) -> Report:
     report = Report()
     for miss in world.notes.missed_targets if world.notes is not None else ():
         subject = f"`{miss.species}.{miss.agent}`" + (f" and {miss.late_count - 1:,} others" if miss.late_count > 1 else "")
-        words = f"{subject} missed the target of this note: `{miss.species}.{miss.agent}` was {miss.distance:.1f} mm away from it"
-        report.warning("far-target", words, scene.span("notes", scene.model.notes.index(miss.note)), _HELP)
+        first = f"`{miss.species}.{miss.agent}`"
+        words = f"{subject} missed the target of this note: {first} was {miss.distance:.1f} mm away from it"
+        if isinstance(miss.note, ForbidNote | ConfineNote):
+            side = "inside" if isinstance(miss.note, ForbidNote) else "outside"
+            words = (
+                f"{subject} were still {side} the region in frame {miss.note.first_frame:.0f}: {first} by {miss.distance:.1f} mm"
+            )
+        help = _EASE_HELP if isinstance(miss.note, ForbidNote | ConfineNote) else _HELP
+        report.warning("far-target", words, scene.span("notes", scene.model.notes.index(miss.note)), help)
     return report
 
 

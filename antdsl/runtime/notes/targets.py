@@ -158,6 +158,16 @@ def find_curve(world: World, curve: str | tuple[PointValue, ...]) -> SampledCurv
     return make_curve(np.array([convert_point(point, world.setting.unit_mm) for point in curve], np.float64) - world.origin)
 
 
+def find_line(world: World, line: str | tuple[PointValue | AgentName, ...]) -> SampledCurve | None:
+    """Return a curve of the scene, or the line through targets, each in the middle of its points. None if fewer than two of them
+    exist."""
+    if isinstance(line, str):
+        return find_curve(world, line)
+    groups = (find_target(world, target).points for target in line)
+    points = [group.mean(axis=0) for group in groups if len(group)]
+    return make_curve(np.array(points)) if len(points) > 1 else None
+
+
 class OwnPoints(NamedTuple):
     """A point (n, 3) mm for each agent, or one (1, 3) for all."""
 

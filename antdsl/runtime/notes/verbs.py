@@ -39,6 +39,7 @@ VERBS: Mapping[str, VerbFunctions] = {
     "path": VerbFunctions(wish=goal_verbs.lead_along_path),
     "slow": VerbFunctions(pace=region_verbs.slow_in_region),
     "forbid": VerbFunctions(wish=region_verbs.lead_out_of_region, step=region_verbs.stop_at_region),
+    "confine": VerbFunctions(wish=region_verbs.lead_out_of_region, step=region_verbs.stop_at_region),
     "attract": VerbFunctions(wish=region_verbs.lead_towards),
     "repel": VerbFunctions(wish=region_verbs.lead_away),
     "lane": VerbFunctions(wish=region_verbs.lead_along_lane),

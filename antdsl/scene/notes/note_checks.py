@@ -13,7 +13,7 @@ from antdsl.scene.crowds.initial_values import is_settable
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.notes.note_programs import LOOK_MACHINE, PLAY_MACHINE
-from antdsl.scene.notes.note_regions import NoteBall, View
+from antdsl.scene.notes.note_regions import Band, NoteBall, View
 from antdsl.scene.notes.notes_model import (
     AttractNote,
     ChangeNote,
@@ -99,6 +99,10 @@ class _NoteCheck:
     def _find_region_problems(self) -> Iterator[SelectorProblem]:
         region = self.note.region if isinstance(self.note, RegionNote) else None
         around = region.around if isinstance(region, NoteBall) else None
+        line = region.along if isinstance(region, Band) and isinstance(region.along, tuple) else ()
+        for number, target in enumerate(line):
+            if isinstance(target, AgentName):
+                yield from self._find_target_problems(target, (*self.path, "in", "along", number))
         if around is not None and not (isinstance(around, tuple) and isinstance(around[0], Quantity)):
             yield from self._find_thing_problems(around, "in", "around")
 

@@ -7,8 +7,9 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from antdsl import limits
+from antdsl.scene.notes.note_values import ShareRange
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
-from antdsl.scene.notes.selectors import Box, Selector, require_region
+from antdsl.scene.notes.selectors import Box, NearTarget, Selector, require_region
 from antdsl.scene.values import PointValue, PositiveLength, SceneName, ScenePart, describe_value, make_error
 
 
@@ -23,11 +24,25 @@ def _require_curve(value: Any) -> Any:
     return value
 
 
+def _require_line(value: Any) -> Any:
+    """Return a value unchanged. Raises an error that pydantic reports for a single point."""
+    names = [str(each)[:1].isalpha() for each in value] if isinstance(value, list) else []
+    return value if any(names) else _require_curve(value)
+
+
 CurveOrPoints = Annotated[
     Annotated[tuple[PointValue, ...], Field(min_length=2, max_length=limits.MAX_NOTE_POINTS), Tag("points")]
     | Annotated[SceneName, Tag("curve-name")],
     Discriminator(_find_curve_tag),
     BeforeValidator(_require_curve),
+]
+
+
+_CurveOrTargets = Annotated[
+    Annotated[tuple[NearTarget, ...], Field(min_length=2, max_length=limits.MAX_NOTE_POINTS), Tag("points")]
+    | Annotated[SceneName, Tag("curve-name")],
+    Discriminator(_find_curve_tag),
+    BeforeValidator(_require_line),
 ]
 
 
@@ -51,16 +66,20 @@ class NoteBall(ScenePart):
 
 
 class Band(ScenePart):
-    """All points within half of `width` of a curve."""
+    """All points within half of `width` of a curve, or of the line through points, items, agents, cameras and meshes."""
 
-    along: CurveOrPoints
+    along: _CurveOrTargets
     width: PositiveLength
 
 
 class View(ScenePart):
-    """All points that a camera sees, without regard to what hides them."""
+    """All points that a camera sees, without regard to what hides them.
+
+    `across`, `up`: only this part of the picture, as shares of its width from the left, and of its height from the bottom."""
 
     in_view: SceneName
+    across: ShareRange = (0.0, 1.0)
+    up: ShareRange = (0.0, 1.0)
 
 
 _REGION_KINDS = {"along": "band", "width": "band", "around": "ball", "radius": "ball", "in_view": "view"}  # by key

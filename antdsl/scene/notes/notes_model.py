@@ -293,6 +293,14 @@ class ForbidNote(RegionNote):
     region: NoteRegion = Field(alias="in")
 
 
+class ConfineNote(RegionNote):
+    """Agents do not leave a region. Those outside go to it."""
+
+    verb = "confine"
+    agents: Selector = Field(alias="confine")
+    region: NoteRegion = Field(alias="in")
+
+
 class AttractNote(RegionNote):
     """Agents go to a point, an item, a camera, a mesh or other agents: fully
     from half of `radius` on, beyond it not at all."""
@@ -350,7 +358,7 @@ class ThinNote(Note, SelectorKeys):
 
 NOTE_MODELS: dict[str, type[Note]] = {model.verb: model for model in (
     HoldNote, LookNote, PlayNote, SetNote, ChangeNote, RetimeNote, ReleaseNote, ReachNote, PathNote, SlowNote, ForbidNote,
-    AttractNote, RepelNote, LaneNote, PartNote, WithoutNote, ThinNote,
+    ConfineNote, AttractNote, RepelNote, LaneNote, PartNote, WithoutNote, ThinNote,
 )}  # fmt: skip
 
 

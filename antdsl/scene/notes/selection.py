@@ -118,18 +118,22 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
             mask &= ~without[name]
         if targets is not None and is_target:
             mask &= ~is_target[name]
-    return masks if targets is None or conditions.most is None else _keep_nearest(masks, frame, targets, conditions.most)
+    if targets is None or (conditions.most is None and conditions.farthest is None):
+        return masks
+    sign = 1.0 if conditions.farthest is None else -1.0
+    return _select_first(masks, frame, targets, sign, conditions.most or conditions.farthest or 0)
 
 
-def _keep_nearest(masks: Mask, frame: SelectableFrame, targets: Floats, most: int) -> Mask:
-    """Return a mask of the `most` selected agents that are nearest to targets. Equal distances are ordered by species and id."""
+def _select_first(masks: Mask, frame: SelectableFrame, targets: Floats, sign: float, count: int) -> Mask:
+    """Return a mask of the `count` selected agents with the least distance times `sign` from targets. Equal distances are ordered
+    by species and id."""
     names = sorted(masks)
     rows = {name: np.flatnonzero(masks[name]) for name in names}
     distance = np.concatenate([_measure_nearest(frame.agents[name].position[rows[name]], targets) for name in names])
     ids = np.concatenate([frame.agents[name].ids[rows[name]] for name in names])
     species = np.repeat(np.arange(len(names)), [len(rows[name]) for name in names])
     number = np.concatenate([rows[name] for name in names])
-    chosen = np.lexsort((ids, species, distance))[:most]
+    chosen = np.lexsort((ids, species, sign * distance))[:count]
     selected = {name: np.zeros_like(masks[name]) for name in names}
     for k in chosen.tolist():
         selected[names[species[k]]][number[k]] = True

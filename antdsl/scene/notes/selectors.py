@@ -138,6 +138,7 @@ class SelectorKeys(ScenePart):
     `state`: agents in this state now, `rest` or `MACHINE.rest`.
     `near`, `within`: agents within this distance of a point, an item, the nearest of some items, a camera, or of other agents.
     `most`: of the agents that meet all other conditions, so many that are nearest to `near`.
+    `farthest`: of these agents, so many that are farthest from `near`.
     `in`: agents in a box or a ball.
     `share`: each agent with this probability, drawn from `seed` (default: the scene's seed), its species and its id.
     `in_view`: agents in view of this camera.
@@ -147,6 +148,7 @@ class SelectorKeys(ScenePart):
     near: NearTarget | None = None
     within: PositiveLength | None = None
     most: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))] | None = None
+    farthest: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))] | None = None
     region: Region | None = Field(None, alias="in")
     share: Annotated[float, BeforeValidator(parse_share)] | None = None
     seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
@@ -155,11 +157,13 @@ class SelectorKeys(ScenePart):
 
     @model_validator(mode="after")
     def _check_pairs(self) -> SelectorKeys:
-        if self.near is None and (self.within is not None or self.most is not None):
-            has = "most" if self.within is None else "within"
-            raise make_error(f"`{has}` has no effect without `near`", "add `near: [0, 0, 0]`")
-        if self.near is not None and self.within is None and self.most is None:
+        keys = [name for name in ("within", "most", "farthest") if getattr(self, name) is not None]
+        if self.near is None and keys:
+            raise make_error(f"`{keys[0]}` has no effect without `near`", "add `near: [0, 0, 0]`")
+        if self.near is not None and not keys:
             raise make_error("`near` has no effect without `within` or `most`", "add `within: 50 mm`, or `most: 3`")
+        if self.most is not None and self.farthest is not None:
+            raise make_error("`most` and `farthest` exclude each other", "leave out one of them")
         if self.seed is not None and self.share is None:
             raise make_error("`seed` has no effect without `share`", "add `share: 30 %`")
         return self

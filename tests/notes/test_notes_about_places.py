@@ -1,0 +1,78 @@
+"""Notes about parts of pictures, lines of sight, staying in a region, and the last ones of a group."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from directed import follow, open_directed, start
+
+from antdsl.runtime.notes.target_findings import report_missed_targets
+from antdsl.runtime.sensing.sensed_camera import SensedCamera
+from antdsl.runtime.world import World
+
+
+def project(world: World, position: np.ndarray) -> np.ndarray:
+    """Where the picture of the camera `front` shows positions (n, 3), from 0 at its left and bottom edge to 1: (n, 2)."""
+    eye, ahead, sides = SensedCamera(world.setting.cameras["front"], world.origin).find_pyramid(world.frame)
+    offset = position - eye
+    depth = offset @ ahead
+    return np.stack([(offset @ axis / (depth * tangent) + 1) / 2 for axis, tangent in sides], axis=1)
+
+
+def test_agents_stay_in_a_box_and_those_outside_go_to_it(tmp_path: Path) -> None:
+    note = "{confine: guards, in: {from: [-60, -50, -140], to: [120, 50, 0]}, falloff: 10 mm, frames: 80..160}"
+    track = follow(open_directed(tmp_path, note, last=160), 160)
+    x, _, z = track.values["position"].transpose(2, 0, 1)
+    inside = (x > -60) & (x < 120) & (z > -140) & (z < 0)
+    assert inside[30].mean() < 0.6 and inside[-1].mean() > 0.9
+    entered = inside[85]
+    assert inside[85:, entered].all()
+
+
+def test_an_agent_stays_in_the_left_third_of_the_picture(tmp_path: Path) -> None:
+    note = "{confine: guards, in: {in_view: front, across: [0 %, 33 %], up: [0 %, 100 %]}, frames: 60..140}"
+    shares: list[np.ndarray] = []
+    shot = open_directed(tmp_path, note, last=140)
+    track = follow(shot, 140, lambda world: shares.append(project(world, world.populations["ant"].position)))
+    across, up = np.array(shares).transpose(2, 0, 1)
+    shown = (across > 0) & (across < 0.33) & (up > 0) & (up < 1)
+    assert shown[-1].mean() > 2 * shown[20].mean() and shown[-1].mean() > 0.3, (shown[-1].mean(), shown[20].mean())
+    assert shown[70:, shown[70]].all()
+    findings = report_missed_targets(shot.scene, track.world).diagnostics
+    assert len(findings) == 1 and "outside the region in frame 60" in findings[0].message and "ease" in (findings[0].help or "")
+
+
+def test_a_line_of_sight_to_an_agent_is_clear(tmp_path: Path) -> None:
+    population = start(open_directed(tmp_path, count=120)).populations["ant"]
+    far = (population.position[:, 2] < -20) & (np.abs(population.position[:, 0]) < 60)  # from the foot, which pushes agents
+    queen = int(population.ids[far].min())
+    hold = f"{{hold: guards.{queen}}}"
+    region = f"{{along: [front, guards.{queen}], width: 40 mm}}"
+    sight = f"{{forbid: {{without: guards.{queen}}}, in: {region}, falloff: 20 mm, frames: 60..120, ease: 30}}"
+
+    def measure(*notes: str) -> float:
+        nearest: list[float] = []
+
+        def look(world: World) -> None:
+            p = world.populations["ant"]
+            row = int(p.find_rows(np.array([queen]))[0])
+            eye = SensedCamera(world.setting.cameras["front"], world.origin).find_position(world.frame)
+            line, offset = p.position[row] - eye, np.delete(p.position, row, axis=0) - eye
+            share = np.clip(offset @ line / (line @ line), 0, 1)
+            nearest.append(float(np.linalg.norm(offset - share[:, None] * line, axis=1).min()))
+
+        follow(open_directed(tmp_path / str(len(notes)), hold, *notes, count=120, last=120), 120, look)
+        return min(nearest[60:])
+
+    assert measure() < 12 < 18 < measure(sight)
+
+
+def test_the_three_last_stay_behind(tmp_path: Path) -> None:
+    shot = open_directed(tmp_path, "{hold: {of: guards, near: [-100, 0, 120], farthest: 3}, frames: 5..60}")
+    world = start(shot)
+    distance = np.linalg.norm(world.populations["ant"].position - [-100, 0, 120], axis=1)
+    last = np.sort(world.populations["ant"].ids[np.argsort(-distance)[:3]])
+    track = follow(shot, 60)
+    still = np.flatnonzero((track.speeds()[10:55] < 0.1).all(axis=0))
+    assert track.ids[still].tolist() == last.tolist()
