@@ -24,7 +24,7 @@ _FAR_MM = 1e6  # mm, at which agents look that look in a direction
 
 
 def change_states(agents: NoteAgents) -> None:
-    """Raise the event of a `change`, whose only frame is this one."""
+    """Raise the event of a `change`. This is its only frame."""
     note, population = agents.active.note, agents.population
     assert isinstance(note, ChangeNote)
     for machine in population.plan.machines:
