@@ -34,5 +34,5 @@ def test_the_crowd_parts_for_a_camera_that_moves_through_it(tmp_path: Path) -> N
 
 def test_no_agent_is_in_a_ball_around_a_camera(tmp_path: Path) -> None:
     note = "{forbid: ant, in: {around: dolly, radius: 20 mm}, falloff: 20 mm}"
-    usual, kept = (measure_nearest(tmp_path / str(len(notes)), *notes, end=-80)[20:].min() for notes in ((), (note,)))
-    assert usual < 10 < 16 < kept, (usual, kept)
+    usual, noted = (measure_nearest(tmp_path / str(len(notes)), *notes, end=-80)[20:].min() for notes in ((), (note,)))
+    assert usual < 10 < 16 < noted, (usual, noted)

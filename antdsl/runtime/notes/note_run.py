@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.easing import compute_ease
+from antdsl.numerics.easing import compute_ease_weight
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
 from antdsl.runtime.moving.correction_walks import CorrectionWalker
@@ -155,7 +155,7 @@ class NoteRun:
     def _may_hold(self, world: World, key: str, note: Note) -> bool:
         """Return whether a note may hold for any agents in this step."""
         most = find_greatest_delay(world, key, self.memory)
-        return bool(compute_ease(note.first_frame, note.last_frame + most, note.ease_frames, world.display_frame))
+        return bool(compute_ease_weight(note.first_frame, note.last_frame + most, note.ease_frames, world.display_frame))
 
     def _activate(self, world: World, key: str, note: Note, frame: SelectableFrame) -> ActiveNote:
         """Return a note with the agents for which it holds in this step."""
