@@ -36,9 +36,9 @@ def test_an_agent_stays_in_the_left_third_of_the_picture(tmp_path: Path) -> None
     shot = open_directed(tmp_path, note, last=140)
     track = follow(shot, 140, lambda world: shares.append(project(world, world.populations["ant"].position)))
     across, up = np.array(shares).transpose(2, 0, 1)
-    shown = (across > 0) & (across < 0.33) & (up > 0) & (up < 1)
-    assert shown[-1].mean() > 2 * shown[20].mean() and shown[-1].mean() > 0.3, (shown[-1].mean(), shown[20].mean())
-    assert shown[70:, shown[70]].all()
+    in_third = (across > 0) & (across < 0.33) & (up > 0) & (up < 1)
+    assert in_third[-1].mean() > 2 * in_third[20].mean() and in_third[-1].mean() > 0.3, (in_third[-1].mean(), in_third[20].mean())
+    assert in_third[70:, in_third[70]].all()
     findings = report_missed_targets(shot.scene, track.world).diagnostics
     assert len(findings) == 1 and "outside the region in frame 60" in findings[0].message and "ease" in (findings[0].help or "")
 
