@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
-from antdsl.bodies.agents.body_extents import standing_box, turn_box
+from antdsl.bodies.agents.body_extents import compute_standing_box, rotate_box_to_agent_space
 from antdsl.bodies.agents.boxes import compute_rest_box
 from antdsl.bodies.agents.definition import Clip, Definition, map_language_names
 from antdsl.bodies.agents.leg_chains import build_legs_data
 from antdsl.bodies.agents.packed import hash_definition
-from antdsl.bodies.body_sizes import standing_proportions, warn_of_sizes
+from antdsl.bodies.body_sizes import measure_standing_proportions, report_odd_sizes
 from antdsl.bodies.files.reading import load_definition
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import COLLISION_LAYER, find_base_layer
@@ -39,9 +39,9 @@ _MAX_LISTED_NAMES = 12  # maximum number of names in a message
 class NamedBody:
     """A body that a scene names for a species, or that fits the species' name.
 
-    `key`: its key, as `scene.body_choice` makes them.
-    `text`: the word or path.
-    `place`: where the scene names it.
+    `key`: its key, as `scene.body_choice` makes it.
+    `text`: the library word or the path in the scene.
+    `place`: the location at which the scene names it.
     `weight`: its share among the bodies of the species."""
 
     key: str
@@ -53,16 +53,15 @@ class NamedBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """Bodies by their keys (`scene.body_choice`): a species with one body is its own key.
+    """The bodies of a crowd, by their keys (`scene.body_choice`). The key of a species' only body is the species.
 
-    `definitions`: of bodies from files; bodies from the same file share one object.
-    `clips`: of all species.
-    `collision_sizes`: the collision sizes of the bodies in `definitions`, and of all bodies of species with several.
-    `legs`: of bodies with legs and gaits.
-    `hashes`: content hash of each file, by its path in the scene.
-    `proportions`: of species that set their height.
-    `weights`: of species with several bodies, the weight of each.
-    """
+    `definitions`: the definitions of bodies from files; bodies from the same file share one object.
+    `clips`: the data of the clips of each species.
+    `collision_sizes`: the collision sizes of the bodies in `definitions`, and of all bodies of species with several bodies.
+    `legs`: the leg data of bodies with legs and gaits.
+    `hashes`: the content hash of each file, by its path in the scene.
+    `proportions`: the proportions of the bodies of species that set their height.
+    `weights`: for each species with several bodies, the weight of each body."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
@@ -74,17 +73,16 @@ class CrowdBodies:
 
 
 class LegsByBody(Mapping[str, LegsData]):
-    """The legs of all bodies that have legs and gaits, by key. Computed on first access, because most commands do not need them.
+    """The leg data of all bodies that have legs and gaits, by key. It is computed on first access: most commands do not need it.
 
-    `bodies`: by key, a definition or the name of a library body.
-    """
+    `bodies`: by key, a definition or the name of a library body."""
 
     def __init__(self, bodies: Mapping[str, Definition | str]) -> None:
         self._bodies = bodies
 
     @cached_property
     def _legs_by_body(self) -> dict[str, LegsData]:
-        """Return the legs of all bodies that have legs, by species."""
+        """Return the leg data of all bodies that have legs, by key."""
         definitions = {name: load_library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
         return {name: build_legs_data(body) for name, body in definitions.items() if body.legs and body.gaits}
 
@@ -99,11 +97,12 @@ class LegsByBody(Mapping[str, LegsData]):
 
 
 def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
-    """Return the bodies of a scene's crowd, from files and from the library, and a report of mismatches. A finding is located
-    where the scene names the body; a label marks where the program uses the missing part."""
+    """Return the bodies of a scene's crowd, from files and from the library, and a report of mismatches.
+
+    A finding is located where the scene names the body. Its label marks where the program uses the missing part."""
     report = Report()
     files: dict[str, Definition | None] = {}
-    named = named_bodies(scene, tuple(program.species))
+    named = list_named_bodies(scene, tuple(program.species))
     chosen = {line.species for line in scene.model.crowd if line.body is not None}
     words = {each.key: each.text for each in named if each.text in BODY_WORDS and each.species in program.species}
     shown_species = {line.species for line in scene.model.crowd if line.wear} | {
@@ -138,17 +137,17 @@ def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Repo
         worn,
         {key: {name: build_clip_data(clip, body) for name, clip in body.clips.items()} for key, body in (worn | library).items()},
         {key: compute_collision_size(body, program.species[find_species_of_key(key)].edition > 1) for key, body in worn.items()}
-        | {key: _capsule_room(text) for key, text in mixed.items()},
+        | {key: _get_library_collision_size(text) for key, text in mixed.items()},
         LegsByBody({**worn, **words}),
         {text: hash_definition(body) for text, body in definitions.items()},
-        standing_proportions(program, _first_bodies(worn), _first_bodies(words)),
+        measure_standing_proportions(program, _select_first_bodies(worn), _select_first_bodies(words)),
         weights,
     )
-    warn_of_sizes(scene, program, _first_bodies(worn), _first_bodies(words), report)
+    report_odd_sizes(scene, program, _select_first_bodies(worn), _select_first_bodies(words), report)
     return bodies, report
 
 
-def _first_bodies(bodies: Mapping[str, Body]) -> dict[str, Body]:
+def _select_first_bodies(bodies: Mapping[str, Body]) -> dict[str, Body]:
     """Return by species the first of its bodies. `bodies`: by key."""
     return {find_species_of_key(key): body for key, body in bodies.items() if find_number_of_key(key) == 0}
 
@@ -203,30 +202,34 @@ def build_clip_data(clip: Clip, body: Definition) -> ClipData:
 def compute_collision_size(body: Definition, is_standing: bool = False) -> BodyCapsuleData:
     """Return the collision size of a body.
 
-    It is the body's own capsule, else length and width of the box of its layer `collision` in the rest pose, or, if it
-    `is_standing`, in its idle clip. Without that layer, the layer that is always displayed is used. The length is never less
-    than the width."""
+    It is the body's own capsule. Without a capsule, it is the length and width of the box of the layer `collision` in the rest
+    pose, or in the idle clip if the body `is_standing`. Without that layer, the base layer is used. The length is never less than
+    the width."""
     if body.capsule is not None:
         length, width, height, ahead = (each / body.length for each in body.capsule)
         return BodyCapsuleData(max(length, width), width, height, ahead)
     layer = body.layers.get(COLLISION_LAYER) or find_base_layer(body)
     low, high = (
-        standing_box(body, layer) if is_standing else turn_box(body, compute_rest_box(replace(body, layers={layer.name: layer})))
+        compute_standing_box(body, layer)
+        if is_standing
+        else rotate_box_to_agent_space(body, compute_rest_box(replace(body, layers={layer.name: layer})))
     )
     width = max(float(high[2] - low[2]), 1e-3)
     middle = (low + high) / 2
     return BodyCapsuleData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
 
 
-def _capsule_room(word: str) -> BodyCapsuleData:
-    """Return the collision size of a body of the library."""
+def _get_library_collision_size(word: str) -> BodyCapsuleData:
+    """Return the collision size of a library body, which has the name `word`."""
     capsule = CAPSULE_BY_BODY[word]
     return BodyCapsuleData(capsule.length, capsule.width, capsule.height, capsule.forward_offset)
 
 
-def named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
-    """Return the bodies of each species of the crowd, and of further `species`: those of its first crowd line that names any,
-    else the library body that matches the species' name."""
+def list_named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
+    """Return the bodies of each species of the crowd, and of further `species`.
+
+    These are the bodies of the first crowd line of the species that names any, else the library body that matches the species'
+    name."""
     lines: dict[str, int] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:

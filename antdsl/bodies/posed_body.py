@@ -19,7 +19,7 @@ from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.boxes import compute_rest_box
 from antdsl.bodies.agents.definition import STATE_MATERIAL, Binding, Capture, Definition, Layer, Shape
 from antdsl.bodies.agents.deformers import deform_binding
-from antdsl.bodies.agents.driving import DrivenPose, offset_joints, set_pose_channels, turn_towards_looks
+from antdsl.bodies.agents.driving import DrivenPose, offset_joints, rotate_towards_looks, set_pose_channels
 from antdsl.bodies.agents.leg_ik import BodySpaceFeet, LegSolver
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import Poses, build_clip_table, to_local_transforms
@@ -45,14 +45,14 @@ class PosedBody:
     if it exists, else the first layer not called `collision`.
 
     `faces`: int32[m, 3].
-    `material_colours`: float32[v, 3], linear colours of materials, times those of points (`Cd`), which textures become. Those of
-        the material `state` and of vertices without a material are natural colours.
+    `material_colours`: float32[v, 3], linear colours of materials, times the colours of points (`Cd`), which include textures.
+        The material `state` and vertices without a material have natural colours.
     `tint_weights`: float32[v]. 1 takes the agent's colour, 0 that of the material. Vertices without a material, or with one named
         `state`, have 1.
-    `material_names`: [v], names.
+    `material_names`: [v], the name of each vertex's material.
     `point_indices`: int[v], the point of each vertex, counted through the shapes of all `bindings`.
-    `fine`, `coarse`, `distant`: versions for agents that are large, small, or only some pixels long in a picture.
-    """
+    `fine`, `coarse`, `distant`: the same body with more or fewer triangles, for agents that are large, small, or only some pixels
+        long in a picture."""
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | PlayedClip], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._full_definition, self.name = tuple(clips), tuple(layers), definition, definition.name
@@ -61,7 +61,8 @@ class PosedBody:
         self._bindings = _select_visible_bindings(definition, layers)
         names = {binding.shape for binding in self._bindings}
         shaded = {
-            n: _with_normals(shape) if n in names else shape for n, shape in _select_needed_shapes(definition, names).items()
+            n: _add_missing_normals(shape) if n in names else shape
+            for n, shape in _select_needed_shapes(definition, names).items()
         }
         self._definition = replace(definition, shapes=shaded)
         base = definition.compute_base_matrix()[:3, :3]
@@ -80,8 +81,9 @@ class PosedBody:
         self.material_names = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
     def compute_colours(self, driven_pose: DrivenPose) -> Floats:
-        """Return linear colours of materials, float32[n, v, 3], or [1, v, 3] if all agents have the same. The variation of the
-        material `state` is left out, see `compute_natural_colours`."""
+        """Return the linear colours of vertices by their materials, float32[n, v, 3], or [1, v, 3] if all agents have the same.
+
+        The variation of the material `state` is left out, see `compute_natural_colours`."""
         variation = self._definition.variation
         own = replace(variation, materials={n: c for n, c in variation.materials.items() if n != STATE_MATERIAL})
         return compute_vertex_colours(own, driven_pose.variation_draws, self.material_names, self.material_colours)
@@ -105,8 +107,8 @@ class PosedBody:
         return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))) / self._full_definition.length
 
     @cached_property
-    def fine(self) -> PosedBody:
-        """Return the version for agents that are large in a picture, with the layer `close` if it exists."""
+    def fine_body(self) -> PosedBody:
+        """Return the body for agents that are large in a picture, with the layer `close` if it exists."""
         close = self._full_definition.layers.get(CLOSE_LAYER)
         if close is None:
             return self
@@ -116,9 +118,10 @@ class PosedBody:
         )
 
     @cached_property
-    def coarse(self) -> PosedBody:
-        """Return the version with fewer triangles, for agents that are small in a picture. If there is a layer `close`, the layer
-        `body` is used unchanged."""
+    def coarse_body(self) -> PosedBody:
+        """Return the body with fewer triangles, for agents that are small in a picture.
+
+        If there is a layer `close`, the layer `body` is used unchanged."""
         return (
             self
             if CLOSE_LAYER in self._full_definition.layers
@@ -126,17 +129,17 @@ class PosedBody:
         )
 
     @cached_property
-    def distant(self) -> PosedBody:
-        """Return the version with the fewest triangles, for agents of a few pixels."""
+    def distant_body(self) -> PosedBody:
+        """Return the body with the fewest triangles, for agents of a few pixels."""
         layers = {name: layer for name, layer in self._full_definition.layers.items() if name != CLOSE_LAYER}
         drawn = _select_needed_shapes(
-            self._full_definition, {binding.shape for layer in layers.values() for binding in _layer_bindings(layer)}
+            self._full_definition, {binding.shape for layer in layers.values() for binding in _list_layer_bindings(layer)}
         )
         return PosedBody(coarsen_definition(replace(self._full_definition, layers=layers, shapes=drawn)), self.clips, self.layers)
 
     def build_idle_clips(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
-        """Return the clips that agents with these ids play by default: the definition's idle clip, with a different start for
-        each agent.
+        """Return the clips that agents with these ids play by default: the definition's idle clip, which begins at a different
+        time for each agent.
 
         `seconds`: time since frame 0. Empty if there is no idle clip."""
         clip = self._full_definition.clips.get(self._full_definition.idle)
@@ -149,18 +152,19 @@ class PosedBody:
 
     @cached_property
     def mesh(self) -> SkinnedMesh:
-        """Return the same vertices with the bones that they follow, so that graphics hardware can pose them."""
+        """Return the vertices with the bones that each follows, so that graphics hardware can pose them."""
         return build_skinned_mesh(self._definition, self._bindings, self.point_indices)
 
     @cached_property
     def layer_masks(self) -> NDArray[np.uint64]:
-        """Return the bits of the `layers` that make each vertex visible, uint64[v]: bit k for layer number k. Vertices that are
-        always visible have 0."""
+        """Return the mask of each vertex, uint64[v]: bit k means that layer number k of `layers` shows the vertex.
+
+        Vertices that are always visible have 0."""
         own, layers = find_base_layer(self._full_definition), self._full_definition.layers
         vertex_masks = []
         for binding in self._bindings:
-            worn = [k for k, name in enumerate(self.layers) if name in layers and binding in _layer_bindings(layers[name])]
-            mask = 0 if binding in _layer_bindings(own) else sum(1 << k for k in worn)
+            worn = [k for k, name in enumerate(self.layers) if name in layers and binding in _list_layer_bindings(layers[name])]
+            mask = 0 if binding in _list_layer_bindings(own) else sum(1 << k for k in worn)
             vertex_masks.append(np.full(len(self._definition.shapes[binding.shape].points), mask, np.uint64))
         taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *vertex_masks])[self.point_indices]
         return taken
@@ -199,15 +203,14 @@ class PosedBody:
         driven_pose: DrivenPose = NO_DRIVEN_POSE,
         needs_local: bool = False,
     ) -> Poses:
-        """Return transforms and channels of `count` agents, in the definition's space.
+        """Return the transforms and channels of `count` agents, in the definition's space.
 
-        `machines`: select the clips that agents play. `feet`: if given, legs bend to reach these feet, and trunks move with them.
-        `driven_pose`: values that drive poses in addition to clips. `needs_local`: also return local transforms.
-        """
+        `machines`: the clips that agents play. `feet`: if given, legs bend to reach these feet, and trunks move with them.
+        `driven_pose`: values that drive poses in addition to clips. `needs_local`: also return local transforms."""
         playing = build_machine_playback(self._table, self._played, machines, count, driven_pose.lean)
         poses = blend_poses(self._table, self._definition.groups, playing, needs_local=needs_local, threads=threads)
         poses = set_pose_channels(self._table, poses, driven_pose.channels)
-        poses = turn_towards_looks(
+        poses = rotate_towards_looks(
             self._table,
             poses,
             driven_pose.look_directions,
@@ -234,7 +237,8 @@ class PosedBody:
         *,
         driven_pose: DrivenPose = NO_DRIVEN_POSE,
     ) -> tuple[Floats, Floats]:
-        """Return vertices and unit normals float32[n, v, 3] of `count` agents, in body lengths. Arguments: as in `poses`."""
+        """Return vertices and unit normals float32[n, v, 3] of `count` agents, in body lengths. The arguments are those of
+        `compute_poses`."""
         points, normals = self.compute_shape_points(self.compute_poses(machines, count, feet, threads, driven_pose=driven_pose))
         return points[:, self.point_indices], normals[:, self.point_indices]
 
@@ -256,7 +260,7 @@ def find_base_layer(definition: Definition) -> Layer:
 
 
 def _select_needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
-    """Return the named shapes, and the shapes that they blend with, by name."""
+    """Return the shapes called `names` and the shapes that they blend with, by name."""
     shapes: dict[str, Shape] = {}
     left = list(names)
     while left:
@@ -271,15 +275,15 @@ def _select_visible_bindings(definition: Definition, layers: Sequence[str]) -> t
     """Return the bindings of the base layer and of `layers`, each once, in the order of the definition's layers."""
     own = find_base_layer(definition)
     worn = (own, *(layer for name, layer in definition.layers.items() if name in layers and layer is not own))
-    return tuple(dict.fromkeys(binding for layer in worn for binding in _layer_bindings(layer)))
+    return tuple(dict.fromkeys(binding for layer in worn for binding in _list_layer_bindings(layer)))
 
 
-def _layer_bindings(layer: Layer) -> tuple[Binding, ...]:
+def _list_layer_bindings(layer: Layer) -> tuple[Binding, ...]:
     """Return the static bindings of a layer, then the deforming ones."""
     return (*layer.static, *layer.deforming)
 
 
-def _with_normals(shape: Shape) -> Shape:
+def _add_missing_normals(shape: Shape) -> Shape:
     """Return a shape with normals; missing ones are computed from its faces."""
     if shape.normals is not None:
         return shape
@@ -289,8 +293,10 @@ def _with_normals(shape: Shape) -> Shape:
 def _split_by_material(
     shape: Shape, colours: Mapping[str, tuple[float, float, float]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.str_]]:
-    """Return the vertices of a shape, split by material. The results are the point of each vertex, triangles of vertices, linear
-    colours, tints and material names."""
+    """Return the vertices of a shape; a point with several materials becomes several vertices.
+
+    The results are the point of each vertex, triangles of vertices, linear colours, weights of the agent's colour (0 or 1), and
+    material names."""
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
     names = shape.materials or ("",)
     pairs = shape.faces.astype(np.int64) * len(names) + material[:, None]
@@ -311,14 +317,14 @@ def coarsen_definition(definition: Definition) -> Definition:
     cell = definition.length / COARSE_CELLS_PER_BODY_LENGTH
     shapes = {name: coarsen_shape(shape, cell) for name, shape in definition.shapes.items()}
     layers = {
-        name: Layer(name, layer.static, tuple(_without_blending(each) for each in layer.deforming))
+        name: Layer(name, layer.static, tuple(_remove_blending(each) for each in layer.deforming))
         for name, layer in definition.layers.items()
     }
     return replace(definition, shapes=shapes, layers=layers)
 
 
 def coarsen_shape(shape: Shape, cell: float) -> Shape:
-    """Return a shape in which the points of each grid cell are replaced by their mean.
+    """Return a shape in which one point replaces all points of each cell of a grid with the edge `cell`: their mean.
 
     The mean follows the joints of the first point of the cell. Triangles with two corners in one cell are omitted. The bounding
     box keeps its size, so that the shape does not get thinner."""
@@ -358,7 +364,7 @@ def coarsen_shape(shape: Shape, cell: float) -> Shape:
     )  # fmt: skip
 
 
-def _without_blending(binding: Binding) -> Binding:
+def _remove_blending(binding: Binding) -> Binding:
     """Return a binding without the deformer for blend shapes."""
     steps = [step for step in binding.deformer.split("+") if step != "blendshape"]
     return replace(binding, deformer="+".join(steps))

@@ -246,7 +246,7 @@ def _build_flag() -> ColouredMesh:
 
 
 def _join_grid(rows: int, columns: int) -> NDArray[np.int32]:
-    """Return the triangles of a grid of points, row by row. They face the direction of (rows × columns) by the left hand."""
+    """Return the triangles of a grid of points, row by row. They face the direction of (rows × columns) by the left-hand rule."""
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
     a = (row * columns + column).reshape(-1)
     b, c, d = a + 1, a + columns, a + columns + 1
@@ -272,7 +272,7 @@ ITEM_SHAPES: dict[str, Callable[[], ColouredMesh]] = {
 
 @cache
 def build_item_mesh(shape: str) -> ColouredMesh:
-    """Return vertices, faces and display colours (0 to 1) of the named shape."""
+    """Return vertices, faces and display colours (0 to 1) of the item shape with the name `shape`."""
     arrays = ITEM_SHAPES[shape]()
     for array in arrays:
         array.setflags(write=False)
@@ -300,8 +300,9 @@ def build_sphere(detail: int = 2) -> MeshArrays:
 def compute_wave_noise(
     points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7
 ) -> NDArray[np.float64]:
-    """Return smooth noise of about unit size at `points` (n, d): a sum of `count` sines per octave, in random directions. Each
-    octave has half the wavelength and `fade` times the height of the previous one."""
+    """Return smooth noise of about unit size at `points` (n, d), a sum of `count` sines per octave in random directions.
+
+    Each octave has half the wavelength and `fade` times the height of the previous octave."""
     draw = np.random.Generator(np.random.Philox(seed))
     total = np.zeros(len(points))
     for octave in range(octaves):
@@ -315,8 +316,9 @@ def compute_wave_noise(
 
 
 def build_stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roughness: float = 0.16) -> MeshArrays:
-    """Return an irregular stone around the origin with approximately these half axes: a sphere cut flat by planes, then dented by
-    noise."""
+    """Return an irregular stone around the origin with approximately these half axes.
+
+    It is a sphere that is cut flat by planes and then dented by noise."""
     vertices, faces = build_sphere(detail)
     draw = np.random.Generator(np.random.Philox(seed))
     cuts = draw.normal(size=(9, 3))
@@ -329,8 +331,9 @@ def build_stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2
 
 
 def build_flat_grid(x: NDArray[np.float64], z: NDArray[np.float64]) -> MeshArrays:
-    """Return a flat grid over the lines `x` (a,) and `z` (b,) at y = 0. It has a · b vertices; the z index runs fastest, and
-    faces look up."""
+    """Return a horizontal grid at y = 0 with vertices at all pairs of `x` (a,) and `z` (b,).
+
+    The vertices (a · b) are ordered by x, then by z. Faces look up."""
     a, b = len(x), len(z)
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1).reshape(-1, 2)
     vertices = np.stack([grid[:, 0], np.zeros(a * b), grid[:, 1]], axis=1)
@@ -344,7 +347,7 @@ def build_flat_grid(x: NDArray[np.float64], z: NDArray[np.float64]) -> MeshArray
 
 
 def join_meshes(parts: list[MeshArrays]) -> MeshArrays:
-    """Return one mesh that contains all parts."""
+    """Return one mesh that contains all meshes of `parts`."""
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
     vertices = np.concatenate([vertices for vertices, _ in parts])
     faces = np.concatenate([faces + start for (_, faces), start in zip(parts, starts[:-1], strict=True)])

@@ -1,5 +1,6 @@
-"""An agent definition for graphics hardware: one mesh in which each vertex follows up to four bones, and its blend shapes as
-targets with a weight for each agent."""
+"""An agent definition for graphics hardware: one mesh in which each vertex follows up to four bones, and its blend shapes.
+
+Blend shapes become targets with a weight for each agent."""
 
 from __future__ import annotations
 
@@ -34,10 +35,9 @@ class SkinnedMesh:
 
     `points` and `normals`: float32[v, 3] in the rest pose, in the definition's units.
     `bones`: int32[v, 4], the bones that each vertex follows.
-    `weights`: float32[v, 4], which add up to 1.
+    `weights`: float32[v, 4], the weights of these bones, which add up to 1.
     `bone_joints`: int32[B], the number of each bone's joint in the rig.
-    `inverse_matrices`: float32[B, 3, 4], transforms the rest pose to the space of each bone.
-    """
+    `inverse_matrices`: float32[B, 3, 4], from the space of the rest pose to the space of each bone."""
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
@@ -48,13 +48,13 @@ class SkinnedMesh:
 
 
 def build_skinned_mesh(definition: Definition, bindings: Sequence[Binding], vertex_points: NDArray[np.integer]) -> SkinnedMesh:
-    """Return the mesh of some bindings. Their shapes must have normals. `vertex_points` int[v]: the selected vertices, counted
-    through all bindings.
+    """Return the skinned mesh of the given bindings, with shapes that have normals.
+
+    `vertex_points`: int[v], the point of each vertex, counted through all bindings.
 
     A static shape follows its joint only. If a point follows more than four joints, the four with the largest weights remain.
     Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes have their base shape.
-    `compute_blend_targets` returns the differences from that base.
-    """
+    `compute_blend_targets` returns the differences from that base."""
     bone_table = _BoneTable(definition)
     parts = [
         (_build_skinned_part if _is_skinned(each) else _build_static_part)(definition, each, bone_table) for each in bindings
@@ -73,7 +73,7 @@ def build_skinned_mesh(definition: Definition, bindings: Sequence[Binding], vert
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeshPart:
-    """Vertices of one binding: points, normals, bones and weights, as in `SkinnedMesh`."""
+    """The vertices of one binding: points, normals, bones and weights, as in `SkinnedMesh`."""
 
     points: NDArray[np.floating]
     normals: NDArray[np.floating]
@@ -90,7 +90,7 @@ class _BoneTable:
         self.inverses: list[Matrix] = []
 
     def get_bone_number(self, joint: int, inverse_matrix: Matrix) -> int:
-        """Return the number of the bone with a joint and an inverse matrix. A new pair gets the next number."""
+        """Return the number of the bone with this joint and inverse matrix. A new pair gets the next number."""
         for number, (other, known) in enumerate(zip(self.joints, self.inverses, strict=True)):
             if other == joint and np.abs(known - inverse_matrix).max() <= _EQUAL_MATRIX_TOLERANCE * max(
                 1.0, float(np.abs(inverse_matrix[:, :3]).max())
@@ -107,16 +107,17 @@ def _is_skinned(binding: Binding) -> bool:
 
 
 def _build_static_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
-    """Return a static shape, moved to the position of its joint in the rest pose. It then shares the bone of shapes that are
-    skinned to that joint."""
+    """Return the vertices of a static shape, at the position of its joint in the rest pose.
+
+    In this position, the shape shares its bone with shapes that are skinned to the joint."""
     shape = definition.shapes[binding.shape]
-    points, normals = shape.points.astype(np.float64), _normals_or_zeros(shape).astype(np.float64)
+    points, normals = shape.points.astype(np.float64), _get_normals_or_zeros(shape).astype(np.float64)
     bones = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.int32)
     weights = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.float32)
     weights[:, 0] = 1
     joint, inverse = NO_JOINT, np.eye(4)
     if binding.transform:
-        joint = definition.rig.joint(binding.transform)
+        joint = definition.rig.find_joint(binding.transform)
         rest = bone_table.rest[joint]
         if abs(np.linalg.det(rest[:3, :3])) > _SINGULAR_DETERMINANT:
             inverse = np.linalg.inv(rest)
@@ -128,24 +129,24 @@ def _build_static_part(definition: Definition, binding: Binding, bone_table: _Bo
 
 
 def _build_skinned_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
-    """Return a shape in which each point follows its own joints."""
+    """Return the vertices of a shape in which each point follows its own joints."""
     shape = definition.shapes[binding.shape]
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
     number = np.array(
         [
-            bone_table.get_bone_number(definition.rig.joint(name), capture.inverse_matrices[k])
+            bone_table.get_bone_number(definition.rig.find_joint(name), capture.inverse_matrices[k])
             for k, name in enumerate(capture.names)
         ],
         np.int32,
     )
     joints, weights = _select_strongest_joints(capture)
-    return _MeshPart(shape.points, _normals_or_zeros(shape), number[joints], weights)
+    return _MeshPart(shape.points, _get_normals_or_zeros(shape), number[joints], weights)
 
 
 def _select_strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the joints with the largest weights of each point, at most four, and their weights."""
+    """Return the joints with the largest weights of each point, at most four, and these weights."""
     joints, weights = capture.joints, capture.weights
     if joints.shape[1] < MAX_JOINTS_PER_VERTEX:
         wide = ((0, 0), (0, MAX_JOINTS_PER_VERTEX - joints.shape[1]))
@@ -158,7 +159,7 @@ def _select_strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArr
     )
 
 
-def _normals_or_zeros(shape: Shape) -> NDArray[np.float32]:
+def _get_normals_or_zeros(shape: Shape) -> NDArray[np.float32]:
     """Return the normals of a shape; zeros if it has none."""
     return np.zeros_like(shape.points) if shape.normals is None else shape.normals
 
@@ -180,9 +181,10 @@ class BlendTarget:
 def compute_blend_targets(
     definition: Definition, bindings: Sequence[Binding], vertex_points: NDArray[np.integer]
 ) -> dict[BlendTarget, NDArray[np.float32]]:
-    """Return the differences that each target adds at weight 1 to the rest pose of a skinned mesh, float32[v, 6]: three numbers
-    for points and three for normals. Only shapes with blending as their first deformer have targets. `vertex_points` int[v]: the
-    selected vertices, counted through all bindings."""
+    """Return the offsets that each target at weight 1 adds to the rest pose of a skinned mesh.
+
+    The offsets are float32[v, 6]: three numbers for points and three for normals. Only shapes with blending as their first
+    deformer have targets. `vertex_points`: int[v], the point of each vertex, counted through all bindings."""
     sizes = [len(definition.shapes[each.shape].points) for each in bindings]
     starts = np.cumsum([0, *sizes])
     offsets_by_target: dict[BlendTarget, NDArray[np.float32]] = {}
@@ -192,7 +194,7 @@ def compute_blend_targets(
         if shape.blend is None or chain[:1] != (blend_shapes,):
             continue
         carried = binding.transform and not any(step in SKINNING_DEFORMERS for step in chain)
-        turn = rest[definition.rig.joint(binding.transform)][:3, :3] if carried else np.eye(3)
+        turn = rest[definition.rig.find_joint(binding.transform)][:3, :3] if carried else np.eye(3)
         for target, rows, offsets in _compute_target_offsets(definition, shape, turn):
             target_offsets = offsets_by_target.setdefault(target, np.zeros((int(starts[-1]), 6), np.float32))
             target_offsets[start + rows] += offsets
@@ -202,7 +204,7 @@ def compute_blend_targets(
 def _compute_target_offsets(
     definition: Definition, shape: Shape, rotation: NDArray[np.float64]
 ) -> list[tuple[BlendTarget, NDArray[np.intp], NDArray[np.float64]]]:
-    """Return each target of a shape with its points and their offsets, rotated by `rotation`."""
+    """Return the targets of a shape: each target, the points that it moves, and their offsets, rotated by `rotation`."""
     blend = shape.blend
     assert blend is not None
     target_offsets = []

@@ -31,8 +31,8 @@ class CurvePoints:
 class SampledCurve:
     """A polyline float64[n,3] (mm), n >= 1, resampled into pieces of equal length, at most `spacing` mm.
 
-    The number of samples is limited. The direction is from the first point to the last; `reverse` flips it. A curve of one point
-    has no direction: its tangent is 0. Raises ValueError if there is no point, or a point is not finite."""
+    The number of samples is limited. The curve's direction is from the first point to the last; `reverse` flips it. A curve of
+    one point has no direction: its tangent is 0. Raises ValueError if there is no point, or a point is not finite."""
 
     def __init__(self, points: Vectors, spacing: float, reverse: bool = False) -> None:
         points = np.asarray(points, np.float64).reshape(-1, 3)
@@ -49,9 +49,10 @@ class SampledCurve:
         self._sample_tree: Any = None
 
     def find_closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
-        """Return the nearest points to positions (1-D arrays, mm); of equally near points, the first along the curve.
+        """Return the nearest points of the curve to positions (1-D arrays, mm). Of equally near points, the first along the curve
+        counts.
 
-        The result is exact for the resampled curve: the nearest sample bounds the distance, and only segments within that bound
+        The result is exact for the resampled curve. The nearest sample bounds the distance, and only segments within that bound
         plus one piece can contain the nearest point. Positions that are not finite get an infinite distance."""
         from scipy.spatial import cKDTree
 
@@ -70,7 +71,7 @@ class SampledCurve:
         return CurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
     def _find_nearest_points(self, positions: Vectors) -> tuple[Vectors, Vectors]:
-        """Return the nearest point and tangent, from the segments with samples that are near enough."""
+        """Return the nearest point [n,3] of the curve to each position, and the tangent [n,3] there."""
         neighbour_count = min(_NEAREST_SAMPLES, len(self.samples))
         gap, sample = self._sample_tree.query(positions, k=list(range(1, neighbour_count + 1)))
         best = self._find_nearest_segment(positions, sample)
@@ -85,7 +86,8 @@ class SampledCurve:
         return self.samples[best] + part * self._segment_vectors[best], normalise(tangent)
 
     def _find_nearest_segment(self, positions: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the nearest of the segments next to samples int[n,k]; of equally near ones, the first."""
+        """Return the number of the segment nearest to each position, of the segments next to samples int[n,k]. Of equally near
+        segments, the first counts."""
         segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._segment_vectors) - 1), axis=1)
         gaps = np.stack([self._project_on_segment(positions, column)[1] for column in segment.T], axis=1)
         best: NDArray[np.int64] = segment[np.arange(len(positions)), gaps.argmin(axis=1)]
@@ -94,7 +96,7 @@ class SampledCurve:
     def _project_on_segment(
         self, positions: Vectors, segment: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the position of the nearest point along its segment (0 to 1), and the squared distance."""
+        """Return the fraction (0 to 1) along its segment of the point nearest to each position, and the squared distance."""
         offset, step = positions - self.samples[segment], self._segment_vectors[segment]
         square = self._segment_lengths[segment] ** 2
         projection = (offset[:, 0] * step[:, 0] + offset[:, 1] * step[:, 1]) + offset[:, 2] * step[:, 2]

@@ -26,7 +26,7 @@ CellLayout = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # lowest and hig
 
 
 class DistanceGrid:
-    """Lower bounds of the distance to a set of triangles, with corners float64[m,3,3] (mm).
+    """Lower bounds of the distance from positions to a set of triangles, with corners float64[m,3,3] (mm).
 
     `store_tables`: store the bounds for later runs that need them."""
 
@@ -44,7 +44,7 @@ class DistanceGrid:
         ]
 
     def _measure_bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
-        """Return a lower bound of the distance from each cell to all triangles."""
+        """Return the table of lower bounds: for each cell, a distance (mm) within which its points have no triangle."""
         free = np.ones(tuple(self._size), bool)
         for cell, _ in iterate_triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
@@ -55,7 +55,8 @@ class DistanceGrid:
         return {"least": bounds}
 
     def refine_near_cells(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
-        """Raise the bounds of cells near triangles. `distance` measures the distance (mm) of the cell centres [n,3].
+        """Raise the lower bounds of cells near triangles. `distance` returns the distance (mm) of cell centres [n,3] to the
+        nearest triangle.
 
         Refined bounds are too low by at most half the diagonal of a cell, others by twice as much. The method does nothing if the
         measurement would take longer than it saves a crowd in a few hundred steps."""
@@ -87,7 +88,7 @@ class DistanceGrid:
 
 @inlined
 def _compute_lower_bound(cells: CellLayout, cell_bounds: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
-    """Return a lower bound (mm) of the distance from a position to all triangles."""
+    """Return a lower bound (mm) of the distance from a position to the nearest triangle."""
     low, high, size, width = cells
     part = 1.0 / width
     ix, iy, iz = _clamp_number(px, low[0], high[0]), _clamp_number(py, low[1], high[1]), _clamp_number(pz, low[2], high[2])
@@ -107,7 +108,8 @@ def _compute_lower_bound(cells: CellLayout, cell_bounds: Array1[F32], px: F64, p
 def write_lower_bounds(
     positions: PointColumns, cells: CellLayout, cell_bounds: Array1[F32], bounds: Array1[F32], begin: I64, end: I64
 ) -> None:
-    """Write the distance bounds of the positions in rows `begin` to `end` (exclusive)."""
+    """Write a lower bound (mm) of the distance to the nearest triangle into `bounds`, for the positions `begin` to `end`
+    (exclusive)."""
     x, y, z = positions
     for n in simd_range(begin, end):
         bounds[n] = _compute_lower_bound(cells, cell_bounds, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
@@ -117,7 +119,7 @@ def write_lower_bounds(
 def write_lower_bounds64(
     positions: PointColumns64, cells: CellLayout, cell_bounds: Array1[F32], bounds: Array1[F32], begin: I64, end: I64
 ) -> None:
-    """Write the bounds of `write_lower_bounds` for positions in float64."""
+    """Write the results of `write_lower_bounds` for positions in float64."""
     x, y, z = positions
     for n in simd_range(begin, end):
         bounds[n] = _compute_lower_bound(cells, cell_bounds, x[n], y[n], z[n])
@@ -125,13 +127,13 @@ def write_lower_bounds64(
 
 @inlined
 def _to_cell_number(place: F64) -> I64:
-    """Return the cell number of a coordinate (in cells), which must not be negative."""
+    """Return the number of the cell that contains a coordinate `place` (in cells), which must not be negative."""
     return round_to_int(np.floor(place))
 
 
 @inlined
 def _clamp_number(place: F64, low: F64, high: F64) -> F64:
-    """Return a coordinate clamped as by fmin and fmax: NaN becomes the lowest."""
+    """Return the coordinate `place`, clamped to `low` … `high` as by fmin and fmax: NaN becomes `low`."""
     inside = place if place > low else low
     return inside if inside < high else high
 
@@ -153,9 +155,7 @@ def choose_cell_width(extent: NDArray[np.float64], cells: int) -> float:
 
 def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
     """Return an edge length of cubes, at least `width`, for which it takes at most a few seconds to list the cubes that triangles
-    touch.
-
-    The triangles have corners float64[m,3,3]."""
+    touch. The triangles have corners float64[m,3,3]."""
     lengths, area = measure_sides_and_area(corners)
     perimeter = float(lengths.sum())
     while 3 * area / width**2 + 2 * perimeter / width > _MAX_LISTED_CELLS + 8.0 * len(corners):
@@ -164,7 +164,7 @@ def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
 
 
 def measure_sides_and_area(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the lengths (3, m) of the sides of triangles `corners` (m, 3, 3), and the total area of the triangles."""
+    """Return the lengths (3, m) of the sides of triangles with corners (m, 3, 3), and the total area of these triangles."""
     sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
     normal = np.cross(sides[0], sides[1])
     lengths: NDArray[np.float64] = np.sqrt(np.stack([dot(side, side) for side in sides]))

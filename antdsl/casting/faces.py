@@ -19,9 +19,9 @@ Index = NDArray[np.int64]
 # Share of the largest coordinate: several times the float32 rounding error of a corner, a ray and their intersection
 TOLERANCE_PER_COORDINATE = 1e-6
 # Tolerances by which faces are widened for rays, so that rounded rays hit them even at an angle of 4 degrees
-WIDENING_TOLERANCES = 16.0
-_BORDER_TOLERANCES = 20.0  # tolerances; nearer to a side than this, the faces at its end are also tested
-RETEST_TOLERANCES = 40.0  # tolerances; another face up to this far behind a reported face may be the first hit
+WIDENING_IN_TOLERANCES = 16.0
+_BORDER_WIDTH_IN_TOLERANCES = 20.0  # tolerances; nearer to a side than this, the faces at its end are also tested
+RETEST_DEPTH_IN_TOLERANCES = 40.0  # tolerances; another face up to this far behind a reported face may be the first hit
 _MAX_PRECOMPUTED_FACES = 200_000  # with more faces, the tables of each face are computed on demand
 _SHARP_CORNER_LIMIT = 1 / 128  # 1 + cosine between the outward directions of two sides; limits how far a sharp corner moves out
 
@@ -30,8 +30,8 @@ FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64
 
 
 class Faces:
-    """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, because few faces are queried.
-    `largest_coordinate`: the coordinate (mm) that `tolerance` is relative to; by default the largest of all corners."""
+    """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, because few faces are queried. `tolerance`
+    is relative to `largest_coordinate` (mm), by default that of all corners."""
 
     def __init__(self, corners: Floats, is_short_lived: bool = False, largest_coordinate: float | None = None) -> None:
         self.corners = corners
@@ -54,7 +54,7 @@ class Faces:
             moved_corners.append(
                 corner
                 + (one + two)
-                * (WIDENING_TOLERANCES * self.tolerance / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[:, None]
+                * (WIDENING_IN_TOLERANCES * self.tolerance / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[:, None]
             )
         return np.stack(moved_corners, axis=1).reshape(-1, 3).astype(np.float32)
 
@@ -68,7 +68,8 @@ class Faces:
         return self._normals.take(face, axis=0)
 
     def _get_planes_and_borders(self, face: Index) -> tuple[Floats, Floats]:
-        """Return the `compute_planes` of faces, and for each face the weight below which a point counts as near its border."""
+        """Return the planes of faces (`compute_planes`), and the weights below which a point counts as near the border of each
+        face."""
         if self._is_short_lived:
             return self._compute_planes(self.corners.take(face, axis=0))
         if self._planes is None:
@@ -79,11 +80,12 @@ class Faces:
         return rows.take(face, axis=0), rims.take(face)
 
     def _compute_planes(self, corners: Floats) -> tuple[Floats, Floats]:
+        """Return the results of `_get_planes_and_borders` for triangles [k,3,3]."""
         rows = compute_planes(corners)
         one, two = rows[:, 1, :3], rows[:, 2, :3]
         both = one + two
         steepest = np.maximum(np.maximum(dot(one, one), dot(two, two)), dot(both, both))
-        return rows, _BORDER_TOLERANCES * self.tolerance * np.sqrt(steepest)
+        return rows, _BORDER_WIDTH_IN_TOLERANCES * self.tolerance * np.sqrt(steepest)
 
     def intersect_planes(
         self, face: Index, origin: Floats, displacement: Floats
@@ -116,7 +118,7 @@ class Faces:
             n = len(reported_faces)
             fractions, tolerances, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
             write_checked_hits(
-                tables, self.tolerance, RETEST_TOLERANCES, ray_parameters.astype(np.float64), origin, displacement,
+                tables, self.tolerance, RETEST_DEPTH_IN_TOLERANCES, ray_parameters.astype(np.float64), origin, displacement,
                 reported_faces, fractions, weights, hit, tolerances,
             )  # fmt: skip
             return fractions, weights, hit, tolerances
@@ -131,7 +133,7 @@ class Faces:
             query, other = self.find_faces_at_corner(reported_faces[unsure], weights[unsure])
             row = unsure[query]
             t, other_weights, inside, _ = self.intersect_planes(other, origin[row], displacement[row])
-            near = (t <= ray_parameters[row] + RETEST_TOLERANCES * tolerances[row]) | (other == reported_faces[row])
+            near = (t <= ray_parameters[row] + RETEST_DEPTH_IN_TOLERANCES * tolerances[row]) | (other == reported_faces[row])
             usable = np.flatnonzero(inside & near & (t > tolerances[row]))
             order = usable[np.lexsort((other[usable], t[usable], row[usable]))]
             first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
@@ -150,8 +152,8 @@ class Faces:
         return *self._planes, *self._corner_tables
 
     def find_nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
-        """Return the nearest position to each point [k,3], its squared distance and its face. `face` is the nearest face in
-        float32. The result is that face, or one that meets it at the nearest position; of equally near faces, the first."""
+        """Return the nearest position to each point [k,3], its squared distance and its face. The argument `face` is the nearest
+        face in float32. The result is that face or one that meets it at the position: of equally near faces, the first."""
         tables = self.build_tables()
         if tables is not None:
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
@@ -176,8 +178,8 @@ class Faces:
         return place, square, face
 
     def find_faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
-        """Return all faces that share the corner of largest weight with a queried face, itself included: the index of the queried
-        face, and the face number, ascending."""
+        """Return all faces that share the corner of largest weight with a queried face, itself included, as pairs: the index of
+        the queried face in `face`, and the number of the sharing face, ascending."""
         if self._corner_tables is None:
             self._corner_tables = self._weld_corners()
         weld, first, faces = self._corner_tables
@@ -199,7 +201,7 @@ class Faces:
         return is_doubled
 
     def _weld_corners(self) -> tuple[Index, Index, Index]:
-        """Return the welded vertex number of each corner, the start of each vertex's faces in a list, and that list of faces."""
+        """Return the welded vertex number of each corner, the start of each vertex's faces in a list of faces, and this list."""
         flat = self.corners.reshape(-1, 3)
         order = np.lexsort((flat[:, 2], flat[:, 1], flat[:, 0]))
         new = (flat[order[1:]] != flat[order[:-1]]).any(axis=1)
@@ -211,9 +213,9 @@ class Faces:
 
 
 def compute_planes(corners: Floats) -> Floats:
-    """Return three rows (k, 3, 4) for triangles [k,3,3]. Multiplied with a point's coordinates and 1, they give the height along
-    the normal and the weights of the second and third corner. All are zero for a triangle without area (D. Baldwin, M. Weber,
-    Fast Ray-Triangle Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
+    """Return the planes [k,3,4] of triangles [k,3,3]; 0 without area. A triangle's rows, times a point's coordinates and 1, give
+    the height along the normal and the weights of the second and third corner (D. Baldwin, M. Weber, Fast Ray-Triangle
+    Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
     a, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, two)
     size = dot(normal, normal)[:, None]
@@ -266,7 +268,7 @@ def write_checked_hits(
     ray_tolerances: Array1[F64],
 ) -> None:  # fmt: skip
     """Write the results of `Faces.check_hits` to the last five arrays: face, ray parameter, corner weights, whether the ray hits,
-    and `tolerance`."""
+    and the tolerance in lengths of `displacement`."""
     planes, rims, weld, first, faces = table
     for i in range(reported_faces.size):
         x, y, z = displacement[i, 0], displacement[i, 1], displacement[i, 2]
@@ -278,7 +280,7 @@ def write_checked_hits(
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least_weight) > rims[face]:
             hit[i] = False
-            place = weld[3 * face + _greatest_index(w0, w1, w2)]
+            place = weld[3 * face + _find_largest_index(w0, w1, w2)]
             limit = ray_parameters[i] + retest_tolerances * h
             for k in range(first[place], first[place + 1]):
                 t, (w0, w1, w2), least_weight = _intersect_plane(planes, faces[k], a, b, c, x, y, z)
@@ -299,8 +301,8 @@ def write_nearest(
     positions: Array2[F64],
     squared_distances: Array1[F64],
 ) -> None:
-    """Write the results of `Faces.find_nearest` to the last three arrays. At the start, `face` has the faces that Open3D
-    reports."""
+    """Write the results of `Faces.find_nearest` to the last three arrays: face, nearest position and squared distance. `face`
+    must contain the faces that Open3D reports."""
     planes, rims, weld, first, faces = table
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
@@ -308,10 +310,10 @@ def write_nearest(
         q = find_nearest_on_face(corners, f, p)
         d = compute_squared_length(minus(q, p))
         positions[i, 0], positions[i, 1], positions[i, 2], squared_distances[i] = q[0], q[1], q[2], d
-        w1, w2 = evaluate_point(planes, f, 1, q[0], q[1], q[2]), evaluate_point(planes, f, 2, q[0], q[1], q[2])
+        w1, w2 = evaluate_plane(planes, f, 1, q[0], q[1], q[2]), evaluate_plane(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
         if not _find_minimum(w0, w1, w2) > rims[f]:
-            vertex = weld[3 * f + _greatest_index(w0, w1, w2)]
+            vertex = weld[3 * f + _find_largest_index(w0, w1, w2)]
             begin = True
             for k in range(first[vertex], first[vertex + 1]):
                 q = find_nearest_on_face(corners, faces[k], p)
@@ -322,28 +324,28 @@ def write_nearest(
 
 
 @inlined
-def evaluate_point(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
+def evaluate_plane(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
     """Return the product of one row of a face's planes with a point's coordinates and 1."""
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
 @inlined
-def evaluate_direction(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
+def evaluate_plane_slope(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
     """Return the product of one row of a face's planes with a direction."""
     return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
 @inlined
 def _find_minimum(a: F64, b: F64, c: F64) -> F64:
-    """Return the least number; NaN if any is NaN, as `np.minimum`."""
+    """Return the smallest of three numbers; NaN if any is NaN, as `np.minimum`."""
     if a != a or b != b or c != c:
         return np.nan
     return min(min(a, b), c)
 
 
 @inlined
-def _greatest_index(a: F64, b: F64, c: F64) -> I64:
-    """Return the index as `np.argmax` does: NaN is the greatest, and the first of equals counts."""
+def _find_largest_index(a: F64, b: F64, c: F64) -> I64:
+    """Return the index of the largest number, as `np.argmax`: NaN is larger than all numbers, and the first of equals counts."""
     if a != a or (not (b > a or b != b) and not (c > a or c != c)):
         return 0
     if b != b or (b >= c and c == c):
@@ -353,10 +355,10 @@ def _greatest_index(a: F64, b: F64, c: F64) -> I64:
 
 @inlined
 def _intersect_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
-    """Return the ray parameter at a face's plane, the corner weights there, and the least of these weights."""
-    t = -evaluate_point(planes, face, 0, a, b, c) / evaluate_direction(planes, face, 0, x, y, z)
-    w1 = evaluate_point(planes, face, 1, a, b, c) + t * evaluate_direction(planes, face, 1, x, y, z)
-    w2 = evaluate_point(planes, face, 2, a, b, c) + t * evaluate_direction(planes, face, 2, x, y, z)
+    """Return the ray parameter at a face's plane, the corner weights there, and the smallest of these weights."""
+    t = -evaluate_plane(planes, face, 0, a, b, c) / evaluate_plane_slope(planes, face, 0, x, y, z)
+    w1 = evaluate_plane(planes, face, 1, a, b, c) + t * evaluate_plane_slope(planes, face, 1, x, y, z)
+    w2 = evaluate_plane(planes, face, 2, a, b, c) + t * evaluate_plane_slope(planes, face, 2, x, y, z)
     w0 = (1.0 - w1) - w2
     return t, (w0, w1, w2), _find_minimum(w0, w1, w2)
 

@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 
 T = TypeVar("T", np.bool_, np.int32)
 
-_MAX_SQUARED_CELLS = 1 << 29  # exceeds the squared length of any grid; the sum of two fits into int32
+_MAX_SQUARED_DISTANCE = 1 << 29  # exceeds the squared length of any grid; the sum of two fits into int32
 
 
 def filter_maximum(grid: NDArray[T], rings: int) -> NDArray[T]:
-    """Return the maximum over the cells within `rings` cells of each, along all axes."""
+    """Return a grid in which each cell has the maximum of the cells at most `rings` cells away along every axis."""
     return _filter_neighbourhood(grid, rings, np.maximum)
 
 
 def filter_minimum(grid: NDArray[T], rings: int) -> NDArray[T]:
-    """Return the minimum over the cells within `rings` cells of each, along all axes."""
+    """Return a grid in which each cell has the minimum of the cells at most `rings` cells away along every axis."""
     return _filter_neighbourhood(grid, rings, np.minimum)
 
 
 def _filter_neighbourhood(grid: NDArray[T], rings: int, combine: Any) -> NDArray[T]:
-    """Combine each cell with those within `rings` cells, axis by axis, by the function `combine`."""
+    """Combine each cell with the cells at most `rings` cells away, axis by axis, by the function `combine`."""
     for axis in range(grid.ndim):
         for flip in (False, True):  # first the following cells, then the preceding ones
             line = np.moveaxis(grid, axis, 0)
@@ -41,12 +41,11 @@ def _filter_neighbourhood(grid: NDArray[T], rings: int, combine: Any) -> NDArray
 
 
 def compute_blocked_distances(is_free: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the distance, in cells between centres, to the nearest cell that is not `is_free`; at least one cell must not be
-    free.
+    """Return, for each cell, the distance to the nearest cell that is not `is_free`, in cells between the centres.
 
-    The axes are processed one after another. For each cell, the result is the minimum over its line of two terms: the squared
-    value of a cell of the line, plus its squared distance along the line."""
-    square = np.where(is_free, np.int32(_MAX_SQUARED_CELLS), np.int32(0))
+    At least one cell must not be free. The axes are processed one after another. For each cell, the result is the minimum over
+    its line of two terms: the squared value of a cell of the line, plus its squared distance along the line."""
+    square = np.where(is_free, np.int32(_MAX_SQUARED_DISTANCE), np.int32(0))
     for axis in np.argsort(is_free.shape, kind="stable"):  # after the shortest axis, few cells are far from all blocked cells
         line = np.moveaxis(square, axis, 0)
         nearest = line.copy()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.casting.faces import evaluate_direction, evaluate_point
+from antdsl.casting.faces import evaluate_plane, evaluate_plane_slope
 from antdsl.casting.tolerances import (
     EDGE_WEIGHT_TOLERANCE,
     FACE_BEYOND_GRID,
@@ -25,7 +25,7 @@ FeelerResults = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array
 SevenColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 FLOAT32_ONE, ROUNDING_SLACK, SHORTEST_VECTOR = np.float32(1), np.float32(ROUNDING_BOUND), np.float32(MIN_VECTOR_LENGTH)
 PREFETCH_GROUP_SIZE = 16  # rays or points with faces prefetched together
-_MIN_AXIS_CUBES = 1e-12  # cubes along an axis; a ray with a shorter extent stays in its layer
+_MIN_CUBES_ALONG_AXIS = 1e-12  # cubes along an axis; a ray with a shorter extent stays in its layer
 
 
 @kernel
@@ -158,7 +158,7 @@ def write_requested_feelers(
 
 @kernel_helper
 def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
-    """Return the hit of a feeler, and the face. A hit is the distance (mm) and the unit normal towards the feeler's origin.
+    """Return the first hit of a feeler, as distance (mm) and unit normal towards the feeler's origin, and the face that it hits.
 
     The distance is infinite for no hit, NaN if the grid cannot answer."""
     shape, normals = grid[0], grid[7]
@@ -176,7 +176,7 @@ def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[t
 
 @kernel_helper
 def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
-    """Return the ray parameter (0 to 1) at which a ray from `a` by `w` hits its first face, and the face."""
+    """Return the ray parameter (0 to 1) at which a ray from `a` along the displacement `w` hits its first face, and this face."""
     shape, size, first, face_list, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
@@ -187,7 +187,7 @@ def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     if not (abs(px) + abs(py) + abs(pz) < np.inf and long <= MAX_RAY_CUBES):
         return np.inf, NO_FACE
     # A ray that stays in a layer never reaches the layer's borders; a ray outside a layer never enters it.
-    mx, my, mz = abs(dx) > _MIN_AXIS_CUBES, abs(dy) > _MIN_AXIS_CUBES, abs(dz) > _MIN_AXIS_CUBES
+    mx, my, mz = abs(dx) > _MIN_CUBES_ALONG_AXIS, abs(dy) > _MIN_CUBES_ALONG_AXIS, abs(dz) > _MIN_CUBES_ALONG_AXIS
     ix, iy, iz = 1.0 / dx if mx else np.inf, 1.0 / dy if my else np.inf, 1.0 / dz if mz else np.inf
     begin_x, end_x = _intersect_axis(px, ix, mx, np.float64(size[0]))
     begin_y, end_y = _intersect_axis(py, iy, my, np.float64(size[1]))
@@ -218,10 +218,10 @@ def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
             if cx * cx + cy * cy + cz * cz > radius * radius:
                 continue
             f = face_list[k]
-            t = -evaluate_point(planes, f, 0, a[0], a[1], a[2]) / evaluate_direction(planes, f, 0, w[0], w[1], w[2])
+            t = -evaluate_plane(planes, f, 0, a[0], a[1], a[2]) / evaluate_plane_slope(planes, f, 0, w[0], w[1], w[2])
             if t > h and t <= max_parameter:
-                w1 = evaluate_point(planes, f, 1, a[0], a[1], a[2]) + t * evaluate_direction(planes, f, 1, w[0], w[1], w[2])
-                w2 = evaluate_point(planes, f, 2, a[0], a[1], a[2]) + t * evaluate_direction(planes, f, 2, w[0], w[1], w[2])
+                w1 = evaluate_plane(planes, f, 1, a[0], a[1], a[2]) + t * evaluate_plane_slope(planes, f, 1, w[0], w[1], w[2])
+                w2 = evaluate_plane(planes, f, 2, a[0], a[1], a[2]) + t * evaluate_plane_slope(planes, f, 2, w[0], w[1], w[2])
                 if (
                     (1.0 - w1) - w2 >= -EDGE_WEIGHT_TOLERANCE
                     and w1 >= -EDGE_WEIGHT_TOLERANCE
@@ -255,8 +255,8 @@ def prefetch_rays(
     cells: Array1[I64],
     count: I64,
 ) -> None:
-    """Prefetch the faces near both ends of the rays with numbers in `rays`. Origins and displacements (3, k) are relative to
-    `zero`."""
+    """Prefetch the faces near both ends of the rays that `rays` numbers. Origins and displacements are float64[3,k], and origins
+    are relative to `zero`."""
     for n in range(count):
         _list_end_cubes(grid, minus(get_column(origins, rays[n]), zero), get_column(displacements, rays[n]), cells, n)
     _prefetch_lists(grid, cells, count)
@@ -264,7 +264,7 @@ def prefetch_rays(
 
 @inlined
 def _list_end_cubes(grid: GridTables, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
-    """Write the cubes at both ends of ray `n` of a batch into `cells`."""
+    """Write the numbers of the cubes at both ends of ray `n` of a batch into `cells`."""
     cells[2 * n] = _prefetch_cube(grid, a)
     cells[2 * n + 1] = _prefetch_cube(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
 

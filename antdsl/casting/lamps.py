@@ -16,38 +16,43 @@ from antdsl.numerics import elementary
 from antdsl.numerics.vector_rows import dot
 
 MAX_LAMPS = 16  # of a picture or of one name; the largest count
-UNIT_DISTANCE = 10.0  # radii at which a lamp of strength 1 gives the light 1
-_TARGET_RADII = 1.06  # rays end just outside the lamp's own surface
+UNIT_DISTANCE_IN_RADII = 10.0  # radii at which a lamp of strength 1 gives the light 1
+_RAY_END_IN_RADII = 1.06  # rays end just outside the lamp's own surface
 _BULB_BY_SHAPE = {"lamp": (1.75, 0.92), "sphere": (0.85, 1.0)}  # height of the centre and radius, in radii of the item
-_OTHER_BULB = (0.5, 1.0)
+_DEFAULT_BULB = (0.5, 1.0)
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 AnyFloats = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightSphere:
-    """A sphere that emits light. `centre` (3,), `radius`: world units. `strength`: the light at UNIT_DISTANCE radii."""
+    """A sphere that emits light.
+
+    - `centre` (3,), `radius`: in world units
+    - `strength`: the intensity of its light at a distance of UNIT_DISTANCE_IN_RADII radii"""
 
     centre: NDArray[np.float64]
     radius: float
     strength: float
 
     def aim_rays(self, points: AnyFloats, numbers: NDArray[np.integer], count: int) -> AnyFloats:
-        """Return vectors (n, 3) from `points` (n, 3) to points of the sphere, which rays reach at the parameter 1.
+        """Return vectors (n, 3) from `points` (n, 3) to target points on the sphere. A ray reaches its target at the parameter 1.
 
-        `numbers` (n,): which of `count` evenly spread points of the half sphere that faces each point."""
+        `count` target points are evenly spread over the half sphere that faces a point; `numbers` (n,) selects one for each
+        point."""
         towards = points - self.centre.astype(points.dtype)
         height = 1 - (np.arange(count) + 0.5) / count
         turn, flat = np.arange(count) * _GOLDEN_ANGLE, np.sqrt(1 - height * height)
         half_sphere = np.stack([flat * elementary.cos(turn), height, flat * elementary.sin(turn)], axis=-1).astype(points.dtype)
-        spots = half_sphere[numbers] * points.dtype.type(_TARGET_RADII * self.radius)
+        spots = half_sphere[numbers] * points.dtype.type(_RAY_END_IN_RADII * self.radius)
         spots = np.where(dot(spots, towards)[:, None] < 0, -spots, spots)
         return np.asarray(spots - towards, points.dtype)
 
     def compute_intensity(self, points: AnyFloats, normal: AnyFloats, flat_normal: AnyFloats | None = None) -> AnyFloats:
-        """Return the light (n,) at points with a normal (n, 3) that nothing hides from the lamp.
+        """Return the intensity (n,) of the lamp's light at `points` (n, 3) with normals `normal` (n, 3), without any occlusion.
 
-        `flat_normal` (n, 3): of the triangles; light fades where they face away, so that coarse bodies have no jagged shade."""
+        `flat_normal` (n, 3): the normals of the triangles. Light fades where they face away, so that coarse bodies have no jagged
+        shade."""
         number = points.dtype.type
         towards = self.centre.astype(points.dtype) - points
         square = dot(towards, towards)
@@ -55,7 +60,7 @@ class LightSphere:
         share = np.clip(dot(normal, direction), 0, 1) / np.maximum(square, number(self.radius**2))
         if flat_normal is not None:
             share *= np.clip(dot(flat_normal, direction) * 6 + number(0.6), 0, 1)
-        return np.asarray(share * number(self.strength * (UNIT_DISTANCE * self.radius) ** 2))
+        return np.asarray(share * number(self.strength * (UNIT_DISTANCE_IN_RADII * self.radius) ** 2))
 
 
 Sphere = TypeVar("Sphere", bound=LightSphere)
@@ -67,7 +72,7 @@ def place_bulb(
     """Return the centre (3,) and the radius of the part of an item that emits light.
 
     `shape`: the item's shape in pictures. `position` (3,), `size`: its position and its radius. `up` (3,): a unit vector."""
-    height, bulb = _BULB_BY_SHAPE.get(shape, _OTHER_BULB)
+    height, bulb = _BULB_BY_SHAPE.get(shape, _DEFAULT_BULB)
     return position + up * (height * size), bulb * size
 
 

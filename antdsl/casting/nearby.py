@@ -45,18 +45,18 @@ class FeelerHits:
 
 
 def list_query_rows(queries: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[np.intp]]]:
-    """Return, for each request, its number and the rows of its agents."""
+    """Return, for each query, its number in `queries` and the rows of the agents that request it."""
     return [(number, np.flatnonzero(is_requested)) for number, (is_requested, *_) in enumerate(queries)]
 
 
 class ProximityQueries(ABC):
-    """Queries about triangles near positions. `casting.rays` implements the basic queries that they use."""
+    """Queries about the triangles near positions. The subclass in `casting.rays` implements the basic queries that these use."""
 
     origin: Vectors
     _is_short_lived: bool
     _stores_tables: bool
     _faces: Faces
-    _first_face: Index
+    _first_face_of_mesh: Index
     _is_empty: bool
     _grid: DistanceGrid | None
     _has_refined_grid: bool
@@ -76,7 +76,7 @@ class ProximityQueries(ABC):
     def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
-        """Return the rays that hit within one `displacement`, ascending, with ray parameter and face."""
+        """Return the rays that hit within one length of `displacement`: their numbers, ascending, ray parameters and faces."""
 
     @abstractmethod
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
@@ -87,8 +87,8 @@ class ProximityQueries(ABC):
         """Return the grid for short rays and near faces; None if there is none."""
 
     @abstractmethod
-    def _bound_distances(self, points: Vectors) -> Vectors:
-        """Return the approximate distances [n] (mm) to the nearest face."""
+    def _measure_approximate_distances(self, points: Vectors) -> Vectors:
+        """Return approximate distances [n] (mm) from points [n,3] to the nearest face, which limit later searches."""
 
     def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) within which positions have no face; 0 when near, inf without faces."""
@@ -98,7 +98,7 @@ class ProximityQueries(ABC):
             self._grid = self._get_distance_grid()
         if len(x) >= _MIN_POINTS_TO_REFINE and not self._has_refined_grid and not self._is_short_lived:
             self._has_refined_grid = True
-            self._grid.refine_near_cells(self._bound_distances)
+            self._grid.refine_near_cells(self._measure_approximate_distances)
         return self._grid.compute_lower_bounds(x, y, z, threads)
 
     def _get_distance_grid(self) -> DistanceGrid:
@@ -138,14 +138,15 @@ class ProximityQueries(ABC):
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Write the results of `cast_feelers` for several requests together, each for some of n agents.
+        """Write the results of `cast_feelers` for several queries together, each for some of n agents.
 
         - `positions`: x y z, and a distance (mm) within which there is no face, [n] each
-        - `queries`: each request has directions (x y z) of any length and their reach, [n] each, and its result arrays
+        - `queries`: for each query, which agents request it; directions (x y z) of any length and their reach; and its result
+          arrays
         - result arrays: hit, distance and normal (x y z), [n] each, initialised to no hit
 
-        All arrays are contiguous float32. Returns, for each request, its number and the rows that still need `cast_feelers`;
-        these are all rows if there is no grid."""
+        All arrays are contiguous float32. Returns, for each query, its number and the rows that still need `cast_feelers`; these
+        are all rows if there is no grid."""
         grid = self._get_triangle_grid()
         if grid is None:
             return list_query_rows(queries)
@@ -169,11 +170,11 @@ class ProximityQueries(ABC):
     def _cast_rays(
         self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return distance and normal of the first hits of feelers (rays as six columns), by array operations."""
+        """Return distances and normals of the first hits of feelers (given as six columns), by array operations."""
         x, y, z, dx, dy, dz = rays
         t = np.full(len(x), np.inf, np.float32)
         normal = np.zeros((3, len(x)), np.float32)
-        near = self._select_reachable(rays, reach)
+        near = self._select_possible_hits(rays, reach)
         if near.size:
             length = reach.take(near)
             origin, displacement = np.empty((3, near.size)), np.empty((3, near.size))
@@ -190,8 +191,9 @@ class ProximityQueries(ABC):
     def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the nearest face within `reach` (mm, one or float[n]) of positions (1-D arrays): distance, and unit direction
-        from the face to the position."""
+        """Return the nearest face within `reach` (mm, one or float[n]) of positions (1-D arrays).
+
+        The normal of a hit is the unit direction from the face to the position."""
         n = len(x)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
         t = np.full(n, np.inf, np.float32)
@@ -211,9 +213,10 @@ class ProximityQueries(ABC):
     def measure_signed_distances(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], max_distance: NDArray[Any] | float, threads: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the signed distance (mm, float32[n]) of positions from the meshes, and the unit direction out, float32[3,n].
+        """Return the signed distance (mm, float32[n]) of positions from the meshes, and the unit direction out of them,
+        float32[3,n].
 
-        The distance is negative inside, which means behind the nearest face. Slow far from the surface."""
+        The distance is negative inside a mesh, which means behind the nearest face. The query is slow far from the surface."""
         grid = self._get_usable_grid((x, y, z))
         if grid is None:
             return self._measure_from_faces(np.stack([x, y, z], axis=1).astype(np.float64), max_distance, threads)
@@ -232,15 +235,15 @@ class ProximityQueries(ABC):
         mesh, face, place, distance = self.find_closest(points, threads, max_distance)
         if self._is_empty or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
-        normal = self._faces.get_normals(face + self._first_face[mesh])
+        normal = self._faces.get_normals(face + self._first_face_of_mesh[mesh])
         offset = points - place
         side = np.where((offset[:, 0] * normal[:, 0] + offset[:, 1] * normal[:, 1]) + offset[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
         touching = distance < TOUCHING_DISTANCE_MM
         outward = np.where(touching[:, None], normal, offset * (side / np.maximum(distance, TOUCHING_DISTANCE_MM))[:, None])
         return (distance * side).astype(np.float32), np.ascontiguousarray(outward.T, np.float32)
 
-    def _select_reachable(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:
-        """Return the rows of feelers that may hit. A feeler is excluded if the ball around its middle that contains it is known
+    def _select_possible_hits(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:
+        """Return the rows of feelers that may hit. A feeler is excluded if the ball that contains it, around its middle, is known
         to be empty."""
         if self._is_empty:
             return np.empty(0, np.int64)

@@ -1,5 +1,4 @@
-"""The nearest face to positions in a grid of triangles, and the direction out of the surface: kernels of `triangle_grid`, one
-position at a time."""
+"""Kernels of `triangle_grid` that find the nearest face to one position, and the direction out of the surface there."""
 
 from __future__ import annotations
 
@@ -23,10 +22,9 @@ _PREFETCHED_FACES = 12  # prefetched faces of a row of cubes
 
 @kernel
 def write_signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[F32], begin: I64, end: I64) -> I64:
-    """Write the results of `TriangleGrid.measure_signed_distances` for positions `begin` to `end` (exclusive): signed distance
-    and direction out.
+    """Write the signed distance and the direction out of the surface into `results`, for positions `begin` to `end` (exclusive).
 
-    The distance is NaN if the grid cannot tell. Returns the number of these positions."""
+    The distance is NaN if the grid cannot answer. Returns the number of these positions."""
     x, y, z = positions
     count = 0
     for i in range(begin, end):
@@ -38,9 +36,9 @@ def write_signed_distances(grid: GridTables, positions: ThreeColumns, results: A
 
 @inlined
 def measure_signed_distance(grid: GridTables, place: Vec3F32, max_distance: F64) -> tuple[F32, Vec3F32]:
-    """Return the signed distance (mm) of one position to the faces, and the direction out.
+    """Return the signed distance (mm) of one position to the faces, and the direction out of the surface.
 
-    The distance is NaN if the grid cannot tell, and infinite if it is more than `max_distance` mm."""
+    The distance is NaN if the grid cannot answer, and infinite if it is more than `max_distance` mm."""
     shape, normals = grid[0], grid[7]
     p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
     a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
@@ -68,7 +66,7 @@ def measure_signed_distance(grid: GridTables, place: Vec3F32, max_distance: F64)
 def write_nearest_points(
     grid: GridTables, points: Strided2[F64], positions: Array2[F64], squared_distances: Array1[F64], face: Array1[I64]
 ) -> None:
-    """Write the results of `TriangleGrid.find_nearest` to the last three arrays."""
+    """Write the results of `TriangleGrid.find_nearest` to the last three arrays: nearest position, squared distance and face."""
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
         squared_distances[i], face[i], q = find_nearest_face(grid, p, np.inf)
@@ -77,8 +75,8 @@ def write_nearest_points(
 
 @inlined
 def prefetch_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
-    """Prefetch the list starts of the cubes around a position. Write these cubes, as nine rows of three, to `rows` from index 9 *
-    `k` on."""
+    """Prefetch the start of the face lists of the cubes around a position. Write these cubes, as nine rows of three, to `rows`
+    from index 9 * `k` on."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
     mx = _find_layer(np.float64(place[0]) - shape[6], shape[0], part, size[0])
@@ -107,7 +105,7 @@ def prefetch_lists(grid: GridTables, rows: Array1[I64], count: I64) -> None:
 
 @inlined
 def _find_layer(coordinate: F64, low: F64, part: F64, size: I64) -> I64:
-    """Return the layer of cubes at a coordinate (mm), limited to the grid."""
+    """Return the number of the layer of cubes at a coordinate (mm), limited to the grid. `part`: cubes per mm."""
     return min(max(round_to_int(np.floor((coordinate - low) * part)), 0), size - 1)
 
 
@@ -116,9 +114,9 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
     """Return the squared distance to a point's nearest face, that face, and the nearest position on it.
 
     If all faces are farther than `max_distance` (mm), the result may be NEAREST_BEYOND_RANGE or NEAREST_UNKNOWN instead of a
-    face. NEAREST_BEYOND_RANGE means that the point is in front of the nearest face, which then need not be measured. Two facts
-    are sufficient: an upper bound of the distance of a face that has the point in front; and that faces with the point behind
-    them are farther."""
+    face. NEAREST_BEYOND_RANGE means that the point is in front of the nearest face, which is not measured. This is certain if a
+    face with the point in front of it is nearer than all faces with the point behind them. Bounds of the distances can show
+    it."""
     shape, size, first, face_list, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, slack = shape[3], shape[4]
     part = 1.0 / width
@@ -156,9 +154,9 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
                                     limit = np.sqrt(ahead) + slack
                                     square_limit = min(square_limit, limit * limit)
                                     back_limit = min(back_limit, limit + slack)
-                                if _is_farther(np.float64(bound[k, 7]) + slack, height, from_ball, front_limit):
+                                if _is_face_farther(np.float64(bound[k, 7]) + slack, height, from_ball, front_limit):
                                     continue
-                            elif _is_farther(np.float64(bound[k, 7]) + slack, height, from_ball, back_limit):
+                            elif _is_face_farther(np.float64(bound[k, 7]) + slack, height, from_ball, back_limit):
                                 continue
                             f = face_list[k]
                             if f == face or latest == f or second == f or third == f:
@@ -196,9 +194,11 @@ def _measure_plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F
 
 
 @inlined
-def _is_farther(radius: F64, height: F64, square: F64, distance: F64) -> BOOL:
-    """Return whether a face is certainly farther than `distance`: by its plane, or within the plane by its bounding ball of
-    `radius`."""
+def _is_face_farther(radius: F64, height: F64, square: F64, distance: F64) -> BOOL:
+    """Return whether a face is certainly farther from a point than `distance`, by the bounds of the face.
+
+    `height` is the point's height above the face's plane, `square` its squared distance from the centre of the face's bounding
+    ball, `radius` that of the ball."""
     if abs(height) > distance:
         return True
     square_in_plane = square - height * height
@@ -215,13 +215,13 @@ def _is_near_grid(coordinate: F64, size: I64) -> BOOL:
 
 @inlined
 def _clamp_index(coordinate: F64, size: I64) -> I64:
-    """Return the layer of cubes at a coordinate (in cubes), limited to the grid."""
+    """Return the number of the layer of cubes at a coordinate (in cubes), limited to the grid."""
     return min(np.int64(np.floor(max(coordinate, 0.0))), size - 1)
 
 
 @inlined
 def _measure_searched_distance(coordinate: F64, middle: I64, ring: I64, size: I64) -> F64:
-    """Return the distance (in cubes) along an axis up to which the rings so far contain all faces."""
+    """Return a distance (in cubes) along an axis. All faces nearer than it are in the rings of cubes searched so far."""
     begin, end = middle - ring, middle + ring + 1
     low = np.inf if begin <= 0 else coordinate - np.float64(begin)
     high = np.inf if end >= size else np.float64(end) - coordinate

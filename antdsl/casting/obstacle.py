@@ -29,16 +29,18 @@ class Obstacle(Protocol):
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Write the hits of feelers for several requests together, each for some of n agents.
+        """Write the hits of feelers for several queries together, each for some of n agents.
 
         - `positions`: x y z, and a distance (mm) within which there is no surface
-        - `queries`: each request has directions (x y z) of any length and their reach, and its result arrays
+        - `queries`: for each query, which agents request it; directions (x y z) of any length and their reach; and its result
+          arrays
         - result arrays: hit, distance and normal (x y z), initialised to no hit
 
-        Returns, for each request, its number and the rows that still need `cast_feelers`."""
+        Returns, for each query, its number and the rows that still need `cast_feelers`."""
 
     def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the nearest surface within `reach` (one or float[n]) of positions: distance, and unit direction from the surface
-        to the position."""
+        """Return the nearest surface within `reach` (one or float[n]) of positions.
+
+        The normal of a hit is the unit direction from the surface to the position."""

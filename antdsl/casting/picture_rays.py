@@ -75,6 +75,7 @@ class PictureRays:
         return is_occluded
 
     def _prepare_rays(self, origin: NDArray[Any], direction: NDArray[np.float32], rows: slice) -> NDArray[np.float32]:
+        """Return rays float32[k,6] for Open3D: origin relative to the mesh's centre, and direction."""
         rays = np.empty((rows.stop - rows.start, 6), np.float32)
         np.subtract(origin if origin.ndim == 1 else origin[rows], self.origin, out=rays[:, :3], casting="unsafe")
         rays[:, 3:] = direction[rows]

@@ -12,7 +12,7 @@ _TRIANGLES_PER_CHUNK = 1 << 15  # triangles per batch
 _PAIRS_PER_CHUNK = 1 << 13
 _CELL_SLACK = 1e-9  # cells
 _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
-_MAX_TRIANGLE_CELLS = 2.0  # extent in cells; a larger triangle is cut in four
+_MAX_TRIANGLE_EXTENT = 2.0  # extent in cells; a larger triangle is cut in four
 _MAX_CELL_NUMBER = float(1 << 62)
 _THIN_TRIANGLE_RATIO = 64.0  # ratio of length in cells to touched cells; above it, a triangle is sliced
 
@@ -20,7 +20,7 @@ _THIN_TRIANGLE_RATIO = 64.0  # ratio of length in cells to touched cells; above 
 def iterate_triangle_cells(
     corners: NDArray[np.float64], exact: bool = True, margin: float = 0.0
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield (cells int64[k,3], triangle int64[k]) until all touched cells of all triangles are listed.
+    """Yield batches of pairs until all cells that triangles touch are listed: cells int64[k,3], and triangle numbers int64[k].
 
     - `corners`: float64[n,3,3] (triangle, corner, axis) in units of cells; cell (i,j,k) is [i,i+1)×[j,j+1)×[k,k+1)
     - `exact`: if false, yield all cells of a small box around each part of a triangle
@@ -45,7 +45,7 @@ def _iterate_touched_cells(
     while todo:
         tri, triangle_numbers = todo.pop()
         low, high = _compute_bounds(tri)
-        large = (high - low).max(axis=1) > _MAX_TRIANGLE_CELLS
+        large = (high - low).max(axis=1) > _MAX_TRIANGLE_EXTENT
         small = ~large
         if small.any():
             yield _find_cells_by_box(tri[small], triangle_numbers[small], exact, margin)
@@ -88,10 +88,10 @@ def _find_thin_triangles(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Yield triangles cut across their longest side: at most `_TRIANGLES_PER_CHUNK` parts per batch, and the triangle number of
-    each.
+    """Yield batches of slices of triangles, cut across their longest side, and the triangle number of each slice.
 
-    The height cuts a triangle in two. Each half is cut along the height, from its tip on, and each slice into two triangles."""
+    A batch has at most `_TRIANGLES_PER_CHUNK` slices. The height cuts a triangle in two. Each half is cut along the height, from
+    its tip on, and each slice into two triangles."""
     sides = np.stack([((tri[:, (k + 1) % 3] - tri[:, k]) ** 2).sum(axis=1) for k in range(3)])
     first, row = sides.argmax(axis=0), np.arange(len(tri))
     start, end, apex = (tri[row, (first + k) % 3] for k in range(3))
@@ -101,7 +101,7 @@ def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.floa
     tip, foot, apex = np.concatenate([start, end]), np.tile(foot, (2, 1)), np.tile(apex, (2, 1))
     height = np.sqrt(((apex - foot) ** 2).sum(axis=1))
     length = np.sqrt(((foot - tip) ** 2).sum(axis=1))
-    count = np.ceil(length / np.maximum(height, _MAX_TRIANGLE_CELLS - height)).astype(np.int64)
+    count = np.ceil(length / np.maximum(height, _MAX_TRIANGLE_EXTENT - height)).astype(np.int64)
     stop = np.cumsum(count)
     for a in range(0, int(stop[-1]), _TRIANGLES_PER_CHUNK // 2):
         step = np.arange(a, min(a + _TRIANGLES_PER_CHUNK // 2, int(stop[-1])))
@@ -133,7 +133,7 @@ def _compute_bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 def _find_cells_by_box(
     tri: NDArray[np.float64], triangle_numbers: NDArray[np.int64], exact: bool, margin: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the touched cells in the bounding box of each triangle, and their triangles."""
+    """Return the touched cells in the bounding box of each triangle, and the triangle number of each cell."""
     lowest, highest = _compute_bounds(tri)
     low, high = np.floor(lowest - margin).astype(np.int64), np.floor(highest + margin).astype(np.int64)
     size = high - low + 1
@@ -157,10 +157,11 @@ def _find_cells_by_box(
 def _find_touching_cells(
     tri: NDArray[np.float64], triangle_rows: NDArray[np.int64], cells: NDArray[np.int64], half: float
 ) -> NDArray[np.bool_]:
-    """Return whether triangles `triangle_rows` int64[k] of float64[9,n] touch the cells int64[k,3], as bool[k]. Their bounding
-    boxes must touch.
+    """Return whether each triangle touches its cell, as bool[k]. The bounding boxes of both must touch.
 
-    `half`: half the edge of the tested cells."""
+    - `tri`: the corners of triangles, float64[9,n]; `triangle_rows` int64[k]: the triangle of each pair
+    - `cells` int64[k,3]: the cell of each pair
+    - `half`: half the edge of the tested cells"""
     middle = cells.T + 0.5
     v = [[tri[3 * corner + axis].take(triangle_rows) - middle[axis] for axis in range(3)] for corner in range(3)]
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]

@@ -27,7 +27,7 @@ from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
 if TYPE_CHECKING:
     from antdsl.casting.faces import Faces
 
-Rings = tuple[Array1[F64], Array1[I32], Array1[F32]]  # as `find_rings`
+RingTables = tuple[Array1[F64], Array1[I32], Array1[F32]]  # as `build_ring_tables`
 Plane = tuple[F64, F64, F64, F64]
 Arrays = tuple[NDArray[Any], ...]
 CornerTables = tuple[Array1[I64], Array1[I64], Array1[I64], Array1[BOOL]]
@@ -44,8 +44,8 @@ _SQUARE_ROUNDING_FACTOR = 1 + 1e-5  # exceeds the rounding error of a square in 
 _MIN_FACES_PER_THREAD = 512  # fewer faces are not worth another thread
 
 
-def find_rings(faces: Faces, grid: GridTables, store_tables: bool, threads: int = 1) -> Arrays:
-    """Return a row of two cache lines for each face, as three views of one table:
+def build_ring_tables(faces: Faces, grid: GridTables, store_tables: bool, threads: int = 1) -> Arrays:
+    """Return the table that walks read: two cache lines for each face, as three views of one array.
 
     - float64[16 m]: the three planes of a face
     - int32[32 m]: at LINK_OFFSET, the face across the side opposite each corner, -1 for none
@@ -54,7 +54,7 @@ def find_rings(faces: Faces, grid: GridTables, store_tables: bool, threads: int 
     If `store_tables`, the table is stored for other runs."""
     count = len(faces.corners) if store_tables else 0
     tables = stored_tables.get_or_compute(
-        "rings", count, (faces.corners, *grid[0][:5]), partial(_compute_rings, faces, grid, threads)
+        "rings", count, (faces.corners, *grid[0][:5]), partial(_compute_ring_tables, faces, grid, threads)
     )
     space = np.zeros(16 * len(faces.corners) + 8)
     rows = space[-space.ctypes.data % 64 // 8 :][: 16 * len(faces.corners)].reshape(-1, 4, 4)
@@ -63,8 +63,8 @@ def find_rings(faces: Faces, grid: GridTables, store_tables: bool, threads: int 
     return rows.ravel(), links.ravel(), balls.ravel()
 
 
-def _compute_rings(faces: Faces, grid: GridTables, threads: int) -> stored_tables.Tables:
-    """Compute the links and balls of `find_rings`."""
+def _compute_ring_tables(faces: Faces, grid: GridTables, threads: int) -> stored_tables.Tables:
+    """Return the links and balls of all faces, as `build_ring_tables` describes them."""
     tables = faces.build_tables()
     assert tables is not None
     weld, first, face_list = tables[2:]
@@ -101,9 +101,9 @@ def _find_side_links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
 
 @kernel
 def _find_balls(grid: GridTables, corners: CornerTables, balls: Array2[F32], begin: I64, end: I64) -> None:
-    """Write the balls of faces `begin` to `end` (exclusive).
+    """Write the middle and squared radius of the balls of faces `begin` to `end` (exclusive) into `balls`.
 
-    `corners` has the last three arrays of `Faces.build_tables`, and which corners have no open side."""
+    `corners`: the last three arrays of `Faces.build_tables`, and for each vertex whether no side at it is open."""
     points, weld = grid[6], corners[0]
     for f in range(begin, end):
         middle = 0.0, 0.0, 0.0
@@ -182,22 +182,23 @@ def _measure_ring_clearance(grid: GridTables, weld: Array1[I64], f: I64, middle:
 
 @inlined
 def _has_corner(weld: Array1[I64], f: I64, v: I64) -> BOOL:
-    """Return whether a corner belongs to a face."""
+    """Return whether a face has the corner `v`."""
     return weld[3 * f] == v or weld[3 * f + 1] == v or weld[3 * f + 2] == v
 
 
 @inlined
-def prefetch_first_face(rings: Rings, face: I64) -> None:
+def prefetch_first_face(rings: RingTables, face: I64) -> None:
     """Prefetch the data that a walk reads of its first face."""
     prefetch(rings[0], 16 * face)
     prefetch(rings[0], 16 * face + 8)
 
 
 @inlined
-def find_hit_by_walk(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
-    """Return the result of `find_first_hit` by a walk from the face below the origin `a`, which is searched from `start` on.
+def find_hit_by_walk(grid: GridTables, rings: RingTables, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
+    """Return the result of `find_first_hit`, found by a walk over faces from the face below the ray's origin `a`.
 
-    The face is NEAREST_UNKNOWN if a walk cannot answer."""
+    The search for this first face begins at the face `start`. The face in the result is NEAREST_UNKNOWN if a walk cannot
+    answer."""
     links, balls = rings[1], rings[2]
     f = _find_face_below(rings, start, a)
     if f < 0 or not _is_in_ball(balls, f, a):
@@ -239,7 +240,7 @@ def find_hit_by_walk(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec
 
 
 @inlined
-def _find_face_below(rings: Rings, start: I64, place: Vec3) -> I64:
+def _find_face_below(rings: RingTables, start: I64, place: Vec3) -> I64:
     """Return the face below or above a position, by a search over neighbours from `start` on. Return -1 if there is none, or if
     the position is near a side."""
     f, count = start, 0
@@ -256,21 +257,21 @@ def _find_face_below(rings: Rings, start: I64, place: Vec3) -> I64:
 
 
 @inlined
-def _load_planes(rings: Rings, f: I64) -> tuple[Plane, Plane, Plane]:
-    """Return the planes of a face: its own, and two that give the weights of its second and third corner."""
+def _load_planes(rings: RingTables, f: I64) -> tuple[Plane, Plane, Plane]:
+    """Return the three planes of a face: the plane of the face, and two that give the weights of its second and third corner."""
     x0, y0, z0, c0, x1, y1, z1, c1, x2, y2, z2, c2 = load_consecutive(rings[0], 16 * f, 12)
     return (x0, y0, z0, c0), (x1, y1, z1, c1), (x2, y2, z2, c2)
 
 
 @inlined
 def _evaluate_plane(plane: Plane, place: Vec3) -> F64:
-    """Return the value of a plane at a position, as `faces.evaluate_point`."""
+    """Return the value of a plane at a position, as `faces.evaluate_plane`."""
     return ((plane[0] * place[0] + plane[1] * place[1]) + plane[2] * place[2]) + plane[3]
 
 
 @inlined
 def _evaluate_plane_slope(plane: Plane, displacement: Vec3) -> F64:
-    """Return the growth of a plane's value along a displacement, as `faces.evaluate_direction`."""
+    """Return the growth of a plane's value along a displacement, as `faces.evaluate_plane_slope`."""
     return (plane[0] * displacement[0] + plane[1] * displacement[1]) + plane[2] * displacement[2]
 
 

@@ -1,5 +1,5 @@
-"""Rays, occlusions, closest points and feelers against triangles, with Open3D or a grid. The same bits result for any batches and
-threads."""
+"""Rays, occlusions, closest points and feelers against triangles, with Open3D or a grid. The bits of a result do not depend on
+batches or threads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces, find_nearest_on_triangle
 from antdsl.casting.nearby import RAY_LENGTH_FACTOR, Index, ProximityQueries, Vectors
 from antdsl.casting.open3d_module import load_open3d, require_open3d
-from antdsl.casting.ray_walks import Arrays, find_rings
+from antdsl.casting.ray_walks import Arrays, build_ring_tables
 from antdsl.casting.tolerances import FACE_BEYOND_GRID, NO_FACE
 from antdsl.casting.triangle_grid import TriangleGrid
 
@@ -23,8 +23,8 @@ RayHits = tuple[Index, Vectors, Index, Vectors]
 
 _RAYS_PER_CHUNK = 1 << 16  # rays per chunk
 _MAX_RECASTS = 16  # maximum number of faces that a ray may miss by less than the tolerance
-_NUDGE_TOLERANCES = 8.0  # tolerances; a point moved this far from its face is nearer to an equally near face on another side
-_MAX_RAYS_CAST_ONCE = 128  # for up to this number of rays, one cast to the end of the scene is faster than two queries
+_NUDGE_IN_TOLERANCES = 8.0  # tolerances; a point moved this far from its face is nearer to an equally near face on another side
+_MAX_RAYS_IN_ONE_CAST = 128  # for up to this number of rays, one cast to the end of the scene is faster than two queries
 _MAX_NEAREST_DISTANCE_MM = 1e15  # much farther away, Open3D reports no nearest face, because squares overflow in float32
 FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero, float32 is exact to a ten-thousandth of a millimetre
 
@@ -95,7 +95,7 @@ class RayScene(ProximityQueries):
         arrays = [(np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in meshes]
         counts = np.array([len(f) for _, f in arrays], np.int64)
         corners = np.concatenate([np.empty((0, 3, 3)), *(v[f] for v, f in arrays)])
-        self._first_face = np.cumsum(np.concatenate(([0], counts)))
+        self._first_face_of_mesh = np.cumsum(np.concatenate(([0], counts)))
         self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)
         middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
         # Multiples of a metre, and zero near the origin, so that another mesh at the border changes no bit of other results.
@@ -114,7 +114,7 @@ class RayScene(ProximityQueries):
 
     @property
     def _widened_scene(self) -> Any:
-        """Return Open3D's scene, built on first use: the grid answers most queries of a run."""
+        """Return Open3D's scene of slightly enlarged triangles, built on first use: the grid answers most queries of a run."""
         if self._open3d_scene is None:
             self._open3d_scene = self._build_scene(self._faces.compute_widened_corners())
         return self._open3d_scene
@@ -151,7 +151,8 @@ class RayScene(ProximityQueries):
     def find_hits_along_step(
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
-        """Return the rays that hit between `origin` [n,3] and `origin + step`, ascending, with ray parameter, mesh and face.
+        """Return the rays that hit between `origin` [n,3] and `origin + step`: their numbers, ascending, ray parameters, meshes
+        and faces.
 
         `most_hit`: skip the occlusion query, because most rays hit."""
         hit_rays, t, face = self._find_hits_within(origin - self.origin, step, threads, most_hit)
@@ -178,7 +179,7 @@ class RayScene(ProximityQueries):
         grid."""
         grid = self._get_triangle_grid()
         if grid is not None and self._ring_tables is None:
-            self._ring_tables = find_rings(self._faces, grid.tables, self._stores_tables, threads)
+            self._ring_tables = build_ring_tables(self._faces, grid.tables, self._stores_tables, threads)
         return self._ring_tables
 
     def _get_triangle_grid(self) -> TriangleGrid | None:
@@ -191,8 +192,9 @@ class RayScene(ProximityQueries):
     def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
-        """Return the hits of `_find_open3d_hits` within one length of `displacement`, without weights. Short rays use the
-        grid."""
+        """Return the rays that hit within one length of `displacement`: their numbers, ascending, ray parameters and faces.
+
+        Short rays use the grid, others Open3D."""
         grid = self._get_triangle_grid()
         if grid is None:
             return self._find_open3d_hits(origin, displacement, 1.0, threads, most_hit)[:3]
@@ -211,8 +213,8 @@ class RayScene(ProximityQueries):
         """Return the rays that hit within `max_parameter` lengths of `displacement` [n,3], from points [n,3] relative to the
         scene's origin.
 
-        The result has their numbers, ascending, ray parameters (in lengths of `displacement`), faces over all meshes, and corner
-        weights.
+        The result has the numbers of these rays, ascending, ray parameters (in lengths of `displacement`), faces over all meshes,
+        and corner weights.
 
         Hits within the tolerance of a ray's start are ignored. So Open3D searches slightly farther than the end. It searches
         again behind each reported face that the ray does not hit: the ray starts from that face, or misses it by less than the
@@ -229,7 +231,7 @@ class RayScene(ProximityQueries):
             rays = np.empty((len(rows), 6), np.float32)
             rays[:, :3] = a if begin is None else a + w * begin[:, None]
             rays[:, 3:] = w
-            are_many = len(rows) > _MAX_RAYS_CAST_ONCE and not most_hit
+            are_many = len(rows) > _MAX_RAYS_IN_ONE_CAST and not most_hit
             if max_parameter < np.inf and are_many:
                 # A ray without a hit traverses the complete scene. Only occlusion queries can limit its length.
                 maybe = self._test_occlusions(rays, max_parameter * RAY_LENGTH_FACTOR, threads).nonzero()[0]
@@ -273,8 +275,8 @@ class RayScene(ProximityQueries):
         return rows.take(near_rows), fractions.take(near_rows), reported.take(near_rows), weights.take(near_rows, axis=0)
 
     def _cast_open3d_rays(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
-        """Return, for prepared rays, the approximate ray parameter at which Open3D reports a face, and the face over all meshes
-        (-1 = none)."""
+        """Return, for prepared rays, the approximate ray parameter at which Open3D reports a hit, and the face over all meshes
+        (-1: none)."""
         answer = self._widened_scene.cast_rays(self._to_tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
         face = answer["primitive_ids"].numpy().astype(np.int64)
@@ -286,7 +288,7 @@ class RayScene(ProximityQueries):
     def _split_face_numbers(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Convert face numbers over all meshes to mesh numbers and face numbers within the mesh."""
         mesh = self._mesh_of_face.take(face)
-        return mesh, (face - self._first_face.take(mesh)).astype(np.int32)
+        return mesh, (face - self._first_face_of_mesh.take(mesh)).astype(np.int32)
 
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
         """Return the normals of faces, on the sides that rays with these directions hit."""
@@ -319,8 +321,7 @@ class RayScene(ProximityQueries):
     def find_closest(
         self, points: Vectors, threads: int = 1, max_distance: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, NDArray[np.float64]]:
-        """Return the nearest surface point to each point [n,3]: mesh, face, position [n,3] in float64 on that face, distance [n]
-        (mm).
+        """Return the nearest surface point to each point [n,3]: its mesh, face, position [n,3] in float64, and distance [n] (mm).
 
         Far from the surface, a query costs as much as 10 to 30 rays: use it for the few points that no other search resolves.
         Beyond `max_distance` (mm, one or float[n]) the result may be an equally near face on another side."""
@@ -345,7 +346,8 @@ class RayScene(ProximityQueries):
     def _find_closest_by_open3d(
         self, local_points: Vectors, threads: int, max_distance: NDArray[Any] | float
     ) -> tuple[Vectors, Vectors, Index]:
-        """Return position, distance and face nearest to points relative to the scene's origin, by Open3D."""
+        """Return, for each point, the nearest position on a face, its distance and the face, by Open3D. Points and positions are
+        relative to the scene's origin."""
         place, square, face = self._faces.find_nearest(local_points, self._query_open3d_nearest(local_points, threads))
         # At a slightly larger distance, an equally near face on another side is nearer. So both are found in any case.
         distance = np.sqrt(square)
@@ -353,7 +355,7 @@ class RayScene(ProximityQueries):
         if candidates.size:
             local_points, square, one = local_points[candidates], square[candidates], face[candidates]
             nudge = (local_points - place[candidates]) * (
-                _NUDGE_TOLERANCES * self._faces.tolerance / np.maximum(distance[candidates], 1e-30)
+                _NUDGE_IN_TOLERANCES * self._faces.tolerance / np.maximum(distance[candidates], 1e-30)
             )[:, None]
             other_places, other_squares, other = self._faces.find_nearest(
                 local_points, self._query_open3d_nearest(local_points + nudge, threads)
@@ -363,14 +365,15 @@ class RayScene(ProximityQueries):
             place[rows], face[rows], distance[rows] = (other_places[nearer], other[nearer], np.sqrt(other_squares[nearer]))
         return place, distance, face
 
-    def _bound_distances(self, points: Vectors) -> Vectors:
-        """Return distances [n] to the nearest face, or to a face that is as near within float32 error. They serve as bounds."""
+    def _measure_approximate_distances(self, points: Vectors) -> Vectors:
+        """Return distances [n] to the nearest face, or to a face that is as near within float32 error. They limit later
+        searches."""
         local = points - self.origin
         gap = find_nearest_on_triangle(local, self._faces.corners.take(self._query_open3d_nearest(local, 1), axis=0)) - local
         return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
 
     def _query_open3d_nearest(self, points: Vectors, threads: int) -> Index:
-        """Return the face that Open3D reports as nearest to points relative to the scene's origin."""
+        """Return, for each point, the face that Open3D reports as nearest. Points are relative to the scene's origin."""
         if self._exact_scene is None:
             self._exact_scene = (
                 self._widened_scene

@@ -32,7 +32,7 @@ Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Float32Array
 _CUBE_WIDTH_IN_FACE_EDGES = 1.0  # edge of a cube, in mean face edges
 _MAX_CUBES = 400_000
 _MAX_LISTED_FACES = 4_000_000  # pairs of a face and a cube that lists it
-_CROWDED_CUBE_FACES = 48.0  # mean number of faces in a face's cube; above it, a tree tests fewer faces
+_MAX_MEAN_FACES_PER_CUBE = 48.0  # mean number of faces in a face's cube; above it, a tree tests fewer faces
 _RAYS_PER_THREAD = 128  # fewer rays or points are not worth another thread
 _CUBE_MARGIN = 1e-6  # in cubes; more than rounding and `EDGE_WEIGHT_TOLERANCE` move a point off a face
 _THIN_CORNER_SINE = 1e-8  # sine of a corner angle; below it, a face defines no plane and rays pass through it
@@ -82,12 +82,13 @@ class TriangleGrid:
         if tables is None or width is None:
             return None
         grid = TriangleGrid(faces, tables[0], width, origin, store_tables)
-        return grid if grid.mean_faces_per_cube <= _CROWDED_CUBE_FACES else None
+        return grid if grid.mean_faces_per_cube <= _MAX_MEAN_FACES_PER_CUBE else None
 
     # ---- rays
 
     def find_first_faces(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Floats, Index]:
-        """Return the first face that each ray hits between `origin` [n,3] and `origin + displacement`, and the ray parameter.
+        """Return the parameter at which each ray from `origin` [n,3] to `origin + displacement` hits its first face, and this
+        face.
 
         The ray parameter is in lengths of `displacement`. Hits within the tolerance of the start are ignored. The face is NO_FACE
         if there is none, and FACE_BEYOND_GRID for rays that are too long."""
@@ -122,10 +123,10 @@ class TriangleGrid:
     def cast_requested_feelers(
         self, positions: Arrays, is_requested: NDArray[np.bool_], directions: Arrays, results: Arrays, threads: int = 1
     ) -> int:
-        """Write the hits of `write_feeler_hits` for the positions, of n, that are `is_requested`. Returns the number of feelers
-        that the grid cannot resolve.
+        """Write the first hits of the feelers of those agents that `is_requested` selects. Returns the number of feelers that the
+        grid cannot resolve.
 
-        - `positions`: x y z, and a distance within which there is no face
+        - `positions`: x y z, and a distance within which there is no face, [n] each
         - `directions`: x y z of any length, and the reach
         - `results`: hit, distance and normal (x y z); written for rows that hit or that the grid cannot resolve"""
         work = partial(grid_rays.write_requested_feelers, self.tables, positions, is_requested, directions, results)
@@ -134,17 +135,17 @@ class TriangleGrid:
     # ---- nearest faces
 
     def measure_signed_distances(self, positions: PointColumns, threads: int = 1) -> tuple[Float32Array, int]:
-        """Return the signed distance (mm) to the faces and the unit direction out, float32[4,n], and the number of rows that are
-        NaN.
+        """Return a float32[4,n], the signed distance (mm) to the faces and the unit direction out, and the number of rows that
+        are NaN.
 
-        The distance is negative behind the nearest face, and NaN if the grid cannot tell."""
+        The distance is negative behind the nearest face, and NaN if the grid cannot answer."""
         results = np.empty((4, len(positions[0])), np.float32)
         work = partial(nearest_faces.write_signed_distances, self.tables, _make_contiguous(*positions), results)
         return results, sum(parallel.run_in_parts(work, len(positions[0]), threads, _RAYS_PER_THREAD))
 
     def find_nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """Return the position nearest to each point [n,3], its squared distance and its face. The face is FACE_BEYOND_GRID if no
-        face is near enough to tell."""
+        face is near enough for an answer."""
         place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
         nearest_faces.write_nearest_points(self.tables, points, place, square, face)
         return place, square, face
@@ -156,8 +157,9 @@ def _make_contiguous(*columns: Float32Array) -> tuple[Float32Array, ...]:
 
 
 def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:
-    """Return a list of the face numbers of all cubes, after the start of each cube's faces in it. The grid has `size` cubes from
-    its lowest corner."""
+    """Return two tables: the start of each cube's faces in a list, and this list of the face numbers of all cubes.
+
+    The grid has `size` cubes of edge `width` (mm), from the corner `low` on."""
     count, keys = len(corners), [np.empty(0, np.int64)]
     for cell, face in iterate_triangle_cells((corners - low) / width, margin=_CUBE_MARGIN):
         cell = np.minimum(np.maximum(cell, 0), size - 1)

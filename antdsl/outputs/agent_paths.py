@@ -1,6 +1,6 @@
 """Paths of agents in a cache: their positions in the frames before and after a frame.
 
-For motion blur, this module also finds the agents' rows in the next frame."""
+This module also finds the rows of agents in the next frame, for motion blur."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ _READ_ARRAYS = frozenset(("P", "orient", "pscale", *IDENTITY_ARRAYS))
 
 @dataclass(frozen=True, slots=True)
 class PathWindow:
-    """The seconds before and after a frame that a path covers."""
+    """The time before and after a frame that a path covers, in seconds."""
 
     seconds_before: float = 1.0
     seconds_after: float = 2.0
 
     @staticmethod
     def parse(text: str) -> PathWindow | None:
-        """Return the window of a text such as `1..2`. Return None for other text, or for more than MAX_WINDOW_SECONDS on one
-        side."""
+        """Return the window that a text such as `1..2` (seconds) describes.
+
+        Return None for other text, or for more than MAX_WINDOW_SECONDS on one side."""
         try:
             seconds = parse_number_range(text)
         except QuantityError:
@@ -43,7 +44,8 @@ class PathWindow:
 
 
 class AgentPaths:
-    """Paths of agents around the drawn frames. Each frame is read only once if the requested frames ascend."""
+    """Reader of the paths of agents around the frames of pictures. Each frame is read only once if the requested frames
+    ascend."""
 
     def __init__(self, cache: Cache, dt: float, window: PathWindow) -> None:
         self._cache, self._window = cache, window
@@ -52,7 +54,8 @@ class AgentPaths:
         self._cached_frames: OrderedDict[int, dict[str, NDArray[Any]] | None] = OrderedDict()
 
     def get_paths(self, frame: int, species: int, ids: NDArray[np.int64]) -> AgentPathLines:
-        """Return the paths of some agents of one species. Positions are NaN in frames that do not exist or lack the agent."""
+        """Return the paths of the agents with `ids` of one species. Positions are NaN in frames that do not exist or lack the
+        agent."""
         positions = np.full((len(ids), self._frames_before + 1 + self._frames_after, 3), np.nan)
         for k in range(positions.shape[1]):
             frame_agents = self._get_agents(frame - self._frames_before + k)
@@ -64,7 +67,7 @@ class AgentPaths:
         return AgentPathLines(positions, self._frames_before)
 
     def _get_agents(self, frame: int) -> dict[str, NDArray[Any]] | None:
-        """Return the agents of a frame from the cache of recently read frames. Return None if the frame does not exist."""
+        """Return the agents of a frame, as `_read_agents` does. Recently read frames are cached."""
         if frame not in self._existing_frames:
             return None
         if frame not in self._cached_frames:
@@ -77,8 +80,7 @@ class AgentPaths:
     def _read_agents(self, frame: int) -> dict[str, NDArray[Any]] | None:
         """Return the agents of a frame, in ascending order of species and id, or None if the frame cannot be read.
 
-        `ids`, `species`: by agent.
-        `place` float32[n, 3]: positions slightly above the ground."""
+        The arrays are `ids`, `species` (the species number), and `place` float32[n, 3], positions slightly above the ground."""
         try:
             arrays = self._cache.frame(frame, _READ_ARRAYS)
         except CacheError:  # a damaged frame leaves a gap in the lines
@@ -92,9 +94,9 @@ class AgentPaths:
 
 
 def match_agents(crowd: Crowd, next_crowd: Crowd) -> Crowd:
-    """Return the agents of `crowd`, in its order, with the values that they have in `next_crowd`. Both crowds have ids.
+    """Return the agents of `crowd`, in their order, with the values that they have in `next_crowd`. Both crowds must have ids.
 
-    The order of `next_crowd` may differ. Agents missing in `next_crowd` are unchanged."""
+    The order of `next_crowd` may differ. Agents missing in `next_crowd` keep the values of `crowd`."""
     own, ids = np.asarray(crowd.ids), np.asarray(next_crowd.ids)
     order = np.argsort(ids, kind="stable")
     at, is_present = match_ids(own, ids[order])

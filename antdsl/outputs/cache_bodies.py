@@ -20,9 +20,10 @@ from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 
 
 class CacheBodies:
-    """Bodies by species (an index of the manifest's list), index among the bodies of the species, and mask of worn layers.
+    """The bodies of a cache's species.
 
-    `static`: the arrays of the cache's `static.npz`."""
+    A body is identified by the number of its species (an index of the manifest's list), its index among the bodies of the
+    species, and the mask of worn layers. `static`: the arrays of the cache's `static.npz`."""
 
     def __init__(self, manifest: Manifest, static: Mapping[str, NDArray[Any]]) -> None:
         self._manifest, self._static = manifest, static
@@ -30,7 +31,7 @@ class CacheBodies:
         self._worn: dict[tuple[int, int, int], PosedBody] = {}
 
     def keys(self, number: int) -> tuple[str, ...]:
-        """Return the keys of the bodies of a species. Frames use these keys to name the feet of the agents."""
+        """Return the keys of the bodies of a species, which frames use in the names of feet arrays."""
         species, count = self._manifest.species[number], len(_list_entries(self._manifest.species[number]))
         return tuple(make_body_key(species.name, which, count) for which in range(count))
 
@@ -39,7 +40,7 @@ class CacheBodies:
         return find_body_numbers(self._manifest, number, ids)
 
     def body(self, number: int, mask: int = 0, body_index: int = 0) -> PosedBody:
-        """Return a body of a species with the layers of a mask. Raises BodyError if the cache's definition is damaged."""
+        """Return a body of a species with the layers of a mask. Raises BodyError if its definition in the cache is damaged."""
         key = number, body_index, mask
         if key not in self._worn:
             species = self._manifest.species[number]
@@ -48,7 +49,7 @@ class CacheBodies:
         return self._worn[key]
 
     def definition(self, number: int, body_index: int = 0) -> Definition:
-        """Return the agent definition of a body of a species. Raises BodyError if the cache's definition is damaged."""
+        """Return the agent definition of a body of a species. Raises BodyError if its definition in the cache is damaged."""
         if (number, body_index) not in self._definitions:
             species = self._manifest.species[number]
             entry = _list_entries(species)[body_index]
@@ -60,14 +61,16 @@ class CacheBodies:
         return self._definitions[number, body_index]
 
     def reach(self, number: int) -> float:
-        """Return the reach of the bodies of a species in body lengths: at least 1, more only for bodies from files."""
+        """Return the largest distance from a position to a point of the bodies of a species, in body lengths.
+
+        It is at least 1, and more only for bodies from files."""
         entries = _list_entries(self._manifest.species[number])
         own = [self.body(number, 0, which).reach for which, each in enumerate(entries) if each.definition is not None]
         return max([1.0, *own])
 
 
 def find_body_numbers(manifest: Manifest, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the index of the body of each agent of a species, uint8[n]."""
+    """Return the index of each agent's body among the bodies of the species, uint8[n]."""
     species = manifest.species[number]
     own, merged = np.asarray(ids, np.int64), np.full(len(ids), -1)  # `own` is -1 below the level of the other cache
     levels = [own]
@@ -88,5 +91,5 @@ def find_body_numbers(manifest: Manifest, number: int, ids: NDArray[np.int64]) -
 
 
 def _list_entries(species: SpeciesEntry) -> tuple[WornBodyEntry, ...]:
-    """Return the bodies of a species; at least one."""
+    """Return the manifest's entries for the bodies of a species; at least one."""
     return species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)

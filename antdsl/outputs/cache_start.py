@@ -1,4 +1,4 @@
-"""Start of a run from another cache: from the agents, items and fields of one of its frames."""
+"""Starts a run from another cache: from the agents, items and fields of one of its frames."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class StartError(Exception):
 
 
 def find_start_cache(shot: Shot) -> Path | None:
-    """Return the folder of the cache that the scene starts from, or None. Raises StartError if its path is rejected."""
+    """Return the folder of the cache that the scene starts from, or None. Raises StartError if the path is rejected."""
     start = shot.scene.model.start
     if start is None:
         return None
@@ -44,8 +44,9 @@ def find_start_cache(shot: Shot) -> Path | None:
 
 
 def hash_start_frame(shot: Shot) -> dict[str, str]:
-    """Return a hash of the frame that the scene starts from, as an input of the new cache. Empty if the scene starts with its
-    crowd."""
+    """Return a hash of the frame that the scene starts from, as an input of the new cache.
+
+    Empty if the scene starts with its own crowd."""
     folder, start = find_start_cache(shot), shot.scene.model.start
     if folder is None or start is None:
         return {}
@@ -67,7 +68,8 @@ def hash_start_frame(shot: Shot) -> dict[str, str]:
 
 
 def start_from_cache(shot: Shot, world: World) -> None:
-    """Restore the world from the other cache, as the first frame of this scene. Raises StartError if that is not possible."""
+    """Restore the world from a frame of the other cache, as the first frame of this scene. Raises StartError if that is not
+    possible."""
     folder, start = find_start_cache(shot), shot.scene.model.start
     if folder is None or start is None:
         return
@@ -108,6 +110,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
 
 
 def _make_missing_error(shot: Shot, folder: Path) -> StartError:
+    """Return the error for a folder without a cache, or for a frame without an intact checkpoint."""
     start = shot.scene.model.start
     assert start is not None
     try:
@@ -120,6 +123,7 @@ def _make_missing_error(shot: Shot, folder: Path) -> StartError:
 
 
 def _make_error(shot: Shot, code: str, message: str, key: str, help: str | None) -> StartError:
+    """Return the error with this code and message, located at the key `key` of the scene's `from`."""
     report = Report()
     report.error(code, message, shot.scene.span("from", key), help)
     return StartError(report)

@@ -14,7 +14,7 @@ _NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?
 
 
 def escape_cell(value: object) -> object:
-    """Return a value as written in a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front.
+    """Return the value for a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front.
 
     Removing one leading apostrophe restores the text. Numbers are unchanged, including numbers written as text."""
     if not isinstance(value, str) or _NUMBER_PATTERN.fullmatch(value):

@@ -20,7 +20,8 @@ _PLANE = re.compile(r"\s*([xyz])\s*([<>])(.*)", re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class CutPlane:
-    """A plane across an axis. Points with a coordinate above `at` (scene units) are cut away, or below `at` if `cuts_below`."""
+    """A plane across an axis. Points with a coordinate above `at` (scene units) are cut away; with `cuts_below`, those below
+    `at`."""
 
     axis: int
     at: float
@@ -41,8 +42,8 @@ class CutPlane:
         return along < self.at if self.cuts_below else along > self.at
 
     def compute_section_colours(self, points: NDArray[np.float64], max_distance: float) -> NDArray[np.float64]:
-        """Return colours [n, 3] of a solid's vertices: dark within `max_distance` of the plane, so that cavities are visible, NaN
-        elsewhere."""
+        """Return colours [n, 3] of a solid's vertices: dark within `max_distance` of the plane, so that cavities are visible, and
+        NaN elsewhere."""
         colour = np.full((len(points), 3), np.nan)
         colour[np.abs(points[:, self.axis] - self.at) < max_distance] = _SECTION_COLOUR
         return colour

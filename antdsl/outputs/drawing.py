@@ -52,9 +52,13 @@ class DrawRequest:
     """The options of pictures.
 
     `camera`: one of `CAMERA_VIEWS`, or the name of a camera of the scene.
+    `show`: the overlays.
     `agents`: ids of the agents with ids, paths and similar overlays; a camera at eye level follows the first.
     `cut`, `window`: the texts of the command-line options.
+    `full`: by field, the strength that is drawn strongest.
     `least`: bodies are enlarged to this length in pixels; None for the default.
+    `marks`: if not 0, bodies are discs of this diameter in pixels.
+    `blur`: the share of a frame for which the shutter is open.
     `at`, `look_at`: points in scene units, of a camera instead of `camera`; both or none.
     `focal`: a focal length in mm instead of the camera's own."""
 
@@ -75,7 +79,7 @@ class DrawRequest:
     focal: float | None = None
 
     def gallery(self, cache: Cache) -> Gallery:
-        """Return a gallery that builds the cache's pictures. Raises PictureUnavailable as `Gallery` does."""
+        """Return a gallery that builds the cache's pictures with these options. Raises PictureUnavailable as `Gallery` does."""
         window = PathWindow.parse(self.window) if "paths" in self.show else None
         cut = CutPlane.parse(self.cut) if self.cut is not None else None
         states = "states" in self.show or self.marks > 0
@@ -83,7 +87,7 @@ class DrawRequest:
 
 
 class FrameDrawer:
-    """Drawer of some `frames` of a gallery, on several threads. A fixed camera is chosen from the first of these frames."""
+    """Drawer of the pictures of `frames`, on several threads. A fixed camera is chosen from the first of these frames."""
 
     def __init__(self, gallery: Gallery, request: DrawRequest, frames: Sequence[int], threads: int) -> None:
         self.gallery, self.wanted, self.frames = gallery, request, list(frames)
@@ -112,7 +116,7 @@ class FrameDrawer:
         return add_legend(self._renderer.draw(picture, camera, show=request.show), picture, self._legend_width, request.show)
 
     def _choose_camera(self, first: Picture) -> Callable[[int], Camera]:
-        """Return the function that gives the requested camera at a frame. `first`: the picture of the first frame.
+        """Return the function that returns the requested camera for a frame. `first`: the picture of the first frame.
 
         Raises AgentMissing if no frame has the agent to follow."""
         request, name = self.wanted, self._name
@@ -138,10 +142,11 @@ class FrameDrawer:
         )
 
     def _follow_agent(self, first: Picture, *, is_close: bool) -> FollowingCamera | None:
-        """Return the camera beside the requested agent, or beside one with others nearby in the first frame that has agents.
+        """Return the camera beside the requested agent, or None if no frame has agents. Raises AgentMissing if no frame has this
+        agent.
 
-        None if no frame has agents. `first`: the picture of the first frame. Raises AgentMissing if no frame has the requested
-        agent."""
+        If no agent is requested, the camera is beside an agent with others nearby, in the first frame that has agents. `first`:
+        the picture of the first frame."""
         focal = self.wanted.focal or (CLOSE_FOCAL_MM if is_close else EYE_FOCAL_MM)
         view, agents = None, self.wanted.agents
         for picture in map(self.gallery.make_picture, self.frames):
@@ -161,11 +166,12 @@ class FrameDrawer:
 
 
 def _make_constant_function(camera: Camera) -> Callable[[int], Camera]:
+    """Return a function that returns the same camera for every frame."""
     return lambda frame: camera
 
 
 def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
-    """Return a message that the camera's agent is missing, with the numbers of agents that exist."""
+    """Return the message that the camera's agent is missing, with the ids that exist."""
     counts: dict[str, int] = {}
     for crowd in picture.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
@@ -180,7 +186,7 @@ def make_still_path(folder: Path, frame: int) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class StillStore:
-    """The stills of a cache in a folder, drawn as requested."""
+    """The stills of a cache in a folder, drawn with the options of one request."""
 
     folder: Path
     request: DrawRequest
@@ -189,9 +195,9 @@ class StillStore:
 
     @classmethod
     def build(cls, folder: Path, cache: Cache, request: DrawRequest, camera_frames: Sequence[int]) -> StillStore:
-        """Return the store for the stills of a cache. A still's hash covers data that identifies the cache's frames.
+        """Return the store for the stills of a cache. A still's hash covers the data that identifies the cache's frames.
 
-        `camera_frames`: the frames that a common camera is chosen for."""
+        `camera_frames`: the frames from which a common camera is chosen."""
         read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on provenance
         manifest = blake2b(read.encode(), digest_size=16).hexdigest()
         frames = cache.frames()
@@ -232,5 +238,6 @@ class StillStore:
         return picture.samples if picture.texts.get(_PNG_HASH_KEYWORD) == self._compute_hash(frame) else None
 
     def _compute_hash(self, frame: int) -> str:
+        """Return the hash of everything that the still of a frame is drawn from."""
         line = self._hash_lines.get(frame)
         return blake2b(f"{frame} {line.file if line else ''} {self._inputs_json}".encode(), digest_size=16).hexdigest()

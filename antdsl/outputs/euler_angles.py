@@ -12,7 +12,7 @@ _GIMBAL_LOCK_COSINE = 1e-6  # cosine of the middle angle; below it, only the sum
 
 
 class EulerAngles:
-    """Angles of agents about x, then y, then z, frame by frame.
+    """The angles of agents about x, then y, then z, frame by frame.
 
     Of all equivalent angles, each agent gets those nearest to its previous angles, in the sum of squares. New agents get the
     angles nearest to 0."""
@@ -53,5 +53,5 @@ def find_nearest_angles(rotations: Floats, previous_angles: Floats) -> Floats:
 
 
 def _unwrap_angles(angles: Floats, previous_angles: Floats) -> Floats:
-    """Return each angle shifted by the full turns that bring it nearest to the previous one."""
+    """Return each angle shifted by full rotations, so that it is nearest to the previous angle."""
     return angles - 2 * np.pi * np.round((angles - previous_angles) / (2 * np.pi))

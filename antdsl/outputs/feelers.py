@@ -27,7 +27,8 @@ _OPERATOR_FUNCTIONS: dict[str, Callable[..., float]] = {
 def list_feelers(
     program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float
 ) -> tuple[FeelersEntry, ...]:
-    """Return all feelers of a species' layers and states. Feelers with numbers that change from step to step are left out."""
+    """Return the feelers of all layers and states of a species. Feelers with numbers that change from step to step are left
+    out."""
     entries = []
     for part in _find_feelers(program.species[species]):
         count, spread, reach = (_evaluate_number(a, 0.0, params, unit_mm, dt) for a in part.args)
@@ -44,7 +45,9 @@ def _find_feelers(species: Species) -> tuple[SetExpr, ...]:
 
 
 def _evaluate_number(expression: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
-    """Return the value of an expression in base units for an agent of `size` mm. Return None if it depends on anything else."""
+    """Return the value of an expression in base units for an agent of `size` mm.
+
+    Return None if it depends on anything else than the size and `params`."""
     if isinstance(expression, Constant):
         return float(expression.number * unit_mm**expression.unit_power * dt**expression.step)
     if isinstance(expression, ParamRef):

@@ -1,6 +1,6 @@
-"""Conversion of a cache's frames to pictures: meshes, agents in the colours of their states, items and scent.
+"""Converts a cache's frames to pictures: meshes, agents in the colours of their states, items and scent.
 
-The size of an item shows its remaining amount."""
+The drawn size of an item shows its remaining amount."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PictureUnavailable(Exception):
 
 @contextmanager
 def _body_problems(species: SpeciesEntry) -> Iterator[None]:
-    """Raise PictureUnavailable for a damaged body of a species."""
+    """Raise PictureUnavailable in place of the BodyError for a damaged body of a species."""
     try:
         yield
     except BodyError as error:
@@ -55,13 +55,14 @@ def _body_problems(species: SpeciesEntry) -> Iterator[None]:
 
 
 class Gallery:
-    """Builder of the pictures of one cache. A picture does not depend on earlier ones. Positions are relative to `origin` (scene
-    units).
+    """Builder of the pictures of one cache. A picture does not depend on earlier pictures. Positions are relative to `origin`
+    (scene units).
 
     `window`: the seconds before and after a frame for which pictures have the agents' paths; None for no paths.
-    `shows_states`: agents have the colours of their states, instead of the natural colours of their bodies.
-    `blurred`: pictures also have the agents' positions in the next frame.
-    `full`: by field, the strength drawn strongest.
+    `shows_states`: whether agents have the colours of their states, instead of the natural colours of their bodies.
+    `blurred`: whether pictures also have the agents' positions in the next frame.
+    `full`: by field, the strength that is drawn strongest.
+
     Raises PictureUnavailable for a cache without the data for pictures, or without a field in `full`."""
 
     def __init__(
@@ -125,7 +126,7 @@ class Gallery:
         return whole if self._cut_plane is None else self._cut_plane.cut_picture(whole)
 
     def find_outline_points(self, frames: Sequence[int]) -> NDArray[np.float64]:
-        """Return points (n, 3) that enclose the agents of the frames: a camera that shows the points shows all agents.
+        """Return points (n, 3) that enclose the agents of the frames. A camera that shows these points shows all agents.
 
         The points are the outermost agents in many directions, with a margin of the body's reach. Only some of the frames are
         examined."""
@@ -177,12 +178,14 @@ class Gallery:
         )
 
     def _make_solid(self, mesh: MeshEntry) -> Solid:
+        """Return a mesh of the manifest at its start position."""
         name = mesh.name
         vertices = np.asarray(self.static[f"mesh.{name}.vertices"], np.float64)
         faces = np.asarray(self.static[f"mesh.{name}.faces"], np.int32)
         return Solid(name, vertices, faces, KIND_BY_LOOK[mesh.look] if mesh.look else find_kind_by_name(name) or mesh.row.look)
 
     def _make_crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
+        """Return the crowds of a frame, and the rows of the legend. `agents`: ids of the agents with overlays."""
         crowds: list[Crowd] = []
         legend: list[LegendRow] = []
         next_arrays = self.cache.frame(frame + 1) if self._has_motion_blur and frame + 1 in self.cache.frames() else None
@@ -211,6 +214,7 @@ class Gallery:
 
     def _species_crowds(self, number: int, frame: int, arrays: Arrays) -> tuple[Crowd, ...]:
         """Return the agents of a species, one crowd for each of its bodies, posed by the clips, feet and appearance of the frame.
+
         Agents without a clip play the idle clip."""
         species, rows = self.manifest.species[number], find_species_rows(arrays, number)
         ids, keys = get_agent_ids(arrays)[rows], self.bodies.keys(number)
@@ -247,9 +251,10 @@ class Gallery:
     def _choose_colours(
         self, species: SpeciesEntry, arrays: Arrays, rows: NDArray[np.intp], body: PosedBody, driven_pose: DrivenPose
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the display colours (n, 3) of some rows of a frame, and whether each is that of a state or of an edit (n,).
+        """Return the display colours (n, 3) of the agents in `rows`, and whether each is the colour of a state or of an edit
+        (n,).
 
-        Without `shows_states`, a colour is the natural one of the body. A colour that differs from that of the agent's state
+        Without `shows_states`, the colour is the natural colour of the body. A colour that differs from that of the agent's state
         was set by an edit and stays."""
         natural = encode_srgb_values(body.compute_natural_colours(driven_pose, len(rows)))
         if "Cd" not in arrays:
@@ -264,7 +269,7 @@ class Gallery:
         return np.where(is_edited[:, None], stored, natural), is_edited
 
     def _split_by_layers(self, crowd: Crowd, number: int, body_index: int, arrays: Arrays) -> list[Crowd]:
-        """Return one crowd for each set of layers that some agents wear. `body_index`: the body of the crowd."""
+        """Return one crowd for each set of layers that agents of the crowd wear. `body_index`: the body of the crowd."""
         rows = find_species_rows(arrays, number)
         masks = read_layer_masks(self.manifest.species[number], arrays, len(rows))
         if len(crowd.position) != len(rows):
@@ -295,6 +300,7 @@ class Gallery:
         return replace(crowd, feelers=np.concatenate(lines))
 
     def _make_items(self, arrays: Arrays) -> tuple[Item, ...]:
+        """Return the items of a frame."""
         items = []
         for group in self.manifest.items:
             moved = arrays.get(f"items.{group.name}.P") if group.moves else None
@@ -307,7 +313,7 @@ class Gallery:
         return tuple(items)
 
     def _compute_remaining_share(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
-        """Return the share (0..1) of its amount in the first frame that an item still has."""
+        """Return the share (0..1) that an item still has of its amount in the first frame."""
         start = self._first_frame or {}
         keys = (f"items.{group}.{attribute}" for attribute in attributes)
         return compute_remaining_share(
@@ -315,6 +321,7 @@ class Gallery:
         )
 
     def _make_trails(self, arrays: Arrays) -> tuple[Trail, ...]:
+        """Return the fields of a frame."""
         trails = []
         for number, field in enumerate(self.manifest.fields):
             cells, values = arrays.get(f"field.{field.name}.cells"), arrays.get(f"field.{field.name}.values")
@@ -334,8 +341,9 @@ class Gallery:
         return tuple(trails)
 
     def _find_full_strengths(self) -> dict[str, float]:
-        """Return the strength that is drawn strongest, by field. All frames of the cache use the same
-        strength, so scent can be compared."""
+        """Return the strength that is drawn strongest, by field.
+
+        All frames of the cache use the same strength, so that scent can be compared."""
         if self._computed_strengths is None:
             frames, self._computed_strengths = self.cache.frames(), {}
             chosen = (
@@ -356,8 +364,9 @@ class Gallery:
         return self._computed_strengths
 
     def _measure_grain(self, first: Arrays) -> float | None:
-        """Return the reference length of the ground's grain: the median body length of the first frame. So births do not change
-        it."""
+        """Return the reference length of the ground's grain: the median body length of the first frame.
+
+        Births do not change it, because it is that of the first frame."""
         lengths = np.asarray(first["pscale"], np.float64)
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
         return float(np.median(lengths)) if len(lengths) else None
@@ -371,8 +380,9 @@ def choose_coordinate_format(gallery: Gallery) -> str:
 
 
 def _split_selected(crowd: Crowd, selected_ids: frozenset[int]) -> list[Crowd]:
-    """Return the crowd, or two crowds if `selected_ids` are chosen: the chosen and the others. The others lose ids and
-    velocities."""
+    """Return the crowd, or the selected and the other agents as two crowds if `selected_ids` has ids.
+
+    The other agents lose their ids and velocities, so that they have no overlays."""
     if not selected_ids or crowd.ids is None:
         return [crowd]
     chosen = np.isin(crowd.ids, sorted(selected_ids))

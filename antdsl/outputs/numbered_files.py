@@ -1,4 +1,4 @@
-"""Names of files with one per frame, and the error for caches that cannot be exported in some form."""
+"""Names of files with one file per frame, and the error for caches that cannot be exported in some form."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 
 class ExportUnavailable(Exception):
-    """Error for a cache that cannot be exported in this form. The message is the reason, complete without context. `help`: what
-    to do."""
+    """Error for a cache that cannot be exported in this form. The message is the reason, complete without context. `help`: a
+    correction."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)

@@ -55,6 +55,7 @@ def make_resume_command(folder: Path) -> str:
 
 
 def _make_command_words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> list[str]:
+    """Return the words of the command that makes these frames."""
     changes = [f"{name.removeprefix('--set ')}={text}" for name, text in inputs.items() if name.startswith("--set ")]
     sets = [word for change in changes for word in ("--set", change)]
     return ["antdsl", "run", scene, "--frames", f"{frames.first}..{frames.last}", "--seed", str(seed), *sets]
@@ -62,6 +63,7 @@ def _make_command_words(scene: str, frames: FrameRange, seed: int, inputs: Mappi
 
 @cache
 def _find_package_versions() -> Mapping[str, str]:
+    """Return the versions of Python and of the numerical packages, and the platform, as fields of `Provenance`."""
     return {
         "python": platform.python_version(),
         "numpy": np.__version__,
@@ -82,7 +84,7 @@ def _find_llvm_versions() -> str:
 
 
 def _find_installed_version(*names: str) -> str:
-    """Return the version of the first of these packages that is installed. Empty if none is."""
+    """Return the version of the first package of `names` that is installed. Empty if none is."""
     for name in names:
         try:
             return version(name)

@@ -1,4 +1,4 @@
-"""Simulates a shot into a cache, from the beginning or from the last good checkpoint.
+"""Simulates a shot into a cache, from the beginning or from the last intact checkpoint.
 
 After each frame it yields to the caller, which may report progress or stop the run."""
 
@@ -81,7 +81,7 @@ class Recording:
         return self.frame == self.shot.frames.last
 
     def add_time(self, label: str, start_time: float) -> None:
-        """Add the time since `start_time` to the seconds under the name `label`."""
+        """Add the time since `start_time` to the seconds of the work called `label`."""
         self.seconds[label] = self.seconds.get(label, 0.0) + time.perf_counter() - start_time
 
     def add_measures(self, measures: Mapping[str, Any]) -> None:
@@ -98,9 +98,9 @@ class NothingToResume(Exception):
 
 
 def begin_recording(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
-    """Bind the shot and compute feet. With `resume`, restore the world from the last good checkpoint.
+    """Bind the shot and compute feet. With `resume`, restore the world from the last intact checkpoint.
 
-    A checkpoint is good if all frames up to it have complete files, and if the world restored from it has the stored hash."""
+    A checkpoint is intact if all frames up to it have complete files, and if the world restored from it has the stored hash."""
     inputs, options = {**shot.inputs, **hash_start_frame(shot)}, replace(options, feet=True)
     intact: IntactPart | None = None
     if resume:
@@ -126,7 +126,7 @@ def begin_recording(shot: Shot, folder: Path, options: Options, *, resume: bool,
 
 
 def _add_option_changes(shot: Shot, inputs: Mapping[str, str], problem: DifferentInputs) -> DifferentInputs:
-    """Return the exception with added messages for the seed, the first frame and `--set`, if these differ."""
+    """Return the exception with messages about the seed, the first frame and `--set`, where these differ."""
     then, scene, names = problem.manifest, shot.scene, list(problem.names)
     choices = []
     frames = FrameRange(then.first, max(then.first, shot.frames.last))
@@ -144,7 +144,7 @@ def _add_option_changes(shot: Shot, inputs: Mapping[str, str], problem: Differen
 
 
 def _resume_recording(recording: Recording, intact: IntactPart, options: Options) -> None:
-    """Restore the world from the last good checkpoint. Record which damaged frames are computed again."""
+    """Restore the world from the last intact checkpoint. Record which damaged frames are computed again."""
     shot, lines, notes = recording.shot, intact.cache.lines(), [] if intact.damage is None else [intact.damage]
     for frame in intact.checkpoints:
         why = _restore_checkpoint(recording, intact.cache, frame, lines[frame])
@@ -175,7 +175,7 @@ def _resume_recording(recording: Recording, intact: IntactPart, options: Options
 
 
 def _find_damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int, HashLine], limit: int) -> Iterator[str]:
-    """Yield the reasons why checkpoints before the frame `limit` are unusable, and mark these checkpoints for removal."""
+    """Yield the reasons why checkpoints before the frame `limit` are unusable. These checkpoints are recorded for removal."""
     for frame in cache.checkpoints():
         why = cache.find_checkpoint_damage(frame, lines.get(frame)) if frame < limit else None
         if why is not None:
@@ -184,7 +184,9 @@ def _find_damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping
 
 
 def _restore_checkpoint(recording: Recording, cache: Cache, frame: int, line: HashLine) -> str | None:
-    """Restore the world and the measurements from a checkpoint. Return None, or why that failed, complete without context."""
+    """Restore the world and the measurements from a checkpoint. Return None, or a message about why that failed.
+
+    The message is complete without context."""
     world, path = recording.world, make_checkpoint_path(cache.folder, frame)
     why = cache.find_checkpoint_damage(frame, line)
     if why is not None:
@@ -204,8 +206,8 @@ def _restore_checkpoint(recording: Recording, cache: Cache, frame: int, line: Ha
 def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = lambda label, frame: None) -> Iterator[Recording]:
     """Simulate and write the frames. Yield the recording after each frame.
 
-    `watch(what, frame)` is called for each frame, including the preroll.
-    The last frame gets a checkpoint, also if `stop` ended the run."""
+    `on_frame(label, frame)` is called for each frame, including the preroll. The last frame gets a checkpoint, also if
+    `stop_requested` ended the run."""
     shot, world = recording.shot, recording.world
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
@@ -241,7 +243,7 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
 
 
 def _run_timed_step(recording: Recording, label: str) -> None:
-    """Run one step and add its time under the name `label`. The first step counts as `first_step`: it also loads kernels and
+    """Run one step and add its time to the work called `label`. The first step counts as `first_step`: it also loads kernels and
     tables."""
     began = time.perf_counter()
     meter = recording.step_meter if label == "step" and "first_step" in recording.seconds else None

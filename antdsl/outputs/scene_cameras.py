@@ -1,4 +1,4 @@
-"""The cameras of a cache: those of its scene, by name, and those that stay beside an agent in a range of frames."""
+"""The cameras of a cache: those of its scene, by name, and cameras that stay beside an agent in a range of frames."""
 
 from __future__ import annotations
 
@@ -47,6 +47,7 @@ class SceneCameras:
 
     @property
     def names(self) -> list[str]:
+        """Return the names of the cameras in the scene."""
         return list(self._entries)
 
     def is_fitted(self, name: str = DEFAULT_CAMERA) -> bool:
@@ -59,7 +60,7 @@ class SceneCameras:
         return isinstance(entry, FollowEntry) or (isinstance(entry, CameraEntry) and entry.moves)
 
     def make_camera(self, frame: int, name: str = DEFAULT_CAMERA) -> Camera | None:
-        """Return a camera at a frame, or None if the scene has no such camera or it depends on the drawn frames."""
+        """Return a camera at a frame. Return None if the scene has no such camera, or if it depends on the drawn frames."""
         entry, static = self._entries.get(name), self._gallery.static
         if isinstance(entry, FollowEntry):
             if name not in self._following:
@@ -74,7 +75,8 @@ class SceneCameras:
         return Camera(at, look_at, focal=float(static[make_camera_array_name(name, "focal")][row]) or DEFAULT_FOCAL_MM, up=up)
 
     def list_exported(self, frame: int) -> dict[str, str]:
-        """Return the names of the cameras that files can have, by name in the scene: the default one is called `camera`.
+        """Return the cameras that files can have: by name in the scene, the name in the file. The default camera is called
+        `camera`.
 
         Cameras that are fitted to drawn frames, and those that follow an agent that the cache lacks, are left out."""
         names = {}
@@ -89,7 +91,7 @@ class SceneCameras:
 
 
 def find_camera_axes(camera: Camera, up: str) -> tuple[Array, Array]:
-    """Return the position of a camera, and its axes to the right, to the top and backwards as rows. `up`: of the scene."""
+    """Return the position of a camera, and its axes to the right, to the top and backwards as rows. `up`: the scene's up axis."""
     eye, aim = np.asarray(camera.at, np.float64), np.asarray(camera.look_at, np.float64)
     back = normalise_or_fallback(eye - aim, np.array([0.0, 0.0, 1.0]))
     top = np.asarray(camera.up or UP_VECTORS[up], np.float64)
@@ -100,8 +102,9 @@ def find_camera_axes(camera: Camera, up: str) -> tuple[Array, Array]:
 
 
 def find_agent(manifest: Manifest, text: str) -> tuple[int, int]:
-    """Return the index of the species and the id of an agent, named as in a scene: `guards.17`. Raises PictureUnavailable if the
-    cache has no such line or species, or the line no such number."""
+    """Return the index of the species and the id of an agent, which is named as in a scene: `guards.17`.
+
+    Raises PictureUnavailable if the cache has no such line or species, or if the line has no such number."""
     name, lines = parse_agent_name(text), {line.name: line for line in manifest.lines}
     species, ids = name.name, np.array([] if name.first is None else [name.first], np.int64)
     if name.name in lines and name.first is not None:
@@ -114,7 +117,7 @@ def find_agent(manifest: Manifest, text: str) -> tuple[int, int]:
 
 
 def read_track(cache: Cache, species: int, agent: int, frames: Sequence[int]) -> AgentTrack:
-    """Return the track of an agent in those of the frames that have it. Raises CacheError for damaged frames."""
+    """Return the track of an agent in those of `frames` that have the agent. Raises CacheError for damaged frames."""
     rows = []
     for frame in frames:
         arrays = cache.frame(frame, _TRACK_ARRAYS)
@@ -126,12 +129,12 @@ def read_track(cache: Cache, species: int, agent: int, frames: Sequence[int]) ->
 
 
 def make_stable_track(gallery: Gallery, track: AgentTrack, seconds: float = SMOOTH_SECONDS) -> StableTrack:
-    """Return a track smoothed over a time before and after each frame."""
+    """Return a track smoothed over `seconds` before and after each frame."""
     return StableTrack.of(track, seconds / gallery.dt, np.array(UP_VECTORS[gallery.manifest.up]))
 
 
 def find_crowd_row(picture: Picture, species: str, agent: int) -> tuple[Crowd, int] | None:
-    """Return the crowd of an agent in a picture, and its row."""
+    """Return the crowd of an agent in a picture, and the agent's row in it; None if the picture lacks the agent."""
     for crowd in picture.crowds:
         if crowd.species == species and crowd.ids is not None and len(rows := np.flatnonzero(np.asarray(crowd.ids) == agent)):
             return crowd, int(rows[0])
@@ -154,7 +157,8 @@ def choose_direction(
 ) -> FollowingCamera:
     """Return the camera beside an agent from the direction that shows it best in a few frames of its track.
 
-    `number`: the index of its species. `offset`: from the agent to the camera; then nothing is chosen."""
+    `number`: the index of its species. `offset`: if given, the vector from the agent to the camera, and no direction is
+    chosen."""
     count = 1 if offset is not None else _MAX_SCORED_FRAMES
     frames = track.frames[np.unique(np.linspace(0, len(track.frames) - 1, count).astype(np.int64))].tolist()
     species = gallery.manifest.species[number].name
@@ -172,7 +176,8 @@ def choose_direction(
 
 
 def _keep_above_ground(gallery: Gallery, camera: FollowingCamera) -> FollowingCamera:
-    """Return a camera that is higher, or else nearer, where the ground is between it and its agent, also in the frames around.
+    """Return a camera that is raised, or else nearer, in frames with ground between the camera and its agent, and in frames
+    around.
 
     So it is never below the ground that its agent stands on."""
     ground, frames = Ground(gallery.cache), camera.track.frames.tolist()

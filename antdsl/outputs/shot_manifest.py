@@ -1,4 +1,4 @@
-"""The manifest of a shot: what a cache says about its frames, apart from the files that it was made from."""
+"""The manifest of a shot: the description of its frames, apart from the files that it was made from."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from antdsl.scene.thing_models import PlacedThing, convert_point
 
 
 def make_shot_manifest(shot: Shot, world: World, attributes: tuple[str, ...], stored_bodies: StoredBodies) -> Manifest:
-    """Return the manifest of a shot in a world, without the path of its scene. `attributes`: the arrays of agents in frames."""
+    """Return the manifest of a shot in a world, without the path of its scene. `attributes`: the names of the agents' arrays in
+    frames."""
     model = shot.scene.model
     manifest = make_manifest(
         world,
@@ -50,7 +51,7 @@ def make_shot_manifest(shot: Shot, world: World, attributes: tuple[str, ...], st
 
 
 def _list_notes(shot: Shot) -> tuple[str, ...]:
-    """Return the lines of the notes that are on, each on one line without its braces."""
+    """Return the notes that are not off, each on one line without its braces."""
     scene = shot.scene
     lines = (scene.span("notes", k) for k, note in enumerate(scene.model.notes) if note.off == "no")
     return tuple(shorten_line(join_line(span.text)) for span in lines)
@@ -80,7 +81,7 @@ def _make_placed_entry(camera: CameraData, origin: NDArray[np.float64], scale: f
 
 
 def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
-    """Return the looks that the scene sets, by name of a mesh or of items.
+    """Return the looks in pictures that the scene sets, by name of a mesh or of items.
 
     Items from a USD file have one look. Items with separate entries have a mapping of looks by item name."""
     looks: dict[str, Look | Mapping[str, Look]] = {}

@@ -59,8 +59,9 @@ def count_states(recording: Recording) -> dict[str, int]:
 
 
 def sum_carried_amounts(recording: Recording) -> dict[str, float]:
-    """Return, by `species.attribute`, the sums over agents of attributes that items also have: the amounts in transit between
-    items."""
+    """Return, by `species.attribute`, the sums over agents of attributes that items also have.
+
+    These sums are the amounts in transit between items."""
     import numpy as np
 
     shared_attributes = {attribute for items in recording.world.items.values() for attribute in items.amounts}

@@ -88,7 +88,7 @@ def test_a_body_without_walking_clips_gets_a_usual_walk(tmp_path: Path) -> None:
 def test_a_body_without_legs_says_why(tmp_path: Path) -> None:
     proposal = propose_definition(read_bare("ball", tmp_path), "x.gltf")
     assert "legs" not in proposal.lines and "gaits" not in proposal.lines
-    assert "no legs" in proposal.text()
+    assert "no legs" in proposal.format_text()
 
 
 def test_a_proposal_is_written_read_and_walks(tmp_path: Path) -> None:

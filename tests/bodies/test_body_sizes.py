@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.bodies.agents.body_extents import standing_box
+from antdsl.bodies.agents.body_extents import compute_standing_box
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.crowd_bodies import compute_collision_size
 from antdsl.bodies.library import load_library_body
@@ -42,10 +42,10 @@ def bound_world(folder: Path, members: str, **options: str) -> World:
 def spread_arms(body: Definition, degrees: float) -> Definition:
     """The body with both arms raised sideways in its rest pose, and an idle clip of the former rest pose."""
     rest = body.rig.rest.copy()
-    local = {name: rest[body.rig.joint(name)].copy() for name in ("arm_l", "arm_r")}
+    local = {name: rest[body.rig.find_joint(name)].copy() for name in ("arm_l", "arm_r")}
     for name, sign in (("arm_l", -1.0), ("arm_r", 1.0)):
         c, s = np.cos(np.radians(degrees)), sign * np.sin(np.radians(degrees))
-        rest[body.rig.joint(name)][:3, :3] = np.array([[1, 0, 0], [0, c, s], [0, -s, c]]) @ local[name][:3, :3]
+        rest[body.rig.find_joint(name)][:3, :3] = np.array([[1, 0, 0], [0, c, s], [0, -s, c]]) @ local[name][:3, :3]
     return replace(body, rig=replace(body.rig, rest=rest))
 
 
@@ -60,7 +60,7 @@ def test_the_collision_size_comes_from_the_idle_clip_and_not_from_a_rest_pose_wi
 
 def test_without_an_idle_clip_the_rest_pose_counts() -> None:
     body = replace(load_library_body("person"), idle="")
-    low, high = standing_box(body, find_base_layer(body))
+    low, high = compute_standing_box(body, find_base_layer(body))
     assert high[1] - low[1] == pytest.approx(1.77 / 0.5, rel=0.02)
     assert compute_collision_size(body, is_standing=True) == compute_collision_size(body)
 
@@ -68,7 +68,7 @@ def test_without_an_idle_clip_the_rest_pose_counts() -> None:
 def test_a_body_is_as_tall_as_its_species_says(tmp_path: Path) -> None:
     world = bound_world(tmp_path, "height normal(1.72 m, 70 mm)")
     now = world.populations["walker"].now
-    low, high = standing_box(load_library_body("person"), find_base_layer(load_library_body("person")))
+    low, high = compute_standing_box(load_library_body("person"), find_base_layer(load_library_body("person")))
     assert now["size"] * (high[1] - low[1]) == pytest.approx(now["height"], rel=1e-6)
     assert 1500 < now["height"].min() < now["height"].max() < 1950 and np.ptp(now["height"]) > 50
     assert now["radius"] == pytest.approx(now["size"] * 0.42, rel=1e-6)

@@ -151,7 +151,7 @@ def test_keys_are_sampled_by_their_kind(arm: Definition) -> None:
     assert smile.values[[0, 10, 15, 20], 0].tolist() == [0, 1, 0.75, 0.5]
 
 
-def with_extras(extras: Any) -> Definition:
+def apply_body_extras(extras: Any) -> Definition:
     tree, data = gltf_bodies.arm()
     tree["animations"][0]["extras"] = {"antdsl": extras}
     return body_of(tree, data)
@@ -159,10 +159,10 @@ def with_extras(extras: Any) -> Definition:
 
 def test_extras_of_an_animation_hold_what_gltf_has_no_place_for(arm: Definition) -> None:
     rate = 20 * (1 + 1e-9)  # float32 keys do not tell it from 20
-    bend = with_extras({"rate": rate, "loop": False, "stride": 1.5, "marks": {"top": 0.25}, "feet": False}).clips["bend"]
+    bend = apply_body_extras({"rate": rate, "loop": False, "stride": 1.5, "marks": {"top": 0.25}, "feet": False}).clips["bend"]
     assert (bend.rate, bend.loop, bend.stride, bend.marks, bend.feet) == (rate, False, 1.5, {"top": 0.25}, False)
     assert bend.sample_count == 21 and bend.duration == 20 / rate
-    assert with_extras({"rate": 10}).clips["bend"].sample_count == 11
+    assert apply_body_extras({"rate": 10}).clips["bend"].sample_count == 11
     plain = arm.clips["bend"]
     assert (plain.rate, plain.loop, plain.stride, plain.marks, plain.feet) == (20.0, True, 0.0, {}, True)
 
@@ -172,7 +172,7 @@ def test_extras_of_an_animation_hold_what_gltf_has_no_place_for(arm: Definition)
 )
 def test_extras_that_are_none_of_ours_are_refused(extras: Any) -> None:
     with pytest.raises(BodyError, match="unknown extras `antdsl` in the clip `bend`"):
-        with_extras(extras)
+        apply_body_extras(extras)
 
 
 def test_keys_at_the_samples_are_taken_as_they_are() -> None:

@@ -60,7 +60,7 @@ def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
         bent_joints = joints(body, legs.bend_legs(rest(body), feet, np.ones(N, np.float32)))
         for k, leg in enumerate(body.legs):
             goal = feet.positions[:, k] + np.array([0, own.foot[k, 1], 0])
-            foot = bent_joints[:, body.rig.joint(leg.foot)]
+            foot = bent_joints[:, body.rig.find_joint(leg.foot)]
             assert np.abs(np.linalg.norm(foot - goal, axis=1)).max() < 1e-3 * own.length[k]
 
 
@@ -70,7 +70,7 @@ def test_bones_keep_their_lengths_knees_their_side_and_soles_their_turn(body: De
     bent_poses = LegSolver(body).bend_legs(rest_poses, feet, np.ones(N, np.float32))
     was, now = joints(body, rest_poses), joints(body, bent_poses)
     for leg in body.legs:
-        hip, knee, foot = (body.rig.joint(name) for name in (leg.upper, leg.lower, leg.foot))
+        hip, knee, foot = (body.rig.find_joint(name) for name in (leg.upper, leg.lower, leg.foot))
         for a, b in ((hip, knee), (knee, foot)):
             assert np.allclose(
                 np.linalg.norm(now[:, a] - now[:, b], axis=1), np.linalg.norm(was[:, a] - was[:, b], axis=1), atol=1e-5
@@ -90,19 +90,19 @@ def test_a_goal_out_of_reach_is_gone_towards_and_a_straight_leg_bends_to_the_fro
     far = replace(far, positions=far.positions + np.array([2, -1, 0], np.float32), is_on_ground=np.zeros_like(far.is_on_ground))
     poses = LegSolver(definition).bend_legs(rest(definition), far, np.ones(N, np.float32))
     now = joints(definition, poses)
-    hip, knee, foot = (now[0, definition.rig.joint(f"{part}_left_0")] for part in ("thigh", "shank", "foot"))
+    hip, knee, foot = (now[0, definition.rig.find_joint(f"{part}_left_0")] for part in ("thigh", "shank", "foot"))
     bones = np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee)
     assert 0.995 * bones < np.linalg.norm(foot - hip) <= bones and np.isfinite(now).all()
     assert np.dot(foot - hip, (2, -1.5, 0)) > 0.9 * bones * np.linalg.norm((2, -1.5, 0))
     # A rest pose with a straight leg: its knee goes ahead, the way that the body looks.
     straight = definition.rig.rest.copy()
-    straight[definition.rig.joint("shank_left_0"), :3, 3] = (0, -0.25, 0)
-    straight[definition.rig.joint("foot_left_0"), :3, 3] = (0, -0.25, 0)
+    straight[definition.rig.find_joint("shank_left_0"), :3, 3] = (0, -0.25, 0)
+    straight[definition.rig.find_joint("foot_left_0"), :3, 3] = (0, -0.25, 0)
     stiff = replace(definition, rig=replace(definition.rig, rest=straight))
     low = feet_near(stiff, 0.0, rise=np.full(N, -0.1, np.float32))
     now = joints(stiff, LegSolver(stiff).bend_legs(rest(stiff), low, np.ones(N, np.float32)))
-    knee = now[0, stiff.rig.joint("shank_left_0")]
-    assert knee[0] > now[0, stiff.rig.joint("thigh_left_0"), 0] + 0.05
+    knee = now[0, stiff.rig.find_joint("shank_left_0")]
+    assert knee[0] > now[0, stiff.rig.find_joint("thigh_left_0"), 0] + 0.05
 
 
 def test_a_clip_that_leaves_feet_free_has_its_own_legs_as_much_as_it_weighs(body: Definition) -> None:
@@ -135,6 +135,6 @@ def test_feet_beside_bodies_are_as_placed_ones_seen_from_them() -> None:
     placed_feet = PlacedFeet(
         placed.astype(np.float32), np.ones((5, 6), np.uint8), ones, ones, np.tile(np.float32([0, 0, 0, 1]), (5, 1))
     )
-    beside = placed_feet.relative_to(position, orient, scale)
+    beside = placed_feet.convert_to_body_space(position, orient, scale)
     assert np.allclose(beside.positions, local, atol=1e-5) and np.allclose(beside.rise, 1 / scale)
     assert np.array_equal(take_rows(placed_feet, np.array([2])).P, placed_feet.P[2:3])

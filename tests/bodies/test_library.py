@@ -11,7 +11,7 @@ from antdsl import resources
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.files.definition_checks import ReadDefinition, check_definition
+from antdsl.bodies.files.definition_checks import LocatedDefinition, check_definition
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report
@@ -40,7 +40,7 @@ def open_edges(shape: Shape) -> int:
 def test_shapes_are_closed_textured_and_follow_joints(word: str) -> None:
     body = load_library_body(word)
     report = Report()
-    assert check_definition(ReadDefinition(body), report) is not None and not report.sort_by_place(), str(report)
+    assert check_definition(LocatedDefinition(body), report) is not None and not report.sort_by_place(), str(report)
     for shape in shapes(word):
         assert open_edges(shape) == 0, shape.name
         corners = shape.points[shape.faces].astype(np.float64)
@@ -123,7 +123,8 @@ def feet_in(body: Definition, name: str) -> tuple[np.ndarray, np.ndarray]:
     world = blend_poses(
         table, body.groups, ClipPlayback.with_shared_tree(ClipTree.build_flat(1), clips, times, ones)
     ).world_transforms
-    return world[:, [body.rig.joint(leg.foot) for leg in body.legs]][..., 3], clip.stride * np.linspace(0, 1, clip.sample_count)
+    feet = [body.rig.find_joint(leg.foot) for leg in body.legs]
+    return world[:, feet][..., 3], clip.stride * np.linspace(0, 1, clip.sample_count)
 
 
 @pytest.mark.parametrize("word", [word for word in sorted(BODY_WORDS) if word not in ("arrow", "ball")])
@@ -164,12 +165,12 @@ def lowest(body: Definition, clip: str) -> float:
 @pytest.mark.parametrize("word", [word for word in sorted(BODY_WORDS) if load_library_body(word).legs])
 def test_gaits_can_be_walked(word: str) -> None:
     body = load_library_body(word)
-    rest = {name: body.rig.rest[body.rig.joint(name), :3, 3] for name in body.rig.names}
+    rest = {name: body.rig.rest[body.rig.find_joint(name), :3, 3] for name in body.rig.names}
     for leg in body.legs:
         chain, at = [], leg.foot
         while at != leg.upper:
             chain.append(float(np.linalg.norm(rest[at])))
-            at = body.rig.names[body.rig.parents[body.rig.joint(at)]]
+            at = body.rig.names[body.rig.parents[body.rig.find_joint(at)]]
         assert sum(chain) > 0
     for slow, fast in zip(body.gaits, body.gaits[1:], strict=False):
         assert slow.speed < fast.speed and slow.stride < fast.stride and slow.duty >= fast.duty

@@ -160,5 +160,5 @@ def test_a_skin_with_morph_targets_is_posed_as_a_body_of_a_crowd(bodies: list[De
     assert (
         PosedBody(replace(body, shapes=one_material_shapes, materials={"state": (0.1, 0.2, 0.3)}), clips).tint_weights == 1
     ).all()
-    rough = posed_body.coarse.pose_vertices(plays, 1)[0]
+    rough = posed_body.coarse_body.pose_vertices(plays, 1)[0]
     assert rough.shape[1] <= points.shape[1] and np.isfinite(rough).all()

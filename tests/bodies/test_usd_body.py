@@ -106,9 +106,10 @@ def test_points_are_where_usd_skins_them(body: Definition, file: Path) -> None:
         local = body.rig.rest.copy()
         parts = (clip.translation, clip.rotation, clip.scale)
         for number, joint in enumerate(clip.joints):
-            local[body.rig.joint(joint)] = compose_matrix(*(part[sample, number].astype(np.float64) for part in parts))
+            local[body.rig.find_joint(joint)] = compose_matrix(*(part[sample, number].astype(np.float64) for part in parts))
         world = compute_world_matrices(body.rig.parents, local)
-        joint_matrices = np.array([world[body.rig.joint(name)] for name in skin.capture.names]) @ skin.capture.inverse_matrices
+        joint_worlds = np.array([world[body.rig.find_joint(name)] for name in skin.capture.names])
+        joint_matrices = joint_worlds @ skin.capture.inverse_matrices
         homogeneous_points = np.c_[skin.points, np.ones(len(skin.points))]
         skinned_points = np.einsum(
             "pk,pkij,pj->pi", skin.capture.weights, joint_matrices[skin.capture.joints], homogeneous_points

@@ -10,7 +10,7 @@ import pytest
 
 from antdsl.casting.faces import Faces, find_nearest_on_triangle
 from antdsl.casting.grid_rays import GridTables
-from antdsl.casting.ray_walks import BALL_OFFSET, LINK_OFFSET, RING_ROW_WORDS, Rings, find_hit_by_walk
+from antdsl.casting.ray_walks import BALL_OFFSET, LINK_OFFSET, RING_ROW_WORDS, RingTables, find_hit_by_walk
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import NEAREST_UNKNOWN, NO_FACE
 from antdsl.machine_code.kernels import F64, I64, Array1, Strided2, kernel, simd_range
@@ -76,7 +76,7 @@ SHAPES: dict[str, tuple[Callable[[], Mesh], float]] = {
 @kernel
 def walk_all(
     grid: GridTables,
-    rings: Rings,
+    rings: RingTables,
     starts: Array1[I64],
     origin: Strided2[F64],
     direction: Strided2[F64],

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.casting.faces import Faces, _greatest_index, find_nearest_on_face, find_nearest_on_triangle
+from antdsl.casting.faces import Faces, _find_largest_index, find_nearest_on_face, find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from tests.meshes import ball, box, terrain
 
@@ -60,7 +60,7 @@ def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
     scene = RayScene.from_meshes(meshes())
     first = scene.find_first_hits(origin, displacement)
     hit = np.flatnonzero(first.is_hit)
-    face = scene._first_face[first.mesh[hit]] + first.face[hit]
+    face = scene._first_face_of_mesh[first.mesh[hit]] + first.face[hit]
     weights = np.stack([1 - first.u - first.v, first.u, first.v], axis=1)[hit]
     which, other = scene._faces.find_faces_at_corner(face, weights)
     slope = np.abs((scene._faces.get_normals(other) * displacement[hit[which]]).sum(axis=1)) / np.sqrt(
@@ -171,4 +171,4 @@ def test_nearest_points_of_scalars_and_arrays_are_equal():
     [(1, 2, 3), (3, 2, 1), (2, 3, 1), (2, 2, 1), (1, 2, 2), (2, 1, 2), (np.nan, 1, 2), (1, np.nan, np.nan), (1, 2, np.nan)],
 )
 def test_greatest_weights_select_the_same_corner(weights: tuple[float, float, float]):
-    assert _greatest_index(*map(float, weights)) == int(np.argmax(weights))
+    assert _find_largest_index(*map(float, weights)) == int(np.argmax(weights))

@@ -160,7 +160,7 @@ def test_few_and_many_feelers_have_equal_hits(monkeypatch: pytest.MonkeyPatch):
     origin = np.where(np.arange(5000)[:, None] % 2, origin, start)  # every other one begins on a face
     reach = np.random.default_rng(1).choice([1e-6, 1e-4, 0.1, 3.0, 30.0], 5000)
     for few in (0, 5000):
-        monkeypatch.setattr(rays, "_MAX_RAYS_CAST_ONCE", few)
+        monkeypatch.setattr(rays, "_MAX_RAYS_IN_ONE_CAST", few)
         touched.append(scene.find_hits_along_step(origin, direction * reach[:, None]))
     assert 400 < len(touched[0][0]) < 4500
     for many, few in zip(*touched, strict=True):

@@ -331,7 +331,7 @@ def test_a_joint_is_shifted_and_turned_with_all_below_it(cache: Cache) -> None:
     row, head = crowd.ids.tolist().index(3), rig.names.index("head")
     below = rig.find_descendants(head)
     others = np.setdiff1d(np.arange(len(rig.names)), below)
-    legs = {joint for leg in crowd.body.definition.legs for joint in rig.find_descendants(rig.joint(leg.upper)).tolist()}
+    legs = {joint for leg in crowd.body.definition.legs for joint in rig.find_descendants(rig.find_joint(leg.upper)).tolist()}
     assert np.array_equal(np.delete(poses[0], row, axis=0), np.delete(poses[1], row, axis=0))
     trunk = [joint for joint in others.tolist() if joint not in legs]
     assert np.array_equal(poses[0][row, trunk], poses[1][row, trunk])

@@ -57,7 +57,7 @@ def measure_errors(cache: Cache, scene: Scene, frame: int) -> np.ndarray:
                 joints[nodes[number]["name"]] = number
                 waiting += nodes[number].get("children", [])
             for name in JOINTS:
-                offset = world[joints[name]][:3, 3] * 1000 - expected[row, rig.joint(name), :3, 3]
+                offset = world[joints[name]][:3, 3] * 1000 - expected[row, rig.find_joint(name), :3, 3]
                 errors.append(np.linalg.norm(offset) / crowd.scale[row])
     return np.array(errors)
 

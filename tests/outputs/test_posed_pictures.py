@@ -143,14 +143,16 @@ def test_materials_have_their_colour_and_the_state_the_rest(cache: Cache) -> Non
 def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
     assert crowd.body is not None
-    fine, rough = (body.pose_vertices(crowd.machine_clips, len(crowd.position))[0] for body in (crowd.body, crowd.body.coarse))
-    assert len(crowd.body.coarse.faces) < len(crowd.body.faces) / 3
+    fine, rough = (
+        body.pose_vertices(crowd.machine_clips, len(crowd.position))[0] for body in (crowd.body, crowd.body.coarse_body)
+    )
+    assert len(crowd.body.coarse_body.faces) < len(crowd.body.faces) / 3
     for k in range(3):
         for end in (np.min, np.max):
             assert np.abs(end(fine[:, :, k], axis=1) - end(rough[:, :, k], axis=1)).max() < 0.05
     far = make_view(Camera((0.0, 90.0, 90.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
     drawn_actors = make_actors(replace(Gallery(cache).make_picture(FRAMES), items=()), far)
-    assert len(drawn_actors.mesh.faces) == len(crowd.body.coarse.faces) * len(crowd.position)
+    assert len(drawn_actors.mesh.faces) == len(crowd.body.coarse_body.faces) * len(crowd.position)
 
 
 def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
@@ -170,7 +172,7 @@ def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
         )  # fmt: skip
         world = blend_poses(table, body.groups, playing).world_transforms
         for foot in ("foot_l", "foot_r"):
-            matrices = world[:, body.rig.joint(foot)].astype(np.float64)
+            matrices = world[:, body.rig.find_joint(foot)].astype(np.float64)
             for spot in ((0.14, -0.06, 0.0, 1.0), (-0.07, -0.06, 0.0, 1.0)):  # toe and heel
                 place = matrices @ np.array(spot)
                 down = place[:, 1] < 0.0015

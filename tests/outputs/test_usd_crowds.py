@@ -242,7 +242,7 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
         crowd = Gallery(people).make_picture(frame).crowds[0]
         assert crowd.body is not None
         numbers, state = instancer.GetProtoIndicesAttr().Get(frame), people.frame(frame)["state"]
-        points = crowd.body.coarse.compute_shape_points(crowd.body.coarse.compute_poses(crowd.machine_clips, PEOPLE))[0]
+        points = crowd.body.coarse_body.compute_shape_points(crowd.body.coarse_body.compute_poses(crowd.machine_clips, PEOPLE))[0]
         for k in range(PEOPLE):
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(paths[numbers[k]]))
             used.add(paths[numbers[k]])

@@ -32,7 +32,7 @@ from antdsl.bodies.agents.definition import (
     TransformGroup,
     Variation,
 )
-from antdsl.bodies.agents.driving import DrivenPose, turn_towards_looks
+from antdsl.bodies.agents.driving import DrivenPose, rotate_towards_looks
 from antdsl.bodies.agents.leg_ik import LegSolver, PlacedFeet
 from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
@@ -214,7 +214,7 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
     page.page.wait_for_timeout(300)
     level = PosedBody(body, PLAYS)
     expected = expected_bones(body, plays, level)
-    assert len(level.coarse.mesh.bone_joints) == len(level.mesh.bone_joints) == 8
+    assert len(level.coarse_body.mesh.bone_joints) == len(level.mesh.bone_joints) == 8
     for row in (0,) if near else range(60):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
 
@@ -233,7 +233,7 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
         compute_slope_quaternions(feet.slope),
     )
     turned = build_orientations(light["heading"].astype(np.float64), light["up"].astype(np.float64))
-    beside = placed.relative_to(light["position"], turned, light["size"]).scale_trunk(stands)
+    beside = placed.convert_to_body_space(light["position"], turned, light["size"]).scale_trunk(stands)
     poses = blend_poses(table, body.groups, playing(table, plays))
     expected = in_bones(body, level, legs.bend_legs(poses, beside, stands).world_transforms)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3, "legs and trunks are moved"
@@ -256,7 +256,7 @@ def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
     level, table = PosedBody(body, PLAYS), build_clip_table(body)
     poses = blend_poses(table, body.groups, playing(table, plays))
     directions = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
-    turned = turn_towards_looks(table, poses, {"arms": directions}, body.groups, body.compute_base_matrix()[:3, :3])
+    turned = rotate_towards_looks(table, poses, {"arms": directions}, body.groups, body.compute_base_matrix()[:3, :3])
     expected = in_bones(body, level, turned.world_transforms)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
     message = make_rig_packet("ant", BodyOutfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))

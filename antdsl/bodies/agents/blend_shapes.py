@@ -22,13 +22,12 @@ _MIN_KNOT_SPACING = 1e-6  # in-betweens with weights nearer to each other than t
 
 
 def blend_shapes(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
-    """Return the shape with the inputs of a blend shape added, weighted by the channels of each agent.
+    """Return the shape with the inputs of its blend shape added, weighted by the channels of each agent.
 
     Only the attributes that the shape blends change (default: P and N). Primitives have no attributes in antdsl, so
     `Blend.primitive_id` is not matched. Raises ValueError for a shape without blend shapes, for different numbers of inputs and
     channels, and for in-betweens at weight 0 or 1. Raises KeyError for shapes that the library lacks, and for channels that the
-    rig lacks.
-    """
+    rig lacks."""
     blend = shape.blend
     if blend is None:
         raise ValueError(f"shape `{shape.name}` names no blend shapes (blendshape_shapenames)")
@@ -60,7 +59,8 @@ def blend_shapes(deformed_shape: DeformedShape, shape: Shape, definition: Defini
 
 
 def _read_attribute(deformed_shape: DeformedShape, name: str) -> Floats | None:
-    """Return an attribute [n, P, …] in its current, possibly deformed, state."""
+    """Return the values [n, P, …] of an attribute of the shape, after the deformers applied so far; None if it has no such
+    attribute."""
     return (
         {"P": deformed_shape.points, "N": deformed_shape.normals}[name]
         if name in _SHAPE_FIELD_BY_ATTRIBUTE
@@ -69,14 +69,15 @@ def _read_attribute(deformed_shape: DeformedShape, name: str) -> Floats | None:
 
 
 def _split_components(values: Floats | None, n: int) -> Floats:
-    """Return an attribute as a new array [components, P, n]."""
+    """Return an attribute [n, P, …] as a new array [components, P, n]."""
     assert values is not None
     wide = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)
     return np.ascontiguousarray(np.broadcast_to(wide, (*wide.shape[:2], n)).astype(np.float32))
 
 
 def find_blend_knots(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.float64]]:
-    """Return an input's primary shape and its in-betweens, with their weights in ascending order."""
+    """Return the shapes of an input, its primary shape and in-betweens, and the weight at which each applies in full,
+    ascending."""
     primary = definition.shapes[name]
     between = primary.in_betweens
     pairs = [(1.0, primary)]
@@ -111,7 +112,7 @@ def compute_knot_shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
 
 
 def match_points(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the matched points: indices of points of the base, and of the corresponding points of the other shape."""
+    """Return the indices of the matched points in the base shape, and the indices of the same points in the target shape."""
     own, other = base.attributes.get(point_id), target.attributes.get(point_id)
     if own is None or other is None:
         both = np.arange(min(len(base.points), len(target.points)))
@@ -133,7 +134,7 @@ def get_point_attribute(shape: Shape, name: str) -> NDArray[np.generic] | None:
 def compute_attribute_offsets(
     base: Shape, target: Shape, name: str, base_points: NDArray[np.intp], target_points: NDArray[np.intp]
 ) -> Floats:
-    """Return another shape's attribute minus that of the base at matched points, float32[components, matched]."""
+    """Return the target shape's attribute minus that of the base at matched points, float32[components, matched]."""
     mine, others = get_point_attribute(base, name), get_point_attribute(target, name)
     assert mine is not None and others is not None
     delta = others[target_points].astype(np.float32) - mine[base_points].astype(np.float32)

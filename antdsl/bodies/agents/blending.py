@@ -86,7 +86,7 @@ class ClipTree:
 
     @staticmethod
     def build_flat(count: int, *groups: str) -> ClipTree:
-        """Return a tree of `count` clips in one layer, blended by their weights. `groups`: the transform groups of the first
+        """Return a tree in which one layer blends `count` clips by their weights. `groups`: the transform groups of the first
         clips."""
         return ClipTree((0,) * count, (*groups, *("",) * (count - len(groups))))
 
@@ -124,18 +124,17 @@ class ClipPlayback:
 def blend_poses(
     table: ClipTable, groups: Mapping[str, TransformGroup], playback: ClipPlayback, *, needs_local: bool = False, threads: int = 1
 ) -> Poses:
-    """Return the transforms and channel values of all agents for the clips that they play.
+    """Return the poses of all agents, with transforms and channel values, for the clips that they play.
 
     `needs_local`: also return local transforms. `threads` and the order of agents change no bit. Raises KeyError for a transform
     group that does not exist, or that names a joint or channel that the rig lacks. Raises IndexError for a clip or tree number
-    out of range. Raises ValueError for arrays that do not match each other or the trees.
-    """
+    out of range. Raises ValueError for arrays that do not match each other or the trees."""
     _check_shapes(playback)
     n, joints = len(playback.tree), len(table.joint_order)
     if n and not 0 <= int(playback.tree.min()) <= int(playback.tree.max()) < len(playback.trees):
         raise IndexError(f"trees are numbered from 0 to {len(playback.trees) - 1}")
     named = {name for tree in playback.trees for name in tree.groups if name}
-    members = {name: table.weights(groups[name]) for name in sorted(named)}
+    members = {name: table.compute_group_weights(groups[name]) for name in sorted(named)}
     world = np.empty((3, 4, joints, n), np.float32)
     own = np.empty((3, 4, joints, n), np.float32) if needs_local else None
     channels = np.empty((len(table.rig.channels), n), np.float32)
@@ -185,12 +184,12 @@ def _store_matrices(target: Floats, table: ClipTable, agents: slice | NDArray[np
 
 @dataclass(slots=True, eq=False)
 class _BlendInput:
-    """An input of a layer.
+    """An input of a layer: a clip, or the result of another layer.
 
-    `pose`: of n agents.
-    `weight`: [n].
-    `joint_coverage` and `channel_coverage`: the coverage of each joint and channel: [n], or [J, n] and [C, n].
-    """
+    `pose`: the local poses of n agents.
+    `weight`: [n], the weight of the input in the layer.
+    `joint_coverage`, `channel_coverage`: how strongly the input sets each joint and channel, from 0 to 1: [n], or [J, n] and [C,
+        n]."""
 
     pose: Pose
     weight: Floats
@@ -230,7 +229,7 @@ def blend_agents(
 
 
 def _take_columns(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
-    """Return the rows of some agents, transposed so that each column is contiguous."""
+    """Return the rows of the given agents, transposed so that each column is contiguous."""
     return np.ascontiguousarray(values[agents].T)
 
 
@@ -240,7 +239,7 @@ def _clean_weights(weights: Floats) -> Floats:
 
 
 def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
-    """Return the weighted mean of the inputs."""
+    """Return the weighted mean of the inputs; joints and channels that no input covers have the rest pose."""
     if len(inputs) == 1:
         return _pass_single_input(inputs[0], rest)
     joint_shares, joints, no_joint = _compute_shares([(each.weight, each.joint_coverage) for each in inputs])
@@ -270,7 +269,7 @@ def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
 
 
 def _pass_single_input(input_layer: _BlendInput, rest: Pose) -> _BlendInput:
-    """Return the mean of one input: the input itself where its weight is not 0."""
+    """Return the weighted mean of a single input: the input where its weight is not 0, elsewhere the rest pose."""
     joints = input_layer.joint_coverage * (input_layer.weight > 0)
     channels = input_layer.channel_coverage * (input_layer.weight > 0)
     _reset_to_rest(input_layer.pose, rest, joints == 0, channels == 0)
@@ -278,9 +277,9 @@ def _pass_single_input(input_layer: _BlendInput, rest: Pose) -> _BlendInput:
 
 
 def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
-    """Return shares that add up to 1, the mean coverage, and a mask of where there is no coverage.
+    """Return the share of each input, the mean coverage, and a mask of entries that no input covers. The shares add up to 1.
 
-    `weights`: pairs of a weight and a coverage."""
+    `weights`: the weight and the coverage of each input."""
     products = [weight * presence for weight, presence in weights]
     total, weight_sum = products[0], weights[0][0]
     for each, (weight, _) in zip(products[1:], weights[1:], strict=True):
@@ -293,19 +292,21 @@ def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats],
     return [each * by for each in products], presence, none
 
 
-def _add_rotations(target: Floats, addend: Floats, share: Floats, coverage: Floats) -> None:
-    """Add a share of quaternions to a sum, with the sign aligned to the sum."""
-    np.multiply(target, addend, out=coverage)
-    dots = coverage[0]
+def _add_rotations(target: Floats, addend: Floats, share: Floats, scratch: Floats) -> None:
+    """Add quaternions times `share` to the sum `target`, each with its sign aligned to the sum.
+
+    `scratch`: an array for intermediate results."""
+    np.multiply(target, addend, out=scratch)
+    dots = scratch[0]
     for k in (1, 2, 3):
-        dots += coverage[k]
+        dots += scratch[k]
     side = np.where(dots < 0, -share, share)
-    np.multiply(addend, side, out=coverage)
-    target += coverage
+    np.multiply(addend, side, out=scratch)
+    target += scratch
 
 
 def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
-    """Set joints that no input covers to the rest pose, and such channels to their defaults, in place."""
+    """Set joints that no input covers to the rest pose, in place, and such channels to their defaults."""
     if no_joint.any():
         parts = (pose.translation, pose.rotation, pose.scale, pose.shear)
         for into, still in zip(parts, (rest.translation, rest.rotation, rest.scale, rest.shear), strict=True):
@@ -316,7 +317,7 @@ def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_chann
 
 
 def _blend_additive(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
-    """Return the first input plus a share of the differences of the others from the rest pose."""
+    """Return the first input, plus the weighted differences of the other inputs from the rest pose."""
     first = inputs[0]
     pose, joints, channels = first.pose, first.joint_coverage, first.channel_coverage
     _reset_to_rest(pose, rest, joints == 0, channels == 0)
@@ -335,7 +336,7 @@ def _blend_additive(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
 
 
 def _blend_over(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
-    """Return the inputs, each over the previous ones, and the first over the rest pose."""
+    """Return the inputs laid over each other: each replaces the previous ones by its weight, the first replaces the rest pose."""
     parts = (rest.translation, rest.rotation, rest.scale, rest.shear, rest.channels)
     pose = Pose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
     joints, channels = np.float32(0), np.float32(0)

@@ -21,10 +21,10 @@ Floats = NDArray[Any]  # float32 or float64
 
 
 def compute_layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
-    """Return the lowest and highest corners [n, 3] of agents with joint world matrices `worlds` [n, J, 4, 4], in the dtype of
-    `worlds`.
+    """Return the lowest and the highest corners [n, 3] of the boxes around the given layers of n agents.
 
-    Both corners are NaN for layers without a shape. Raises KeyError for a layer or a shape that the definition lacks."""
+    `worlds` [n, J, 4, 4]: the world matrices of the joints. The corners have the same dtype. Both are NaN for layers without a
+    shape. Raises KeyError for a layer or a shape that the definition lacks."""
     count = len(worlds)
     least = np.full((count, 3), np.inf, worlds.dtype)
     most = np.full((count, 3), -np.inf, worlds.dtype)
@@ -45,8 +45,8 @@ def compute_agent_boxes(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return boxes as `compute_layer_boxes` does, for agents with different layers.
 
-    Agent i wears `current[wears[i]]` and collides with `collision[collides[i]]`. Collision layers take precedence if an agent has
-    any."""
+    Agent i wears `worn_layers[worn_indices[i]]` and collides with `collision_layers[collision_indices[i]]`. The box is that of
+    the collision layers if there are any, else that of the worn layers."""
     least = np.full((len(worlds), 3), np.nan, worlds.dtype)
     most = least.copy()
     for a, b in sorted(set(zip(worn_indices.tolist(), collision_indices.tolist(), strict=True))):
@@ -61,7 +61,7 @@ def _compute_binding_box(definition: Definition, binding: Binding, worlds: Float
     scale = np.array(binding.bounds_scale, worlds.dtype)
     if shape.capture is not None and binding.deformer not in ("", "blendshape"):
         followed = _find_followed_joints(shape)
-        chosen = [definition.rig.joint(shape.capture.names[number]) for number in followed]
+        chosen = [definition.rig.find_joint(shape.capture.names[number]) for number in followed]
         if len(chosen) == 1:  # a shape with one joint moves like a static shape
             return _transform_box(
                 _compute_shape_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse_matrices[followed[0]]
@@ -71,13 +71,13 @@ def _compute_binding_box(definition: Definition, binding: Binding, worlds: Float
         return middle - half, middle + half
     extent = _compute_shape_extent(definition, shape)
     if binding.transform:
-        return _transform_box(extent, scale, worlds[:, definition.rig.joint(binding.transform)], np.eye(4))
+        return _transform_box(extent, scale, worlds[:, definition.rig.find_joint(binding.transform)], np.eye(4))
     middle, half = _scale_box(extent, scale)
     return np.broadcast_to(middle - half, (len(worlds), 3)), np.broadcast_to(middle + half, (len(worlds), 3))
 
 
 def _scale_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
-    """Return the centre of a box and its scaled half widths, in the dtype of the scale."""
+    """Return the centre of a box and its half widths times `scale`, in the dtype of the scale."""
     low, high = extent
     return ((low + high) / 2).astype(scale.dtype), ((high - low) / 2).astype(scale.dtype) * scale
 
@@ -102,7 +102,8 @@ def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats,
 
 
 def _compute_joint_box(worlds: Floats, joints: list[int]) -> tuple[Floats, Floats]:
-    """Return the box of the positions of the joints `joints`. Computed joint by joint to avoid a copy of all matrices."""
+    """Return the lowest and highest corners of the box around the positions of `joints`. It loops over joints, to copy no
+    matrices."""
     low = worlds[:, joints[0], :3, 3].copy()
     high = low.copy()
     for joint in joints[1:]:
@@ -112,13 +113,13 @@ def _compute_joint_box(worlds: Floats, joints: list[int]) -> tuple[Floats, Float
 
 
 def _find_followed_joints(shape: Shape) -> list[int]:
-    """Return the indices of the captured joints that have a weight at any point of a shape."""
+    """Return the indices of the captured joints that move at least one point of a shape."""
     assert shape.capture is not None
     return [int(number) for number in np.unique(shape.capture.joints[shape.capture.weights > 0])]
 
 
 def _compute_shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the box of a shape and of all shapes that it may be blended with."""
+    """Return the lowest and the highest corner of the box around a shape and all shapes that it may be blended with."""
     inputs = [definition.shapes[name] for name in (shape.blend.shapes if shape.blend else ())]
     shapes = [shape, *inputs]
     shapes += [definition.shapes[name] for each in inputs if each.in_betweens for name in each.in_betweens.shapes]
@@ -132,14 +133,16 @@ def _compute_shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray
 
 
 def compute_rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the box of the points of all shapes of all layers in the rest pose. It defines a body's length.
+    """Return the lowest and the highest corner of the box around all shapes of all layers in the rest pose. It defines a body's
+    length.
 
     Without shapes, return the box of the joints."""
-    return posed_box(definition, compute_world_matrices(definition.rig.parents, definition.rig.rest))
+    return compute_posed_box(definition, compute_world_matrices(definition.rig.parents, definition.rig.rest))
 
 
-def posed_box(definition: Definition, world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the box of the points of all shapes of all layers, with joint world matrices `world` [J, 4, 4].
+def compute_posed_box(definition: Definition, world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and the highest corner of the box around all shapes of all layers, with joint world matrices `world` [J,
+    4, 4].
 
     Without shapes, return the box of the joints."""
     point_sets = [world[:, :3, 3]]
@@ -158,8 +161,8 @@ def _compute_rest_points(
     """Return the points [P, 3] of a binding's shape in the rest pose."""
     points = shape.points.astype(np.float64)
     if shape.capture is None or binding.deformer in ("", "blendshape"):
-        return _transform_points(world[definition.rig.joint(binding.transform)], points) if binding.transform else points
-    chosen = [definition.rig.joint(name) for name in shape.capture.names]
+        return _transform_points(world[definition.rig.find_joint(binding.transform)], points) if binding.transform else points
+    chosen = [definition.rig.find_joint(name) for name in shape.capture.names]
     matrices = compose_transforms(world[chosen], shape.capture.inverse_matrices)
     skinned_points = np.zeros_like(points)
     for column in range(shape.capture.joints.shape[1]):
@@ -170,5 +173,5 @@ def _compute_rest_points(
 
 
 def _transform_points(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points [P, 3] transformed by one matrix [4, 4], or each by its own, [P, 4, 4]."""
+    """Return points [P, 3] transformed by one matrix [4, 4], or each point by its own matrix of [P, 4, 4]."""
     return apply_transforms(matrix[..., :3, :], points)

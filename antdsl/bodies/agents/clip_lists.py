@@ -1,5 +1,6 @@
-"""Converts the clips that agents play from lists per agent, as in a file of agents: clip names, times, weights, groups and
-layers."""
+"""Converts lists of the clips that agents play, as a file of agents has them, to a `ClipPlayback`.
+
+Each agent has a list of clip names, with lists of their times, weights, transform groups and layers."""
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ def build_playback(
     for what, values, expected_counts in lists + [(what, values, layer_counts) for what, values in of_layers.items()]:
         if values is not None and len(values) != int(expected_counts.sum()):
             raise ValueError(f"there are {len(values)} {what}, but the agents need {int(expected_counts.sum())}")
-    clip_numbers = _number_names(names, table.find_clip)
+    clip_numbers = _look_up_numbers(names, table.find_clip)
     words, group_numbers = _find_distinct_names(groups, len(names))
     clips = _pad_lists(clip_numbers, counts, REST_CLIP).astype(np.int32)
     group = _pad_lists(group_numbers, counts, _PADDING_INDEX)
@@ -72,14 +73,14 @@ def build_playback(
     )  # fmt: skip
 
 
-def _number_names(names: Numbers, number: Callable[[str], int]) -> NDArray[np.int64]:
-    """Return the number of each name, found by `number`; each distinct name is looked up once."""
+def _look_up_numbers(names: Numbers, number: Callable[[str], int]) -> NDArray[np.int64]:
+    """Return the number of each name. `number` looks up the number of one name, and is called once for each distinct name."""
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
     return np.array([number(str(name)) for name in known], np.int64)[which.reshape(-1)]
 
 
 def _find_distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
-    """Return the distinct names, and the index into them for each of `count` entries."""
+    """Return the distinct names, and for each of `count` entries the index of its name among them."""
     if names is None:
         return ("",), np.zeros(count, np.int64)
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)

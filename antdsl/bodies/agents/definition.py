@@ -39,17 +39,16 @@ class Channel:
 class Rig:
     """A tree of J joints with a rest pose, and channels.
 
-    `names`: of joints, parents before children.
-    `parents`: int32[J], -1 for a root.
-    `rest`: float64[J, 4, 4], local matrices.
-    """
+    `names`: the names of the joints, parents before children.
+    `parents`: int32[J], the number of each joint's parent, -1 for a root.
+    `rest`: float64[J, 4, 4], local matrices."""
 
     names: tuple[str, ...]
     parents: NDArray[np.int32]
     rest: NDArray[np.float64]
     channels: tuple[Channel, ...] = ()
 
-    def joint(self, name: str) -> int:
+    def find_joint(self, name: str) -> int:
         """Return the number of a joint. Raises KeyError."""
         try:
             return self.names.index(name)
@@ -99,13 +98,12 @@ class Capture:
 
 @dataclass(frozen=True, slots=True)
 class BlendTargets:
-    """Inputs of a blend shape.
+    """The inputs of a blend shape.
 
-    `shapes`: names of library shapes.
-    `channels`: the channels that weight these shapes.
+    `shapes`: the library shape of each input.
+    `channels`: the channel that weights each input.
     `attributes`: the point attributes that are blended.
-    `point_id`: the point attribute by which points are matched; `primitive_id`: the same for primitives.
-    """
+    `point_id`: the point attribute by which points are matched; `primitive_id`: the same for primitives."""
 
     shapes: tuple[str, ...]
     channels: tuple[str, ...]
@@ -167,7 +165,10 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class TransformGroup:
-    """A named part of a rig: joints with weights from 0 to 1, and channels."""
+    """A named part of a rig.
+
+    `members`: joints with their weights from 0 to 1.
+    `channels`: names of channels."""
 
     name: str
     members: tuple[tuple[str, float], ...] = ()
@@ -181,12 +182,11 @@ class Clip:
     `translation`: float32[F, K, 3], in the definition's units.
     `rotation`: float32[F, K, 4], unit quaternions x y z w.
     `scale`: float32[F, K, 3]; `shear`: float32[F, K, 3] or None. `transforms.py` defines the order of the parts.
-    `values`: float32[F, C], of the channels.
+    `values`: float32[F, C], the values of the channels.
     `loop`: whether the clip loops. The last sample of a looping clip repeats its first pose.
     `stride`: the distance covered in one loop, in the definition's units; 0 for a clip in place.
-    `marks`: seconds by name.
-    `feet`: whether feet are placed on the ground while the clip plays; otherwise legs move as in the clip.
-    """
+    `marks`: named times in the clip, in seconds.
+    `feet`: whether feet are placed on the ground while the clip plays; otherwise legs move as in the clip."""
 
     name: str
     rate: float
@@ -321,8 +321,9 @@ class Definition:
 
 
 def to_language_name(text: str) -> str:
-    """Return a name in lower-case letters, digits and `_` that begins with a letter. Other characters become `_`, one for each
-    run."""
+    """Return a name in the spelling of the language: lower-case letters, digits and `_`, with a letter first.
+
+    Each run of other characters becomes one `_`."""
     name = _NON_NAME_CHARACTERS.sub("_", text.lower()).strip("_")
     return name if name[:1].isalpha() else f"n{name}"
 

@@ -69,11 +69,10 @@ def find_deformers(name: str) -> tuple[Deformer, ...]:
 
 
 def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> DeformedShape:
-    """Return the shape of a binding for each of n agents, deformed, in agent space.
+    """Return the shape of a binding after its deformers, for each of n agents, in agent space.
 
     A shape with points that follow no joints moves with the binding's joint. Raises KeyError for a missing shape, joint or
-    deformer, and the errors of its deformers.
-    """
+    deformer, and the errors of its deformers."""
     shape = definition.shapes[binding.shape]
     n = len(poses.world_transforms)
     named = shape.blend.attributes if shape.blend else ()
@@ -105,7 +104,7 @@ def _build_rigid_deformer(binding: Binding) -> Deformer:
     """Return the deformer that moves a shape by its joint alone."""
 
     def carry_shape(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
-        joint = definition.rig.joint(binding.transform)
+        joint = definition.rig.find_joint(binding.transform)
         matrices = poses.world_transforms[:, joint].transpose(1, 2, 0)[:, :, None]
         points = transform_points(matrices, deformed_shape.points).transpose(2, 1, 0)
         if deformed_shape.normals is None:

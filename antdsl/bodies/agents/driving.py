@@ -17,14 +17,15 @@ from antdsl.bodies.agents.varied_bodies import VariationDraws
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenPose:
-    """Values that drive the poses of n agents.
+    """Values that drive the poses of n agents in addition to clips.
 
     `channels`: float32[n] by display name. A value overrides the clips for a channel of the rig; NaN leaves the value of the
-    clips. `look_directions`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is
-    straight ahead. `variation_draws`: the random variation of bodies.
+        clips.
+    `look_directions`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is
+        straight ahead.
+    `variation_draws`: the sources of random differences between the bodies.
     `lean`: float32[n, 2], how much each agent turns (positive: left) and climbs, from -1 to 1; None if no clip depends on it.
-    `joint_offsets`: float32[n, 7] by joint, a shift in body lengths and a rotation x y z w, both in the agent's space.
-    """
+    `joint_offsets`: float32[n, 7] by joint, a shift in body lengths and a rotation x y z w, both in the agent's space."""
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     look_directions: Mapping[str, Floats] = field(default_factory=dict)
@@ -48,16 +49,15 @@ def set_pose_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Flo
     return replace(poses, channels=values)
 
 
-def turn_towards_looks(
+def rotate_towards_looks(
     table: ClipTable, poses: Poses, looks: Mapping[str, Floats], groups: Mapping[str, TransformGroup], base: NDArray[np.float64]
 ) -> Poses:
-    """Return poses in which the joints of transform groups are turned towards the given directions.
+    """Return poses in which transform groups are rotated so that they look in the directions `looks`.
 
-    Each joint of a group turns about its own position, together with all joints below it. It turns by its weight's share of the
-    shortest rotation from straight ahead. The joints of one chain together turn by at most that full rotation. `base` [3, 3]
-    transforms from the body's space to that of agents. Groups that the body does not have are ignored. If anything was turned,
-    `local` is None.
-    """
+    Each joint of a group rotates about its own position, together with all joints below it. Its rotation is a share, by its
+    weight, of the shortest rotation from straight ahead to the direction. The joints of one chain together rotate by at most that
+    full rotation. `base` [3, 3] transforms from the body's space to that of agents. Groups that the body does not have are
+    ignored. If a joint was rotated, `local` is None."""
     known_looks = {name: look for name, look in looks.items() if name in groups and len(look)}
     if not known_looks:
         return poses
@@ -68,14 +68,14 @@ def turn_towards_looks(
         direction = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
         turn = _compute_shortest_rotation(direction, axes[0])
         for joint, share in iterate_look_shares(table.rig, groups[name]):
-            _turn_joints(world, joint, table.rig.find_descendants(joint), _scale_rotation(turn, share))
+            _rotate_joints(world, joint, table.rig.find_descendants(joint), _scale_rotation(turn, share))
     return Poses(world, None, poses.channels)
 
 
 def offset_joints(table: ClipTable, poses: Poses, offsets: Mapping[str, Floats], base: NDArray[np.float64]) -> Poses:
-    """Return poses in which joints are shifted and turned about their own positions, together with all joints below them.
+    """Return poses in which joints are shifted and rotated about their own positions, together with all joints below them.
 
-    `base` [3, 3] transforms from the body's space to that of agents. Joints that the rig does not have are ignored. If anything
+    `base` [3, 3] transforms from the body's space to that of agents. Joints that the rig does not have are ignored. If a joint
     was moved, `local` is None."""
     known = {table.rig.names.index(name): offset for name, offset in offsets.items() if name in table.rig.names and len(offset)}
     if not known:
@@ -90,17 +90,17 @@ def offset_joints(table: ClipTable, poses: Poses, offsets: Mapping[str, Floats],
             (wide[:, k : k + 1] * axes[0] + wide[:, k + 1 : k + 2] * axes[1]) + wide[:, k + 2 : k + 3] * axes[2] for k in (0, 3)
         )
         below = table.rig.find_descendants(joint)
-        _turn_joints(world, joint, below, np.concatenate([turn, wide[:, 6:]], axis=1).astype(np.float32))
+        _rotate_joints(world, joint, below, np.concatenate([turn, wide[:, 6:]], axis=1).astype(np.float32))
         world[:, below, :, 3] += (shift / scale).astype(np.float32)  # indexed so, joints come before agents
     return Poses(world, None, poses.channels)
 
 
 def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield the joints of a group by number, each with its share of the group's look rotation.
+    """Yield the number of each joint of a group, and the joint's share of the group's rotation towards a look direction.
 
     The share is the joint's weight, limited to the remainder that its ancestors leave."""
     left = np.ones(len(rig.names))
-    for joint, weight in sorted((rig.joint(member), weight) for member, weight in group.members):
+    for joint, weight in sorted((rig.find_joint(member), weight) for member, weight in group.members):
         share = min(weight, float(left[joint]))
         if share > 0:
             left[rig.find_descendants(joint)] -= share
@@ -108,8 +108,9 @@ def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, 
 
 
 def _compute_shortest_rotation(direction: Sequence[Floats], ahead: Floats) -> Floats:
-    """Return quaternions float32[n, 4] of the shortest rotations from `ahead` [3] to `direction`: unit vectors, as x, y and z [n]
-    each."""
+    """Return the shortest rotations from `ahead` [3] to each direction, as quaternions float32[n, 4].
+
+    `direction`: the x, y and z [n] of unit vectors. `ahead`: a unit vector."""
     x, y, z = ahead
     quaternions = np.stack([
         y * direction[2] - z * direction[1], z * direction[0] - x * direction[2], x * direction[1] - y * direction[0],
@@ -121,14 +122,14 @@ def _compute_shortest_rotation(direction: Sequence[Floats], ahead: Floats) -> Fl
 
 
 def _scale_rotation(turn: Floats, weight: float) -> Floats:
-    """Return a share of turns [n, 4], by nlerp (normalised linear interpolation) from the identity."""
+    """Return the share `weight` of rotations [n, 4], by nlerp (normalised linear interpolation) from the identity."""
     part = turn * np.float32(weight)
     part[:, 3] += np.float32(1 - weight)
     return np.ascontiguousarray(normalise_quaternions(np.ascontiguousarray(part.T)).T)
 
 
-def _turn_joints(world: Floats, joint: int, moved_joints: NDArray[np.intp], rotation: Floats) -> None:
-    """Rotate the joints `moved_joints` of world matrices [n, J, 3, 4] about the position of one joint, in place."""
+def _rotate_joints(world: Floats, joint: int, moved_joints: NDArray[np.intp], rotation: Floats) -> None:
+    """Rotate the joints `moved_joints` of world matrices [n, J, 3, 4] about the position of `joint`, in place."""
     x, y, z, w = rotation.T
     matrix = np.empty((len(rotation), 3, 3), np.float32)
     matrix[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1)

@@ -34,8 +34,8 @@ class LegChain:
 
 
 def build_leg_chain(rig: Rig, leg: Leg) -> LegChain:
-    """Return the chain of a leg. Raises KeyError for a joint that the rig does not have."""
-    upper, lower, foot = rig.joint(leg.upper), rig.joint(leg.lower), rig.joint(leg.foot)
+    """Return the joint chain of a leg. Raises KeyError for a joint that the rig does not have."""
+    upper, lower, foot = rig.find_joint(leg.upper), rig.find_joint(leg.lower), rig.find_joint(leg.foot)
     below = [_build_descendant_mask(rig, joint) for joint in (upper, lower, foot)]
     thigh, shank = (np.flatnonzero(a & ~b) for a, b in pairwise(below))
     return LegChain(upper, lower, foot, thigh, shank, np.flatnonzero(below[2]))
@@ -51,8 +51,9 @@ def _build_descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
 
 
 def compute_standing_joints(body: Definition) -> NDArray[np.float64]:
-    """Return joint positions in the standing pose, float64[J, 3], in body lengths along the axes of agents. The standing pose is
-    the first sample of the idle clip, or else the rest pose."""
+    """Return the joint positions in the standing pose, float64[J, 3], in body lengths along the axes of agents.
+
+    The standing pose is the first sample of the idle clip, or else the rest pose."""
     table = build_clip_table(body)
     number = table.find_clip(body.idle) if body.idle in body.clips else REST_CLIP
     world = compute_transforms(table, sample_poses(table, np.array([number]), np.zeros(1)))[1]
@@ -65,7 +66,7 @@ def compute_standing_joints(body: Definition) -> NDArray[np.float64]:
 
 
 def build_legs_data(body: Definition) -> LegsData:
-    """Return the legs of a body that has legs, in body lengths."""
+    """Return the leg data for runs of a body that has legs, in body lengths."""
     positions = compute_standing_joints(body)
     chains = [build_leg_chain(body.rig, leg) for leg in body.legs]
     hip, knee, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))

@@ -34,13 +34,12 @@ LEG_BENDING_LIMITS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySpaceFeet:
-    """The feet of n agents relative to their bodies, in body lengths along ahead, up and aside.
+    """The feet of n agents relative to their bodies, in body lengths along the axes ahead, up and aside.
 
     `positions`: float32[n, L, 3], the ground below each foot, or the position of a swinging foot.
     `is_on_ground`: bool[n, L], whether the foot is on the ground.
-    `rise`: float32[n], height of the trunk relative to its rest.
-    `tilt`: float32[n, 4], rotation of the trunk relative to its rest, x y z w.
-    """
+    `rise`: float32[n], height of the trunk above its rest position.
+    `tilt`: float32[n, 4], rotation of the trunk from its rest orientation, x y z w."""
 
     positions: Floats
     is_on_ground: NDArray[np.bool_]
@@ -48,7 +47,7 @@ class BodySpaceFeet:
     tilt: Floats
 
     def scale_trunk(self, weights: Floats) -> BodySpaceFeet:
-        """Return the feet with the movement of trunks scaled by `weights` [n], from 0 to 1."""
+        """Return the same feet, with the rise and tilt of trunks scaled by `weights` [n], from 0 to 1."""
         tilt = self.tilt * weights[:, None]
         tilt[:, 3] += 1 - weights
         return replace(self, rise=self.rise * weights, tilt=tilt)
@@ -60,9 +59,9 @@ class PlacedFeet:
 
     `P`: float32[n, L, 3], positions.
     `is_on_ground`: uint8[n, L], whether the foot is on the ground.
-    `phase`: float32[n], of the gait.
-    `rise`: float32[n]; `tilt`: float32[n, 4]: height and rotation of the trunk relative to its rest.
-    """
+    `phase`: float32[n], the phase of the gait.
+    `rise`: float32[n], height of the trunk above its rest position.
+    `tilt`: float32[n, 4], rotation of the trunk from its rest orientation, x y z w."""
 
     P: Floats
     is_on_ground: NDArray[np.uint8]
@@ -70,11 +69,13 @@ class PlacedFeet:
     rise: Floats
     tilt: Floats
 
-    def relative_to(
+    def convert_to_body_space(
         self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
     ) -> BodySpaceFeet:
-        """Return the feet relative to bodies with `position` [n, 3], rotation `orient` [n, 4] and length `scale` [n]. Numbers
-        that are not finite count as 0."""
+        """Return the feet in the space of their bodies, which have `position` [n, 3], rotation `orient` [n, 4] and length `scale`
+        [n].
+
+        Numbers that are not finite count as 0."""
         with np.errstate(all="ignore"):
             away = np.asarray(self.P, np.float64) - np.asarray(position, np.float64)[:, None]
             across = _build_rotation_matrices(orient)
@@ -104,7 +105,9 @@ class LegSolver:
         for each in self._chains:
             legs[each.thigh] = legs[each.shank] = legs[each.sole] = True
         self._group_moves_legs = {
-            name: any(legs[body.rig.joint(joint)] and weight > 0 for joint, weight in group.members if joint in body.rig.names)
+            name: any(
+                legs[body.rig.find_joint(joint)] and weight > 0 for joint, weight in group.members if joint in body.rig.names
+            )
             for name, group in body.groups.items()
         }
         self._clips_without_feet = {name for name, clip in body.clips.items() if not clip.feet}
@@ -147,10 +150,8 @@ class LegSolver:
         return stands.astype(np.float32)
 
     def bend_legs(self, poses: Poses, feet: BodySpaceFeet, stance_weights: Floats) -> Poses:
-        """Return poses with the feet at their targets, weighted by `stance_weights` [n], and with trunks moved by `rise` and
-        `tilt`.
-
-        `local` is None."""
+        """Return poses with the feet at the positions of `feet`, weighted by `stance_weights` [n], and with trunks moved by
+        `rise` and `tilt`. `local` of the poses is None."""
         world = np.array(poses.world_transforms.transpose(2, 3, 1, 0), np.float32, order="C")
         goals = self._compute_foot_goals(feet)
         self._lower_bodies(world, goals, feet.is_on_ground, stance_weights)
@@ -160,7 +161,7 @@ class LegSolver:
         return replace(poses, world_transforms=world.transpose(3, 2, 0, 1), local_transforms=None)
 
     def _compute_foot_goals(self, feet: BodySpaceFeet) -> list[Floats]:
-        """Return the goal of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
+        """Return the goal position of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
         turn = _build_rotation_matrices(feet.tilt).astype(np.float32)
         goals = []
         for k in range(len(self._chains)):
@@ -171,7 +172,7 @@ class LegSolver:
         return goals
 
     def _lower_bodies(self, world: Floats, goals: list[Floats], is_on_ground: NDArray[np.bool_], stance_weights: Floats) -> None:
-        """Lower bodies until the feet that stand reach the ground: the trunk of a clip may be too high for the stance."""
+        """Lower bodies until the feet that are on the ground can reach it: the trunk of a clip may be too high for the stance."""
         most = np.zeros(len(stance_weights), np.float32)
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
             hip, knee, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.foot))
@@ -201,17 +202,16 @@ class LegSolver:
         old_sine, new_sine = np.sqrt(1 - old * old), np.sqrt(1 - new * new)
         axis = self._compute_knee_axis(world, leg, thigh, shank, a * b)
         turn = _build_axis_rotation(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
-        _turn_joints(world, np.concatenate([leg.shank, leg.sole]), turn, knee)
+        _rotate_joints(world, np.concatenate([leg.shank, leg.sole]), turn, knee)
         reached = world[:, 3, leg.foot] - hip
         turn = _build_rotation_between(_normalise_rows(reached), _normalise_rows(hip_to_goal))
-        _turn_joints(world, np.concatenate([leg.thigh, leg.shank, leg.sole]), turn, hip)
+        _rotate_joints(world, np.concatenate([leg.thigh, leg.shank, leg.sole]), turn, hip)
         moved = world[:, 3, leg.foot] - foot
         world[:, :, leg.sole] = sole
         world[:, 3, leg.sole] += moved[:, None, :]
 
     def _compute_knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
-        """Return the unit axis [3, n] about which the knee opens. Where a leg is straight, it is the axis of the standing
-        pose."""
+        """Return the unit axis [3, n] about which the knee opens. For a straight leg, this is the axis in the standing pose."""
         axis = _cross_rows(thigh, shank)
         rest = self._get_straight_axis(leg)
         straight = _measure_lengths(axis) <= np.float32(_MIN_KNEE_SINE) * size
@@ -235,7 +235,7 @@ class LegSolver:
         own = np.array([
             [(base[0, r] * half[0][s] + base[1, r] * half[1][s]) + base[2, r] * half[2][s] for s in range(3)] for r in range(3)
         ], np.float32)  # fmt: skip
-        _turn_joints(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
+        _rotate_joints(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
         world[:, 3] += base[1][:, None, None] * (feet.rise * self._length)
 
 
@@ -245,8 +245,8 @@ def _build_rotation_matrices(quaternions: NDArray[np.floating]) -> Numbers:
     return compose_matrices(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
 
 
-def _turn_joints(world: Floats, joints: Joints, turn: Floats, pivots: Floats) -> None:
-    """Rotate joints by matrices [3, 3, n] about points [3, n], in place."""
+def _rotate_joints(world: Floats, joints: Joints, turn: Floats, pivots: Floats) -> None:
+    """Rotate `joints` of world matrices by the matrices `turn` [3, 3, n] about the points `pivots` [3, n], in place."""
     old = world[:, :, joints]
     old[:, 3] -= pivots[:, None]
     for r in range(3):
@@ -256,7 +256,8 @@ def _turn_joints(world: Floats, joints: Joints, turn: Floats, pivots: Floats) ->
 
 
 def _build_axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
-    """Return matrices [3, 3, n] of rotations about unit axes [3, n] (Rodrigues' formula). `cosine` and `sine`: of the angles."""
+    """Return matrices [3, 3, n] of rotations about unit axes [3, n], from the cosine and sine of their angles (Rodrigues'
+    formula)."""
     x, y, z = axis
     left = 1 - cosine
     return np.stack([
@@ -267,7 +268,7 @@ def _build_axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
 
 
 def _build_rotation_between(a: Floats, b: Floats) -> Floats:
-    """Return matrices [3, 3, n] of the shortest rotations from unit vectors `a` to `b`."""
+    """Return matrices [3, 3, n] of the shortest rotations from unit vectors `a` to unit vectors `b`, [3, n] each."""
     axis, cosine = _cross_rows(a, b), _dot_rows(a, b)
     x, y, z = axis
     by = 1 / np.maximum(1 + cosine, np.float32(1e-6))

@@ -18,18 +18,17 @@ from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineClips:
-    """The clips that one machine of each of n agents plays. At most three clips overlap: the clip of the state (`clip`), the
-    previous one, which fades out (`before`), and one that was still fading out when `before` began to
+    """The clips that one state machine of each of n agents plays. At most three clips overlap: the clip of the current state
+    (`clip`), the previous clip, which fades out (`before`), and a clip that was still fading out when `before` began to
     (`earlier`).
 
-    `clip`, `before`, `earlier`: int[n], indices into what the species plays, -1 for none.
-    `turns`, `before_turns`, `earlier_turns`: float32[n], how many times the clip was played through.
-    `weight`, `before_weight`, `earlier_weight`: float32[n], from 0 to 1.
+    `clip`, `before`, `earlier`: int[n], indices into the clips that the species plays, -1 for none.
+    `turns`, `before_turns`, `earlier_turns`: float32[n], how many cycles of the clip were played, with fractions.
+    `weight`, `before_weight`, `earlier_weight`: float32[n], the weights of the clips, from 0 to 1.
     `fade`: float32[n], the share of the pose that `before` and `earlier` still have.
     `earlier_fade`: the share of `fade` that belongs to `earlier`.
 
-    The fields of `earlier` are None if no agent has such a clip.
-    """
+    The fields of `earlier` are None if no agent has such a clip."""
 
     clip: NDArray[np.int16]
     turns: Floats
@@ -44,7 +43,9 @@ class MachineClips:
     earlier_fade: Floats | None = None
 
     def iterate_clip_slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
-        """Yield clips, turns and shares of the pose, float32[n], from the clip that fades out first to the current clip."""
+        """Yield each of the overlapping clips, from the oldest clip that fades out to the current clip.
+
+        The results are the clip's index, the number of its played cycles, and its share of the pose, [n] each."""
         fade = np.clip(self.fade, 0, 1)
         if self.earlier is None or self.earlier_turns is None or self.earlier_weight is None or self.earlier_fade is None:
             part = np.zeros_like(fade)
@@ -62,9 +63,10 @@ EARLIER_FIELDS = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
 class PlayedClip(NamedTuple):
     """A clip that a line of a state plays on the joints of a transform group.
 
-    `group`: the transform group, "" for the complete rig. `add`: whether the clip's differences from the rest pose are added
-    over all other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip` and `descending_clip`: the clips that replace it
-    as an agent turns, climbs or descends; "" for none."""
+    `group`: the transform group, "" for the complete rig.
+    `add`: whether the clip's differences from the rest pose are added over all other clips.
+    `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`: the clips that replace it as an agent turns, climbs
+        or descends; "" for none."""
 
     clip: str
     group: str = ""
@@ -77,10 +79,14 @@ class PlayedClip(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClipSlot:
-    """A clip of each agent.
+    """One clip of each agent that a machine contributes to the pose.
 
-    `machine`: the number of its machine. `is_additive`: whether the clip is additive. The arrays: its row among the clips, its
-    times, weights and groups."""
+    `machine`: the number of the machine.
+    `is_additive`: whether the clip is additive.
+    `clips`: the clip's number in the `ClipTable`.
+    `times`: seconds in the clip.
+    `weights`: the clip's share of the machine's layer.
+    `groups`: the index of the clip's transform group."""
 
     machine: int
     is_additive: bool
@@ -100,8 +106,8 @@ def build_machine_playback(
     `lean`: float32[n, 2], from -1 to 1, how much each agent turns (positive: left) and climbs.
 
     A machine's layer is the mean of its clips by fade and weight. It covers the layers of the previous machines by its total
-    weight; where it fades out completely, those layers are visible. Additive clips lie over all layers, in the order of machines.
-    """
+    weight; where it fades out completely, those layers are visible. Additive clips lie over all layers, in the order of
+    machines."""
     played = [PlayedClip(*each) for each in clips]
     groups = ["", *sorted({each.group for each in played} - {""})]
     slots = [
@@ -142,7 +148,7 @@ def _iterate_slots(
     machine: MachineClips,
     lean: Floats | None,
 ) -> Iterator[_ClipSlot]:
-    """Yield the clips that a machine plays. Additive clips are separate slots."""
+    """Yield the clips that a machine plays, with each additive clip in a separate slot."""
     names = [
         (each.clip, each.left_turn_clip, each.right_turn_clip, each.climbing_clip, each.descending_clip) for each in played_clips
     ]
@@ -167,7 +173,7 @@ def _iterate_slots(
 
 
 def _iterate_lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
-    """Yield the share of each agent's clip and of its variants to the left, to the right, up and down, [n] each.
+    """Yield the share of each agent's clip [n], then those of the variants that replace it: left, right, climbing, descending.
 
     For a variant that no agent uses, yield None."""
     ones = np.ones(len(numbers), np.float32)

@@ -15,7 +15,8 @@ Floats = NDArray[np.float64]
 
 
 def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: float) -> Definition:
-    """Return the definition with other forward and upward axes (both coordinate axes), and `unit` millimetres per unit of length.
+    """Return the definition with other forward and upward axes, and with `unit` millimetres per unit of length. Both axes are
+    coordinate axes.
 
     All local spaces are transformed in the same way. So joints keep their names, and posed points their positions in a scene, up
     to the last digits of float32."""
@@ -39,7 +40,7 @@ def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: floa
 
 
 def _scale_capsule(capsule: tuple[float, float, float, float] | None, size: float) -> tuple[float, float, float, float] | None:
-    """Return a collision shape in other units."""
+    """Return a collision shape with its lengths multiplied by `size`."""
     if capsule is None:
         return None
     length, width, height, ahead = capsule

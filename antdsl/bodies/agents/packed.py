@@ -234,6 +234,7 @@ def _read_capsule(sizes: Any) -> tuple[float, float, float, float] | None:
 
 
 def _read_variation(scales: Any, materials: Any) -> Variation:
+    """Return the variation from its group scales and material colours. Raises errors of many types for damaged values."""
     ranges = {_read_text(name): _read_numbers(ends) for name, ends in scales.items()}
     colours = {_read_text(name): tuple(map(_read_triple, choices)) for name, choices in materials.items()}
     if any(len(ends) != 2 or not 0 < ends[0] <= ends[1] for ends in ranges.values()) or any(len(c) < 2 for c in colours.values()):
@@ -242,13 +243,14 @@ def _read_variation(scales: Any, materials: Any) -> Variation:
 
 
 def _read_gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases: Any) -> Gait:
+    """Return the gait from its values. Raises ValueError for values of other types."""
     return Gait(
         _read_text(name), _read_number(speed), _read_number(stride), _read_number(duty), _read_number(lift), _read_numbers(phases)
     )
 
 
 def _check_bounds(body: Definition) -> None:
-    """Raise ValueError if numbers of a definition are out of range or not finite."""
+    """Raise ValueError if a number of a definition is out of range or not finite."""
     rig, count = body.rig, len(body.rig.names)
     fits = [
         0 < count <= limits.MAX_RIG_JOINTS,

@@ -106,7 +106,7 @@ def compute_transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
 
 
 def to_world_transforms(table: ClipTable, local_transforms: Floats) -> Floats:
-    """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig.
+    """Return the world transforms float32[n, J, 3, 4] of local transforms, joints in the order of the rig.
 
     Use this for transforms that do not come from a clip, such as legs after inverse kinematics or a head that looks at a
     point."""
@@ -118,7 +118,7 @@ def to_world_transforms(table: ClipTable, local_transforms: Floats) -> Floats:
 
 
 def to_local_transforms(table: ClipTable, world: Floats) -> Floats:
-    """Return local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig.
+    """Return the local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig.
 
     A local transform is the inverse of the parent's world transform times the joint's own. Below a parent with scale 0, the local
     transforms are lost."""
@@ -143,7 +143,7 @@ def to_square_matrices(matrices: Floats) -> Floats:
 
 
 def _compute_world_matrices(table: ClipTable, local_transforms: Floats) -> Floats:
-    """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table.
+    """Return the world matrices [3, 4, J, n] of local matrices, joints in the order of the table.
 
     They are computed by depth of the rig: the world matrix of a joint is its parent's world matrix times its local matrix."""
     world = np.empty(local_transforms.shape, np.float32)
@@ -174,7 +174,7 @@ def _find_sample_rows(
 
 
 def _split_rows(table: ClipTable, rows: Floats) -> Pose:
-    """Return the rows [W, n] of a table, split into the parts of a pose."""
+    """Return the local poses that rows [W, n] of a table contain."""
     joints, n = len(table.joint_order), rows.shape[1]
     at, parts = 0, []
     for width in (3, 4, *([3] if table.has_scale else []), *([3] if table.has_shear else [])):
@@ -223,12 +223,12 @@ class ClipTable:
         """Return the seconds from the first sample of a clip to its last."""
         return float(self.sample_counts[number + 1] - 1) / float(self.rates[number + 1])
 
-    def weights(self, group: TransformGroup) -> tuple[Floats, Floats]:
+    def compute_group_weights(self, group: TransformGroup) -> tuple[Floats, Floats]:
         """Return the weights of a transform group: float32[J] of joints, in the order of the table, and float32[C] of channels. A
         channel has 1 if the group names it, else 0. Raises KeyError for a name that the rig does not have."""
         joints, channels = np.zeros(len(self.joint_order), np.float32), np.zeros(len(self.rig.channels), np.float32)
         for name, weight in group.members:
-            joints[self.rig.joint(name)] = weight
+            joints[self.rig.find_joint(name)] = weight
         for name in group.channels:
             channels[self.rig.find_channel(name)] = 1
         return joints[self.joint_order], channels
@@ -259,7 +259,7 @@ def build_clip_table(definition: Definition) -> ClipTable:
 
 
 def _order_by_depth(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDArray[np.intp]], ...]]:
-    """Return the joints of a rig by depth, and for each depth (begin, end, indices of the parents)."""
+    """Return the joints of a rig in order of depth, and for each depth the tuple (begin, end, indices of the parents)."""
     parents = np.asarray(rig.parents, np.intp)
     depth, above = np.zeros(len(parents), np.intp), parents.copy()
     while (above >= 0).any():
@@ -317,7 +317,7 @@ def _build_clip_rows(
 
 
 def _align_signs(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return quaternions [4, F, J] as [F, 4, J] with continuous signs.
+    """Return quaternions [4, F, J] as [F, 4, J], with signs that are continuous over the samples.
 
     Each sample has the sign nearest to the previous sample, the first the sign nearest to `rest` [4, J]. Interpolation then takes
     the shorter path without a test, and signs seldom change between clips."""

@@ -87,9 +87,10 @@ def apply_dual_quaternion_skinning(
 
 
 def blend_skinning_methods(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
-    """Return a blend of linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.blend_skinning_methods`
-    names (deformDualQuaternionBlendAttrib). Raises the errors of `apply_linear_skinning`, and ValueError if the shape lacks the
-    attribute."""
+    """Return the blend of linear (0) and dual quaternion skinning (1) by the point attribute that the shape's
+    `dual_quaternion_blend` names.
+
+    Raises the errors of `apply_linear_skinning`, and ValueError if the shape lacks the attribute."""
     name = shape.dual_quaternion_blend
     if name not in shape.attributes:
         raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
@@ -107,8 +108,8 @@ def blend_skinning_methods(deformed_shape: DeformedShape, shape: Shape, definiti
 
 
 def transform_points(matrices: Numbers, points: Floats) -> Floats:
-    """Return points [n, P, 3] transformed by matrices [3, 3 or 4, P, n], as [3, P, n]. Matrices of three columns transform
-    directions."""
+    """Return points [n, P, 3], transformed by matrices [3, 3 or 4, P, n], as [3, P, n]. A matrix of three columns transforms a
+    direction."""
     x, y, z = _split_components(points)
     products = np.stack([(m[0] * x + m[1] * y) + m[2] * z for m in matrices])
     if matrices.shape[1] == 4:
@@ -131,7 +132,7 @@ def normalise_in_place(vectors: Floats) -> Floats:
 
 
 def rotate_points(points: Floats, rotation: Floats) -> None:
-    """Turn points [3, P, n] by unit quaternions [4, P, n], in place."""
+    """Rotate points [3, P, n] by unit quaternions [4, P, n], in place."""
     qx, qy, qz, qw = rotation
     x, y, z = points
     ux = (qy * z - qz * y) + qw * x
@@ -144,8 +145,8 @@ def rotate_points(points: Floats, rotation: Floats) -> None:
 
 
 def _compute_joint_transforms(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return the joints [P, K] of the capture, their weights [P, K], and the transform of each captured joint, float32[3, 4,
-    joints, n]."""
+    """Return the captured joints of each point [P, K], their weights [P, K], and the transform of each captured joint from the
+    pose at capture, float32[3, 4, joints, n]."""
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` does not state which joints its points follow (capture)")
@@ -193,8 +194,9 @@ def _remove_rotation(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
 
 
 def _blend_dual_quaternions(real: Floats, dual: Floats, joints: NDArray[np.intp], weights: Floats) -> tuple[Floats, Floats]:
-    """Return the rotation [4, P, n] and the translation [3, P, n] of the mean dual quaternion of each point. `real` and `dual`:
-    the parts of the joints' dual quaternions, [4, joints, n] each."""
+    """Return the rotation [4, P, n] and the translation [3, P, n] of each point's mean dual quaternion.
+
+    `real`, `dual`: the parts of the joints' dual quaternions, [4, joints, n] each."""
     most = joints[np.arange(len(joints)), weights.argmax(axis=1)]
     pivot = real.take(most, axis=1)
     turn = np.zeros_like(pivot)

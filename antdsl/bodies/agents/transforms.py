@@ -59,8 +59,9 @@ def multiply_quaternions(a: Floats, b: Floats) -> Floats:
 
 
 def angles_to_quaternion(angles: Floats, order: str) -> Floats:
-    """Return unit quaternions float64[..., 4] of angles float64[..., 3] (rad) about x, y and z, applied in `order`: "xyz" rotates
-    about x first. Signs are continuous along the first array axis."""
+    """Return the unit quaternions float64[..., 4] of angles float64[..., 3] (rad) about x, y and z.
+
+    The rotations are applied in `order`: "xyz" rotates about x first. Signs are continuous along the first array axis."""
     rotation = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*angles.shape[:-1], 4))
     for letter in order:
         axis = "xyz".index(letter)
@@ -72,8 +73,9 @@ def angles_to_quaternion(angles: Floats, order: str) -> Floats:
 
 
 def quaternion_to_angles(quaternion: Floats) -> Floats:
-    """Return angles float64[..., 3] (rad) of a rotation about x, then y, then z. If the angle about y is 90 degrees, that about z
-    is 0."""
+    """Return the angles float64[..., 3] (rad) about x, y and z of rotations that are applied in this order.
+
+    If the angle about y is 90 degrees, the angle about z is 0."""
     m = quaternion_to_matrix(quaternion)
     level = np.sqrt(m[..., 0, 0] ** 2 + m[..., 1, 0] ** 2)
     locked = level < 1e-7
@@ -119,7 +121,8 @@ def compose_matrix(translation: Floats, rotation: Floats, scale: Floats, shear: 
 
 
 def decompose_matrix(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return translations, unit quaternions, scales and shears of matrices float64[..., 4, 4]: the arguments of `compose_matrix`.
+    """Return translations, unit quaternions, scales and shears of matrices float64[..., 4, 4], as `compose_matrix` takes them.
+
     For mirroring matrices, the scale along z is negative. For singular matrices, the rotation is arbitrary."""
     x, y, z = (matrix[..., :3, column] for column in range(3))
     wide = _compute_lengths(x)
@@ -164,7 +167,7 @@ def compose_transforms(outer: Floats, inner: Floats) -> Floats:
 
 
 def compute_world_matrices(parents: NDArray[np.int32], local_matrices: Floats) -> Floats:
-    """Return world matrices float64[J, 4, 4] of a rig's local ones; parents come before children."""
+    """Return the world matrices float64[J, 4, 4] of a rig's local matrices; parents come before children."""
     world = np.empty_like(local_matrices)
     for joint, parent in enumerate(parents):
         world[joint] = local_matrices[joint] if parent < 0 else compose_transforms(world[parent], local_matrices[joint])

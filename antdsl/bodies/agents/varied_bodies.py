@@ -23,15 +23,16 @@ class VariationDraws:
     species: str = ""
 
     def draw(self, property_name: str) -> Floats:
-        """Return a random number from 0 to 1 per agent for the property `property_name`, float32[n]. It is constant for the
-        agent's life."""
+        """Return a random number from 0 to 1 for each agent, float32[n], which is constant for the agent's life.
+
+        `property_name`: each property has other random numbers."""
         return draw_uniform(self.seed, 0, self.species, f"variation {property_name}", 0, self.ids)
 
 
 def scale_groups(
     table: ClipTable, poses: Poses, variation: Variation, groups: Mapping[str, TransformGroup], draws: VariationDraws | None
 ) -> Poses:
-    """Return poses with each transform group scaled to its agent's size.
+    """Return poses with each transform group scaled by the agent's random scale.
 
     The uppermost joints of the group are scaled about their own positions, together with their descendants, in proportion to
     their weights."""
@@ -51,14 +52,14 @@ def scale_groups(
 
 
 def draw_group_scale(variation: Variation, group: str, draws: VariationDraws) -> Floats:
-    """Return the scale of a transform group for each agent, float32[n]."""
+    """Return the random scale of a transform group for each agent, float32[n]."""
     low, high = variation.scales[group]
     return np.float32(low) + np.float32(high - low) * draws.draw(f"scale {group}")
 
 
 def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield the uppermost joints of a transform group, the pivots of its scaling, with their weights."""
-    members = {rig.joint(member): weight for member, weight in group.members}
+    """Yield the number and the weight of each uppermost joint of a transform group. The group is scaled about these joints."""
+    members = {rig.find_joint(member): weight for member, weight in group.members}
     for joint, weight in members.items():
         if not any(
             joint in rig.find_descendants(other) for other in members if other != joint
@@ -67,8 +68,8 @@ def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int,
 
 
 def draw_colour_path_positions(variation: Variation, material: str, draws: VariationDraws) -> Floats:
-    """Return the position of each agent's material on the path through its colours, float32[n]. It counts from 0 at the first
-    colour."""
+    """Return where each agent's colour lies on the path through a material's colours, float32[n]: 0 is the first colour, 1 the
+    second."""
     return draws.draw(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 

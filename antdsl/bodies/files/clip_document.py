@@ -1,5 +1,6 @@
-"""A clip as JSON text, in antdsl's own form with the documented channel names (`joint:tx … joint:shear3`): built from its model,
-and written."""
+"""A clip as JSON text in antdsl's own form: built from the model of the text, and written as text.
+
+The channels of joints have the documented names `joint:tx … joint:shear3`."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from antdsl.bodies.agents.definition import Clip, Rig
 from antdsl.bodies.agents.transforms import align_signs, angles_to_quaternion, decompose_matrix, quaternion_to_angles
 from antdsl.bodies.files.document_model import ClipForm
 from antdsl.bodies.files.documents import format_json
-from antdsl.bodies.files.json_text import Node, find_span, report_unknown
+from antdsl.bodies.files.json_text import Node, find_span, report_unknown_name
 from antdsl.diagnostics import Report
 
 Floats = NDArray[np.float64]
@@ -23,7 +24,7 @@ _IDENTITY_PARTS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = None) -> Clip | None:
-    """Return a clip, or None if it has mistakes.
+    """Return the clip of a document, or None if it has mistakes, which are reported.
 
     Parts of a joint that the text omits are taken from the rig's rest pose, or from the identity transform if there is no rig.
     Joints that the rig lacks are reported and omitted."""
@@ -73,11 +74,11 @@ def _split_channels(form: ClipForm, root: Node, report: Report, rig: Rig | None)
             if rig_channels is None or channel in rig_channels:
                 numbers.append(channel)
             else:
-                report_unknown(report, place, "channel", channel, rig_channels, is_warning=True)
+                report_unknown_name(report, place, "channel", channel, rig_channels, is_warning=True)
         elif part not in TRANSFORM_PARTS:
-            report_unknown(report, place, "part of a transform", part, TRANSFORM_PARTS)
+            report_unknown_name(report, place, "part of a transform", part, TRANSFORM_PARTS)
         elif names is not None and joint not in names:
-            report_unknown(report, place, "joint", joint, names, is_warning=True)
+            report_unknown_name(report, place, "joint", joint, names, is_warning=True)
         else:
             joints[joint] = None
     return tuple(joints), tuple(numbers)
@@ -92,7 +93,8 @@ def check_marks(marks: Mapping[str, float], seconds: float, root: Node, report: 
 
 
 def _compute_rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
-    """Return the twelve parts of each joint's rest pose; angles are in radians, in the order x, y, z."""
+    """Return the twelve parts of each joint's transform in the rest pose, in the order of TRANSFORM_PARTS. Angles are in
+    radians."""
     if rig is None:
         return np.tile(np.array(_IDENTITY_PARTS), (len(joints), 1))
     chosen = rig.rest[[rig.names.index(joint) for joint in joints]].reshape(-1, 4, 4)

@@ -13,7 +13,7 @@ import numpy as np
 from antdsl import limits
 from antdsl.bodies.agents.boxes import compute_rest_box
 from antdsl.bodies.agents.definition import Binding, Definition, Leg, Shape
-from antdsl.bodies.files.json_text import Node, find_span, find_text, report_unknown
+from antdsl.bodies.files.json_text import Node, find_span, find_text, report_unknown_name
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey
@@ -24,12 +24,13 @@ DOCUMENTED_DEFORMERS = ("blendshape", *SKINNING_DEFORMER_NAMES, *(f"blendshape+{
 
 
 @dataclass(slots=True)
-class ReadDefinition:
-    """A definition that was read, and the location that names it.
+class LocatedDefinition:
+    """A definition that was read from a file, with locations for findings about it.
 
-    `nodes`: its parts in a document, by key and name; a list has its key and "". Parts from glTF, USD or a cache have no nodes.
-    `needs_length`: whether the length must still be measured.
-    """
+    `span`: the location that names the file.
+    `nodes`: the node of each part in a document, by key and name; a list has its key and "". Parts from glTF, USD or a cache have
+        no nodes.
+    `needs_length`: whether the length must still be measured."""
 
     definition: Definition
     span: Span | None = None
@@ -47,9 +48,8 @@ class ReadDefinition:
         return None if node is None else find_text(node, text)
 
 
-def check_definition(parts: ReadDefinition, report: Report) -> Definition | None:
-    """Return the definition, with its length measured if the document gives none. Return None if one of the findings is an
-    error."""
+def check_definition(parts: LocatedDefinition, report: Report) -> Definition | None:
+    """Return the definition, with its length measured if the document gives none. Return None if a finding is an error."""
     definition = parts.definition
     sound = report.ok  # otherwise a shape may be missing because its file could not be read
     _check_sizes(definition, parts.span, report)
@@ -60,10 +60,10 @@ def check_definition(parts: ReadDefinition, report: Report) -> Definition | None
     for name, group in definition.groups.items():
         for joint, _ in group.members:
             if joint not in definition.rig.names:
-                report_unknown(report, parts.find_text_span("groups", name, joint), "joint", joint, definition.rig.names)
+                report_unknown_name(report, parts.find_text_span("groups", name, joint), "joint", joint, definition.rig.names)
         for channel in group.channels:
             if channel not in channels:
-                report_unknown(
+                report_unknown_name(
                     report, parts.find_text_span("groups", name, channel), "channel", channel, channels, is_warning=True
                 )
     for shape in definition.shapes.values():
@@ -75,7 +75,7 @@ def check_definition(parts: ReadDefinition, report: Report) -> Definition | None
         for name in varied:
             if name not in known:
                 node = parts.nodes.get((key, name))
-                report_unknown(report, node.span if node is not None else None, what, name, known)
+                report_unknown_name(report, node.span if node is not None else None, what, name, known)
     _check_legs(parts, report)
     if not report.ok:
         return None
@@ -98,15 +98,17 @@ def _check_sizes(definition: Definition, place: Span | None, report: Report) -> 
             report.error("too-large", f"there are more than {limits.MAX_BODY_PARTS:,} {what}", place, None)
 
 
-def _check_binding(parts: ReadDefinition, layer: str, binding: Binding, report: Report, shapes_are_valid: bool) -> None:
+def _check_binding(parts: LocatedDefinition, layer: str, binding: Binding, report: Report, shapes_are_valid: bool) -> None:
     """Report missing joints, shapes and deformers of a binding, and inputs that a deformer lacks."""
     definition = parts.definition
     if binding.transform and binding.transform not in definition.rig.names:
         place = parts.find_text_span("layers", layer, binding.transform)
-        report_unknown(report, place, "joint", binding.transform, definition.rig.names)
+        report_unknown_name(report, place, "joint", binding.transform, definition.rig.names)
     shape = definition.shapes.get(binding.shape)
     if shape is None and shapes_are_valid:
-        report_unknown(report, parts.find_text_span("layers", layer, binding.shape), "shape", binding.shape, definition.shapes)
+        report_unknown_name(
+            report, parts.find_text_span("layers", layer, binding.shape), "shape", binding.shape, definition.shapes
+        )
     if not binding.deformer:
         return
     span = parts.find_text_span("layers", layer, binding.deformer)
@@ -148,7 +150,7 @@ def _check_shape(definition: Definition, shape: Shape, place: Span | None, repor
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else "add it to the rig's `channels`")
 
 
-def _check_legs(parts: ReadDefinition, report: Report) -> None:
+def _check_legs(parts: LocatedDefinition, report: Report) -> None:
     """Report legs with joints that are missing or not below each other, gaits that do not match the legs, and a missing idle
     clip."""
     definition = parts.definition
@@ -176,21 +178,21 @@ def _check_legs(parts: ReadDefinition, report: Report) -> None:
             "missing-key", "the body has legs but no gait, so only clips move the legs", parts.find_part_span("legs"), line
         )
     if definition.idle and definition.idle not in definition.clips:
-        report_unknown(report, parts.find_part_span("idle"), "clip", definition.idle, definition.clips)
+        report_unknown_name(report, parts.find_part_span("idle"), "clip", definition.idle, definition.clips)
 
 
-def _check_leg(parts: ReadDefinition, leg: Leg, report: Report) -> None:
+def _check_leg(parts: LocatedDefinition, leg: Leg, report: Report) -> None:
     """Report joints of a leg that are missing or not below each other."""
     definition, known = parts.definition, True
     names = definition.rig.names
     for key, joint in (("upper", leg.upper), ("lower", leg.lower), ("foot", leg.foot)):
         if joint not in names:
-            report_unknown(report, parts.find_part_span("legs", leg.name, (key,)), "joint", joint, names)
+            report_unknown_name(report, parts.find_part_span("legs", leg.name, (key,)), "joint", joint, names)
             known = False
     if not known:
         return
     for key, above, below in (("lower", leg.upper, leg.lower), ("foot", leg.lower, leg.foot)):
-        if definition.rig.joint(below) not in definition.rig.find_descendants(definition.rig.joint(above))[1:]:
+        if definition.rig.find_joint(below) not in definition.rig.find_descendants(definition.rig.find_joint(above))[1:]:
             words, place = (
                 f"`{below[:60]}` is not below `{above[:60]}` in the rig",
                 parts.find_part_span("legs", leg.name, (key,)),
@@ -198,7 +200,7 @@ def _check_leg(parts: ReadDefinition, leg: Leg, report: Report) -> None:
             report.error("bad-rig", words, place, "name joints from the hip down: upper, lower, foot")
 
 
-def _measure_length(definition: Definition, parts: ReadDefinition, report: Report) -> Definition | None:
+def _measure_length(definition: Definition, parts: LocatedDefinition, report: Report) -> Definition | None:
     """Return the definition with its measured length. Report a body without extent along `front`; its length is 1."""
     if not parts.needs_length:
         return definition

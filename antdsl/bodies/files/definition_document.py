@@ -10,7 +10,7 @@ from typing import Any
 
 from antdsl.bodies.agents.definition import Clip, Definition, Rig, Variation
 from antdsl.bodies.files.clip_document import build_clip, check_marks
-from antdsl.bodies.files.definition_checks import ReadDefinition
+from antdsl.bodies.files.definition_checks import LocatedDefinition
 from antdsl.bodies.files.document_errors import read_form
 from antdsl.bodies.files.document_model import BaseForm, BodyForm, ClipForm, ClipReference
 from antdsl.bodies.files.documents import (
@@ -22,7 +22,7 @@ from antdsl.bodies.files.documents import (
     build_rig,
     read_metadata,
 )
-from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown
+from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown_name
 from antdsl.bodies.files.named_files import GLTF_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.bodies.files.shape_references import read_includes, read_shapes
 from antdsl.diagnostics import Label, Report
@@ -32,8 +32,8 @@ from antdsl.source import Span
 _PART_DESCRIPTIONS = {"rig": "a rig", "metadata": "metadata", "layers": "a layer", "groups": "a transform group"}
 
 
-def read_document(root: Node, files: BodyFiles, name: str) -> ReadDefinition | None:
-    """Return the definition in a file without the checks that need the complete definition. Return None if it cannot be read."""
+def read_document(root: Node, files: BodyFiles, name: str) -> LocatedDefinition | None:
+    """Return the definition in a file, before the checks that need the complete definition; None if it cannot be read."""
     report = files.report
     if _report_part_file(root, report):
         return None
@@ -55,7 +55,7 @@ def read_document(root: Node, files: BodyFiles, name: str) -> ReadDefinition | N
     shapes, materials = dict(base.shapes), {**base.materials, **form.materials}
     read_includes(form, root, files, shapes, materials)
     read_shapes(form, root, files, base.unit, shapes, materials)
-    parts = ReadDefinition(base, root.marked_span, needs_length=not (form.length or (form.base is not None and base.length)))
+    parts = LocatedDefinition(base, root.marked_span, needs_length=not (form.length or (form.base is not None and base.length)))
     layers = {each.name: build_layer(each) for each in form.layers}
     groups = {each.name: build_group(each) for each in form.groups}
     for key, named in (("layers", form.layers), ("groups", form.groups), ("legs", form.legs), ("gaits", form.gaits)):
@@ -84,8 +84,9 @@ def read_document(root: Node, files: BodyFiles, name: str) -> ReadDefinition | N
 
 
 def _insert_files(root: Node, files: BodyFiles) -> Node:
-    """Return the tree of a definition with separate files inserted in place of the references. Parts that cannot be read are left
-    out."""
+    """Return the tree of a definition in which the content of separate files replaces the references to them.
+
+    Files that cannot be read are left out."""
 
     def insert_part(node: Node, expected_part: str) -> Node | None:
         file = node.get_inner("file")
@@ -108,7 +109,7 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
     return replace(root, value={key: node for key, node in entries.items() if node is not None})
 
 
-def _record_part_nodes(parts: ReadDefinition, key: str, names: list[str], root: Node, tree: Node, report: Report) -> None:
+def _record_part_nodes(parts: LocatedDefinition, key: str, names: list[str], root: Node, tree: Node, report: Report) -> None:
     """Store the nodes of named parts, and report names that occur twice."""
     parts.nodes[key, ""] = find_node(root, (key,))
     first: dict[str, int] = {}
@@ -145,7 +146,7 @@ def _report_part_file(root: Node, report: Report) -> bool:
 
 
 def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Definition | None:
-    """Return the definition of the glTF or USD file in `from`, to which all other parts are added."""
+    """Return the definition in the glTF or USD file that `from` names. The other parts of the document are added to it."""
     place = find_span(node, ("file",))
     if files.is_closed_format(base.file, place):
         return None
@@ -160,7 +161,7 @@ def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Defin
 
 
 def _read_axes(form: BodyForm, root: Node, base: Definition, report: Report) -> dict[str, Any]:
-    """Return the forward and upward axes of a body."""
+    """Return the fields `front` and `up` of a definition: the forward and upward axes of a body."""
     front, up = form.front or base.front, form.up or base.up
     if any(a and b for a, b in zip(front, up, strict=True)):
         node = root.get_inner("up") or root.get_inner("front")
@@ -173,8 +174,9 @@ def _read_axes(form: BodyForm, root: Node, base: Definition, report: Report) -> 
 
 
 def _read_clips(form: BodyForm, root: Node, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
-    """Return the clips of a list. They are inline, from clip files, from glTF or USD files, or clips of `from` with other
-    settings."""
+    """Return the clips that the document lists, by name.
+
+    An entry is an inline clip, a clip file, a glTF or USD file, or a clip of `from` with other settings."""
     first: dict[str, Span] = {}
     for number, entry in enumerate(form.clips):
         node = find_node(root, ("clips", number))
@@ -208,7 +210,7 @@ def _resolve_clip_reference(
         return []
     if entry.clip is not None:
         if entry.clip not in clips:
-            report_unknown(report, find_span(node, ("clip",)), "clip", entry.clip, clips)
+            report_unknown_name(report, find_span(node, ("clip",)), "clip", entry.clip, clips)
             return []
         clips = {entry.clip: clips[entry.clip]}
         if entry.file is None:
@@ -224,7 +226,8 @@ def _resolve_clip_reference(
 
 
 def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
-    """Return the clips of a file, without joints that the rig lacks: one clip of a text, or all clips of a glTF or USD file."""
+    """Return the clips of a file by name, without joints that the rig lacks. A text has one clip, a glTF or USD file any
+    number."""
     if get_file_ending(path) in (*GLTF_ENDINGS, *USD_ENDINGS):
         body = files.read_body(path, place, entry.prim or "", entry.rate or 0.0, rig)
         return {name: _fit_to_rig(files, clip, rig, place) for name, clip in (body.clips if body else {}).items()}
@@ -242,7 +245,7 @@ def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFil
 
 
 def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
-    """Return a clip of another file for `rig`. Joints and channels that the rig does not have are reported and left out."""
+    """Return a clip of another file without the joints and channels that `rig` lacks, which are reported."""
     names, channels = set(rig.names), {each.name for each in rig.channels}
     joints = [number for number, joint in enumerate(clip.joints) if joint in names]
     numbers = [number for number, channel in enumerate(clip.channels) if channel in channels]

@@ -38,8 +38,9 @@ _CONTAINER_ERROR_TYPES = ("list_type", "tuple_type", "dict_type", "model_type")
 
 
 def read_form(form: type[F], root: Node, report: Report) -> F | None:
-    """Return the model of a document, or None if the report has an error about it. At most `_MAX_ERRORS` findings of a round
-    are reported, errors before warnings."""
+    """Return the model of a document, or None if the report has an error about it.
+
+    At most `_MAX_ERRORS` findings are reported, errors before warnings."""
     tree = _to_plain_values(root)
     while True:
         try:
@@ -56,12 +57,12 @@ def read_form(form: type[F], root: Node, report: Report) -> F | None:
 
 
 def _is_ignorable(form: type[Form], error: Any) -> bool:
-    """Return whether an error is an unknown key where the documented forms allow others."""
+    """Return whether an error is about an unknown key in a documented form, which may have further keys."""
     return error["type"] == "extra_forbidden" and issubclass(_find_innermost_form(form, error["loc"])[0], DocumentedForm)
 
 
 def _to_plain_values(node: Node) -> Any:
-    """Return the plain values of a tree."""
+    """Return a tree as values without locations."""
     if isinstance(node.value, dict):
         return {key: _to_plain_values(value) for key, value in node.value.items()}
     if isinstance(node.value, list) and not node.has_plain_numbers:
@@ -70,7 +71,7 @@ def _to_plain_values(node: Node) -> Any:
 
 
 def _delete_entry(tree: Any, path: Path) -> None:
-    """Delete an entry of a tree. The path may contain tags of unions."""
+    """Delete the entry of a tree at `path`. The path may contain tags of unions."""
     for key in path[:-1]:
         if isinstance(key, int) or key in tree:
             tree = tree[key]
@@ -116,11 +117,12 @@ def _convert_error(form: type[Form], root: Node, error: Any) -> Diagnostic:
 def _diagnose_model_error(root: Node, path: Path, context: Any) -> Diagnostic:
     """Return the finding about an error that `document_model` raised. Entries of `context`:
 
-    `at`: the remainder of the error's path.
-    `key`: the location is that of the key.
-    `complete`: the complete value is marked.
-    `first`: the path of another location.
-    """
+    `words`, `help`: the message and the correction.
+    `code`: the finding's code, by default `wrong-value`.
+    `at`: the path from the error's path to the location.
+    `key`: if present, the location is that of the key.
+    `complete`: if present, the location is the complete value.
+    `first`: the path from the error's path to another location, for a label."""
     is_key = "key" in context or path[-1:] == ("[key]",)
     labels = (Label(find_span(root, (*path, *context["first"])), "here first"),) if "first" in context else ()
     path = (*(path[:-1] if path[-1:] == ("[key]",) else path), *context.get("at", ()))
@@ -170,7 +172,7 @@ def _find_innermost_form(form: type[Form], path: Sequence[PathKey]) -> tuple[typ
 
 
 def _strip_annotations(kind: Any) -> Any:
-    """Return a type without annotations and without its alternative None."""
+    """Return a type without its annotations, and without None if that is an alternative."""
     while True:
         arms = [arm for arm in get_args(kind) if arm is not NoneType]
         if get_origin(kind) is Annotated or (get_origin(kind) in (Union, UnionType) and len(arms) == 1):
@@ -180,7 +182,7 @@ def _strip_annotations(kind: Any) -> Any:
 
 
 def _find_inner_type(kind: Any, key: PathKey) -> Any:
-    """Return the type of an object's entry, of an array's item, or of the choice that a tag names."""
+    """Return the type of the value at `key`: of an object's entry, of an array's item, or of the choice that a tag names."""
     arms = get_args(kind)
     if get_origin(kind) in (Union, UnionType):
         return next((arm for arm in arms if Tag(str(key)) in getattr(arm, "__metadata__", ())), None)

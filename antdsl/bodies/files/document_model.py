@@ -44,14 +44,15 @@ from antdsl.scene.values import make_error
 
 
 class Form(BaseModel):
-    """An object of a document in antdsl's own form. `noun`: the kind of the object, for messages."""
+    """An object of a document in antdsl's own form. `noun`: the name of this kind of object, for messages."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
     noun: ClassVar[str]
 
 
 class DocumentedForm(Form):
-    """An object in a form that others published. Later versions may have further keys, so an unknown key is only a warning."""
+    """An object in a form that Houdini's documentation describes. Later versions may have further keys, so an unknown key is only
+    a warning."""
 
 
 # ---- rig, layers, transform groups
@@ -151,7 +152,7 @@ class ClipForm(ClipSettings):
 
 
 class ClipReference(ClipSettings):
-    """Clips of another file, or a clip of `from`. Settings in the reference replace those of the file."""
+    """A reference to clips of another file, or to a clip of `from`. Its settings replace those of the file."""
 
     file: Text | None = None
     clip: Text | None = None
@@ -287,5 +288,5 @@ class BodyForm(Form):
 
 
 def list_keys(form: type[Form]) -> list[str]:
-    """Return the keys of a form, in its order."""
+    """Return the keys of a form, in the order of its fields."""
     return [field.alias or name for name, field in form.model_fields.items()]

@@ -23,7 +23,7 @@ _LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # scale factors relative to the rest pose
 
 
 def _check_text(value: str) -> str:
-    """Return a text. Raises for too many characters and for the character 0."""
+    """Return the text. Raises an error for too many characters and for the character 0."""
     if len(value) > _MAX_NAME_CHARACTERS:
         raise make_error(f"this text has {len(value):,} characters, more than {_MAX_NAME_CHARACTERS:,}")
     if "\0" in value:
@@ -32,7 +32,7 @@ def _check_text(value: str) -> str:
 
 
 def _check_nonempty(value: str) -> str:
-    """Return a text that is not empty. Raises for other texts."""
+    """Return the text. Raises an error for an empty text, and the errors of `_check_text`."""
     if not value:
         raise make_error("expected a text here, but it is empty")
     return _check_text(value)
@@ -61,7 +61,7 @@ def require_version(number: int) -> BeforeValidator:
 
 
 def limit_entries(limit_name: str, entry_noun: str, owner: str = "a body") -> BeforeValidator:
-    """Return a validator of the number of entries. `limit_name`: the name of the largest number in `antdsl.limits`."""
+    """Return a validator that limits the number of entries. `limit_name`: the name of the limit in `antdsl.limits`."""
 
     def check_count(entries: Any) -> Any:
         most = getattr(limits, limit_name)
@@ -73,14 +73,15 @@ def limit_entries(limit_name: str, entry_noun: str, owner: str = "a body") -> Be
 
 
 def _reject_number_array(entries: Any) -> Any:
-    """Reject an array of numbers at once, because a document may have millions of them in a row."""
+    """Return the entries. Raises an error for an array of numbers, before its numbers are checked: a document may have
+    millions."""
     if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
         raise make_error("this list must have names or entries `{ … }`, not numbers")
     return entries
 
 
 def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return entries with different names. Raises for a name that occurs twice."""
+    """Return the entries. Raises an error if two entries have the same name."""
     first: dict[str, int] = {}
     for number, entry in enumerate(entries):
         if entry.name in first:

@@ -16,7 +16,7 @@ import numpy as np
 
 from antdsl.bodies.agents.definition import Binding, Channel, Gait, Layer, Leg, Rig, TransformGroup
 from antdsl.bodies.files.document_model import CapsuleForm, GaitForm, GroupForm, LayerForm, LegForm, RigForm
-from antdsl.bodies.files.json_text import Node, find_span, report_unknown
+from antdsl.bodies.files.json_text import Node, find_span, report_unknown_name
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.source import Span
@@ -28,7 +28,7 @@ _NUMBER_LIST_PATTERN = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain 
 
 
 def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
-    """Return a rig, or None if its joints do not form a tree."""
+    """Return the rig of a document, or None if its joints do not form a tree."""
     tree = _order_joints(form, root, report)
     if tree is None:
         return None
@@ -44,14 +44,15 @@ def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
         report.error("unknown-key", f"`{name[:60]}` is not a joint of the rig", span, f'write `"{near}"`' if near else None)
     for name, channel in form.channels.items():
         if channel.transform and channel.transform not in number:
-            report_unknown(report, find_span(root, ("channels", name, "transform")), "joint", channel.transform, names)
+            report_unknown_name(report, find_span(root, ("channels", name, "transform")), "joint", channel.transform, names)
     channels = tuple(Channel(name, each.default_value, each.transform) for name, each in form.channels.items())
     return Rig(names, np.array(parents, np.int32), rest, channels)
 
 
 def _order_joints(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
-    """Return the joints, and the number of each joint's parent (-1 for a root). The order is that of the text if parents precede
-    their children there, else from the roots down. Return None after errors."""
+    """Return the names of the joints, and the number of each joint's parent (-1 for a root). Return None after errors.
+
+    The order is that of the text if parents precede their children there, else from the roots down."""
     joints = form.transforms
     parent: dict[str, tuple[str, Span]] = {}
     children: dict[str, list[str]] = {name: [] for name in joints}
@@ -95,7 +96,7 @@ def _report_missing_child(report: Report, place: Span, name: str, child: str, fr
 
 
 def _report_cycles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bool:
-    """Report each cycle once, at the line that closes it. Return whether there is one."""
+    """Report each cycle of joints once, at the line that closes it. Return whether there is a cycle."""
     visited: set[str] = set()
     has_circle = False
     for start in parent:
@@ -134,7 +135,7 @@ def write_rig(rig: Rig) -> str:
 
 
 def build_layer(form: LayerForm) -> Layer:
-    """Return a layer: static and deforming bindings of shapes to joints."""
+    """Return the layer of a document: static and deforming bindings of shapes to joints."""
     static, deforming = (tuple(Binding(**dict(each)) for each in part) for part in (form.static, form.deforming))
     return Layer(form.name, static, deforming)
 
@@ -155,12 +156,12 @@ def build_gaits(forms: Iterable[GaitForm]) -> tuple[Gait, ...]:
 
 
 def build_capsule(form: CapsuleForm) -> tuple[float, float, float, float]:
-    """Return a capsule as `Definition.capsule` describes it."""
+    """Return the collision capsule of a document, as `Definition.capsule` describes it."""
     return form.length, form.width, form.height, form.ahead
 
 
 def build_group(form: GroupForm) -> TransformGroup:
-    """Return a transform group: joints with weights from 0 to 1, and channels."""
+    """Return the transform group of a document: joints with weights from 0 to 1, and channels."""
     return TransformGroup(
         form.name, tuple((each.name, each.weight) for each in form.members), tuple(c.name for c in form.channels)
     )
@@ -174,7 +175,7 @@ def write_group(group: TransformGroup) -> str:
 
 
 def _use_integers(value: Any) -> Any:
-    """Return a document in which numbers without a fraction are integers, as in the documented forms."""
+    """Return the value with numbers that have no fraction as integers, as in the documented forms."""
     if isinstance(value, dict):
         return {key: _use_integers(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -233,7 +234,7 @@ def _read_typed_value(kind: Node, inner: Node, report: Report) -> TypedValue | N
         report.error("wrong-value", f"expected the name of a type here, not {kind.kind}", kind.marked_span, 'write `"…"`')
         return None
     if name not in _COMPONENTS_BY_TYPE:
-        report_unknown(report, kind.span, "type of metadata", name, _COMPONENTS_BY_TYPE, is_warning=True)
+        report_unknown_name(report, kind.span, "type of metadata", name, _COMPONENTS_BY_TYPE, is_warning=True)
     elif not _matches_type(name, value):
         count = _COMPONENTS_BY_TYPE[name]
         expectation = f"a list of {count} numbers" if count else f"a value of the type `{name}`"
@@ -267,7 +268,7 @@ def _to_plain_value(value: Any) -> Any:
 
 
 def write_metadata(metadata: Mapping[str, Any]) -> str:
-    """Return metadata as text in the documented form. Typed values have their type."""
+    """Return metadata as text in the documented form. Typed values are written with their type."""
     return format_json(to_plain_metadata(metadata))
 
 

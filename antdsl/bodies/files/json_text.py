@@ -30,10 +30,9 @@ _KIND_NAMES = {
 class Node:
     """A value at characters `start` (included) to `end` (excluded) of a text.
 
-    `value`: for an object, a mapping; for an array of numbers only, a list of plain numbers; for other arrays, a list of nodes.
+    `value`: a mapping for an object; a list of plain numbers for an array of numbers only; a list of nodes for any other array.
     `keys`: the locations of an object's keys.
-    `has_plain_numbers`: whether the value is an array of numbers only.
-    """
+    `has_plain_numbers`: whether the value is an array of numbers only."""
 
     source: Source
     value: Plain
@@ -49,12 +48,13 @@ class Node:
 
     @property
     def marked_span(self) -> Span:
-        """Return the span that findings mark: the first character of an object or a list, the complete text of other values."""
+        """Return the span at which findings are located: the first character of an object or a list, the complete text of other
+        values."""
         return Span(self.source, self.start, self.start + 1) if isinstance(self.value, dict | list) else self.span
 
     @property
     def kind(self) -> str:
-        """Return the kind of the value, in words."""
+        """Return the kind of the value in words, such as `an object`."""
         return _KIND_NAMES[type(self.value)]
 
     def get_inner(self, key: PathKey) -> Node | None:
@@ -68,7 +68,7 @@ class Node:
 
 
 def find_node(root: Node, path: Sequence[PathKey]) -> Node:
-    """Return the node that a path of keys leads to. Parts of the path that are not in the tree are skipped."""
+    """Return the node that a path of keys leads to. A part of the path that the tree does not have is skipped."""
     node = root
     for key in path:
         node = node.get_inner(key) or node
@@ -76,8 +76,9 @@ def find_node(root: Node, path: Sequence[PathKey]) -> Node:
 
 
 def find_span(root: Node, path: Sequence[PathKey], *, key: bool = False) -> Span:
-    """Return the mark of the node at `path`, or of the innermost node on the path that exists. `key`: return the span of the
-    path's last key instead."""
+    """Return the span for findings about the node at `path`, or about the innermost existing node on the path.
+
+    `key`: return the span of the path's last key instead."""
     if not path:
         return root.marked_span
     node, last = find_node(root, path[:-1]), path[-1]
@@ -89,7 +90,7 @@ def find_span(root: Node, path: Sequence[PathKey], *, key: bool = False) -> Span
 
 
 def find_text(root: Node, text: str) -> Span:
-    """Return the span of the first value of a tree that equals `text`, or the mark of the tree if no value does."""
+    """Return the span of the first value of a tree that equals `text`; if no value does, the span for findings about the tree."""
     waiting = [root]
     while waiting:
         node = waiting.pop(0)
@@ -108,17 +109,17 @@ def _find_number_span(node: Node, number: int) -> Span:
     return node.span
 
 
-def report_unknown(
+def report_unknown_name(
     report: Report, span: Span | None, noun: str, name: str, known_names: Iterable[str], *, is_warning: bool = False
 ) -> None:
-    """Report an unknown name, with a suggestion of the name that may have been meant."""
+    """Report the unknown `name` of a `noun`, with the most similar known name as a suggestion."""
     near = find_nearest_name(name, known_names)
     add = report.warning if is_warning else report.error
     add("unknown-name", f"there is no {noun} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
 
 
 class _SyntaxAborted(Exception):
-    """Error that ends reading. The finding is already in the report."""
+    """Error that ends the parsing of a text. The finding is already in the report."""
 
 
 _SPACE_PATTERN = re.compile(r"(?:[ \t\r\n]+|//[^\n]*|/\*(?:[^*]|\*(?!/))*+\*/)*+")
@@ -137,24 +138,26 @@ _WORD_CORRECTIONS = {"True": "true", "False": "false", "None": "null", "undefine
 
 
 def read_tree(data: bytes, name: str, expected_part: str) -> tuple[Node | None, Report]:
-    """Return the tree of a file's bytes, or None with the first error in the report. `expected_part` names the expected part,
-    such as `a rig`."""
+    """Return the tree of a file's bytes, or None with the first error in the report.
+
+    `expected_part`: what the file should contain, in words, such as `a rig`."""
     source, report = decode_source(data, name, expected_part)
     return read_json(source, expected_part) if report.ok else (None, report)
 
 
 def read_json(source: Source, expected_part: str) -> tuple[Node | None, Report]:
-    """Return the tree of a text, or None with the first error in the report. `expected_part` names the expected part, such as `a
-    rig`."""
+    """Return the tree of a text, or None with the first error in the report.
+
+    `expected_part`: what the text should contain, in words, such as `a rig`."""
     reader = _Reader(source, expected_part)
     try:
-        return reader.document(), reader.report
+        return reader.read_document(), reader.report
     except _SyntaxAborted:
         return None, reader.report
 
 
 class _Reader:
-    """A recursive parser of one text. Methods take the position `at` of a value and return its node."""
+    """A recursive parser of one text. Its methods take the position of a value and return its node."""
 
     def __init__(self, source: Source, expected_part: str) -> None:
         self.source, self.text, self.expected_part = source, source.text, expected_part
@@ -164,7 +167,7 @@ class _Reader:
     def report_error(
         self, start: int, end: int, message: str, help: str | None, *labels: Label, code: str = "json-syntax"
     ) -> _SyntaxAborted:
-        """Report an error at characters `start` to `end`, and return the exception to raise."""
+        """Report an error at characters `start` to `end`, and return the exception that the caller must raise."""
         if len(self.text) > start:
             end = max(end, start + 1)
         self.report.error(code, message, Span(self.source, start, end), help, labels=labels)
@@ -179,19 +182,19 @@ class _Reader:
             raise self.report_error(offset, offset + 2, "this comment is not closed", "write `*/` where it ends")
         return offset
 
-    def document(self) -> Node:
+    def read_document(self) -> Node:
         """Return the only value of the text."""
         at = self.skip_whitespace(0)
         if at == len(self.text):
             raise self.report_error(0, 0, f"the file is empty: expected {self.expected_part}", "write `{ … }`")
-        node = self.value(at, 0)
+        node = self.read_value(at, 0)
         at = self.skip_whitespace(node.end)
         if at < len(self.text):
             raise self.report_error(at, at + 1, f"there is text after the end of {self.expected_part}", "delete it")
         return node
 
-    def value(self, offset: int, depth: int) -> Node:
-        """Return the value at a position, of any kind."""
+    def read_value(self, offset: int, depth: int) -> Node:
+        """Return the node of a value of any kind at a position. `depth`: the number of brackets around it."""
         self.count += 1
         if self.count > limits.MAX_BODY_JSON_VALUES:
             raise self.report_error(
@@ -199,7 +202,7 @@ class _Reader:
             )
         sign = self.text[offset : offset + 1]
         if sign == "[":
-            return self.read_number_array(offset) or self.array(offset, depth)
+            return self.read_number_array(offset) or self.read_array(offset, depth)
         if sign == "{":
             return self.read_object(offset, depth)
         if sign == '"':
@@ -210,7 +213,7 @@ class _Reader:
         return self.read_word(offset)
 
     def parse_number(self, match: re.Match[str]) -> int | float:
-        """Return the number that a pattern matched. Raises for too many digits, and for values that are too large."""
+        """Return the number that the pattern matched. Raises an error for too many digits, and for values that are too large."""
         if match.end() - match.start() > _MAX_DIGITS:
             raise self.report_error(match.start(), match.end(), "a number has too many digits", "round it")
         value = float(match[0])
@@ -237,16 +240,16 @@ class _Reader:
         return Node(self.source, values, offset, match.end(), has_plain_numbers=True)
 
     def enter_brackets(self, offset: int, depth: int) -> int:
-        """Return the depth inside a bracket. Raises if brackets are nested too deeply."""
+        """Return the depth inside the brackets at a position. Raises an error if brackets are nested too deeply."""
         if depth >= limits.MAX_BRACKET_DEPTH:
             words = f"values are nested more than {limits.MAX_BRACKET_DEPTH} levels deep"
             raise self.report_error(offset, offset + 1, words, None, code="too-large")
         return depth + 1
 
-    def array(self, offset: int, depth: int) -> Node:
+    def read_array(self, offset: int, depth: int) -> Node:
         depth, items, place = self.enter_brackets(offset, depth), [], self.skip_whitespace(offset + 1)
         while self.text[place : place + 1] != "]":
-            items.append(self.value(self.require_text(place, offset, "]"), depth))
+            items.append(self.read_value(self.require_text(place, offset, "]"), depth))
             place = self.skip_separator(items[-1].end, offset, "]")
         return Node(self.source, items, offset, place + 1)
 
@@ -267,12 +270,12 @@ class _Reader:
             place = self.require_text(self.skip_whitespace(place + 1), offset, "}")
             if self.text[place : place + 1] in (",", "}"):
                 raise self.report_error(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
-            entries[name], keys[name] = self.value(place, depth), (key.start, key.end)
+            entries[name], keys[name] = self.read_value(place, depth), (key.start, key.end)
             place = self.skip_separator(entries[name].end, offset, "}")
         return Node(self.source, entries, offset, place + 1, keys)
 
     def read_key(self, offset: int) -> Node:
-        """Return the key of an object's entry, a text in double quotes."""
+        """Return the node of the key of an object's entry, a text in double quotes."""
         if self.text[offset] == '"':
             return self.read_string(offset)
         match = _WORD_PATTERN.match(self.text, offset)
@@ -282,7 +285,7 @@ class _Reader:
         raise self.report_error(offset, offset + len(word), f"a key needs double quotes, but `{word}` has none", help)
 
     def require_text(self, offset: int, opening_offset: int, closing_bracket: str) -> int:
-        """Return the position of a required value; report an error if the text ends before it."""
+        """Return `offset`, at which a value must follow. Raises an error if the text ends before it."""
         if offset >= len(self.text):
             opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this is still open")
             raise self.report_error(
@@ -291,7 +294,7 @@ class _Reader:
         return offset
 
     def skip_separator(self, end: int, opening_offset: int, closing_bracket: str) -> int:
-        """Return the position after a value and its comma: that of the next value or the closing bracket."""
+        """Return the position after a value and its comma: that of the next value, or of the closing bracket."""
         at = self.require_text(self.skip_whitespace(end), opening_offset, closing_bracket)
         if self.text[at] == ",":
             return self.require_text(self.skip_whitespace(at + 1), opening_offset, closing_bracket)
@@ -322,7 +325,7 @@ class _Reader:
         return Node(self.source, text, offset, match.end())
 
     def read_word(self, offset: int) -> Node:
-        """Return `true`, `false` or `null`. Raises with a correction for any other word."""
+        """Return the node of `true`, `false` or `null`. Raises an error with a correction for any other word."""
         match = _WORD_PATTERN.match(self.text, offset)
         word = match[0] if match else self.text[offset : offset + 1]
         if word in _VALUE_BY_WORD:

@@ -1,5 +1,6 @@
-"""Opens files that a definition names: below the folder of the naming file, or of a granted root. Problems become findings at the
-location where the file is named."""
+"""Opens files that a definition names. A file must be below the folder of the naming file, or below a granted root.
+
+Problems become findings at the location where the file is named."""
 
 from __future__ import annotations
 
@@ -49,9 +50,8 @@ class BodyFiles:
     """Access to the files of a definition.
 
     `folder`: the prefix of a path that names no root, such as `bodies/`.
-    `path_by_text`: the file from the command line, by the text that stands for it in this definition.
-    `cached_definitions`: definitions read before, by path and settings.
-    """
+    `path_by_text`: files that the user named on the command line, by their paths in the form that `roots` takes.
+    `cached_definitions`: definitions read before, by path and settings."""
 
     roots: Roots
     report: Report
@@ -72,7 +72,7 @@ class BodyFiles:
         self.report.error(refusal.code, str(refusal), place, refusal.help)
 
     def is_closed_format(self, path: str, place: Span | None) -> bool:
-        """Return whether a file has a format that antdsl cannot read. Report such a file, with an alternative."""
+        """Return whether a file has a format that antdsl cannot read. Such a file is reported, with an alternative."""
         kind = get_file_ending(path)
         if kind not in _HELP_BY_CLOSED_FORMAT:
             return False
@@ -80,7 +80,9 @@ class BodyFiles:
         return True
 
     def read_part(self, path: str, expected_part: str, place: Span | None) -> Node | None:
-        """Return the tree of a part in a separate JSON file, or None. `expected_part`: the expected part, such as `a rig`."""
+        """Return the tree of a separate JSON file, or None after an error.
+
+        `expected_part`: what the file should contain, in words, such as `a rig`."""
         if self.is_closed_format(path, place):
             return None
         try:
@@ -93,7 +95,7 @@ class BodyFiles:
         return root
 
     def display_path(self, path: str) -> str:
-        """Return the display name of a file for messages."""
+        """Return the path under which messages name a file."""
         full = self.to_root_path(path)
         beside = next(iter(self.path_by_text.values()), None)
         if full in self.path_by_text or beside is None or _ROOT_PREFIX_PATTERN.match(full):
@@ -119,7 +121,8 @@ class BodyFiles:
         return self.cached_definitions[key]
 
     def _read_body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
-        """Return the definition in a glTF or USD file; None after an error. See `body`."""
+        """Return the definition in a glTF or USD file, without the cache; None after an error. The arguments are those of
+        `read_body`."""
         full, kind = self.to_root_path(path), get_file_ending(path)
         name = posixpath.basename(full.rpartition(":")[2]).rpartition(".")[0] or "body"
         try:
@@ -150,7 +153,7 @@ class BodyFiles:
         return lambda path, cap: self.read_file(folder + path, cap)
 
     def _read_usd(self, full_path: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
-        """Return the result of `read_usd`. If the user named a link, read the file that the link points to."""
+        """Return the results of `read_usd`. If the user named a link, the file that the link points to is read."""
         from antdsl.bodies.files.usd_definition import read_usd
 
         roots, text = self.roots, full_path
@@ -160,7 +163,7 @@ class BodyFiles:
         return read_usd(roots, text, prim, name, rate)
 
     def resolve_library(self, condensed_path: str, absolute: str) -> str:
-        """Return the path of a shape library that is named twice. Raises PathRefused if neither path can be used.
+        """Return the path of a shape library, which has two paths in the document. Raises PathRefused if neither can be used.
 
         The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) is searched below the definition's folder or a granted root.
         The absolute path is used only if a granted root contains it."""
@@ -180,7 +183,8 @@ class BodyFiles:
             return granted
 
     def _name_by_root(self, absolute: str) -> str | None:
-        """Return an absolute path, written with the name of the root that contains it, or None."""
+        """Return an absolute path in the form that `roots` takes, which begins with the name of a root; None if no root contains
+        it."""
         full_path = os.path.normpath(absolute)
         for name, folder in (("", self.roots.folder), *sorted(self.roots.folder_by_name.items())):
             root = os.path.abspath(folder)

@@ -1,7 +1,6 @@
-"""Reads an agent definition, which all agents of a kind share, from a JSON definition file, a glTF file or a USD file.
+"""Reads an agent definition from a JSON definition file, a glTF file or a USD file.
 
-Definitions are cached as long as their files stay the same, because a preview opens its scene at every edit.
-"""
+Definitions are cached as long as their files stay the same, because a preview opens its scene at every edit."""
 
 from __future__ import annotations
 
@@ -11,26 +10,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from antdsl.bodies.agents.definition import Definition, use_language_names
-from antdsl.bodies.files.definition_checks import ReadDefinition, check_definition
+from antdsl.bodies.files.definition_checks import LocatedDefinition, check_definition
 from antdsl.bodies.files.named_files import GLTF_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.diagnostics import Report
 from antdsl.scene.paths import RequestedPaths, Roots, record_request, record_requested_paths, reopen_file
 from antdsl.source import Span
 
 MAX_CACHED_DEFINITIONS = 8  # number of cached definitions
-Stamp = tuple[int, ...]
+FileStamp = tuple[int, ...]
 
 
 def read_definition(
     path: Path | str, roots: Roots | None = None, place: Span | None = None, *, prim: str = "", rate: float = 0.0
 ) -> tuple[Definition | None, Report]:
-    """Return the definition in a .json, .glb, .gltf or USD file, or None, with the report.
+    """Return the definition in a .json, .glb, .gltf or USD file, or None after an error, and the report.
 
-    `path`: a `Path` was named by the user; its folder is the root of files that it names, unless `roots` is given. A text was
-        named by a file at `place`, and lies below `roots`.
+    `path`: a `Path` is a file that the user named. Files that it names must be in its folder, unless `roots` is given. A text is
+        a path below `roots` that a file names at `place`.
     `prim`: the prim of a USD file to read.
-    `rate`: approximate samples per second of animations; 0 is the file's own frame rate, or 30.
-    """
+    `rate`: approximate samples per second of animations; 0 is the file's own frame rate, or 30."""
     report = Report()
     if isinstance(path, Path):
         text = path.name
@@ -50,7 +48,7 @@ def read_definition(
         definition = files.read_body(text, place, prim, rate)
         if definition is None:
             return None, report
-        return check_definition(ReadDefinition(definition, span=place, needs_length=not definition.length), report), report
+        return check_definition(LocatedDefinition(definition, span=place, needs_length=not definition.length), report), report
     if kind != "json":
         kinds = ", ".join(f".{each}" for each in ("json", *GLTF_ENDINGS, *USD_ENDINGS))
         report.error(
@@ -66,17 +64,19 @@ def read_definition(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CachedDefinition:
-    """A definition, and the files that it was read from: for each path, its root and its stamp (size, time and file number)."""
+    """A definition, and the files that it was read from.
+
+    `files`: for each path, its root, and the size, time and file number that show whether the file changed."""
 
     definition: Definition
-    files: dict[Path, tuple[Path | None, Stamp]]
+    files: dict[Path, tuple[Path | None, FileStamp]]
 
 
 _definition_cache: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDict()
 
 
 def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
-    """Return the result of `read_definition` for a path in a scene, with names in the spelling of the language.
+    """Return the results of `read_definition` for a path in a scene. Names in the definition have the spelling of the language.
 
     A definition that was read without findings is cached."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.folder_by_name.items())))
@@ -100,13 +100,13 @@ def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | 
     return definition, report
 
 
-def _compute_file_stamps(files: RequestedPaths) -> dict[Path, tuple[Path | None, Stamp | None]]:
+def _compute_file_stamps(files: RequestedPaths) -> dict[Path, tuple[Path | None, FileStamp | None]]:
     """Return the root and the current stamp of each file that was read."""
     return {path: (root, _compute_stamp(path, root)) for path, root in files.items()}
 
 
-def _compute_stamp(path: Path, root: Path | None) -> Stamp | None:
-    """Return a stamp that changes when a file changes, or None if there is no file."""
+def _compute_stamp(path: Path, root: Path | None) -> FileStamp | None:
+    """Return the size, time and file number of a file, which show whether it changes; None if there is no file."""
     try:
         handle = reopen_file(path, root)
     except OSError:

@@ -1,4 +1,6 @@
-"""Shapes of a definition's library: references to mesh files, their documented blend-shape attributes, and included libraries."""
+"""Reads the shapes of a definition's library: references to mesh files, and included libraries.
+
+A reference may also set the documented blend-shape attributes of a shape."""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import numpy as np
 from antdsl import limits
 from antdsl.bodies.agents.definition import BlendTargets, InBetweens, Shape
 from antdsl.bodies.files.document_model import BodyForm, ShapeReference
-from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown
+from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown_name
 from antdsl.bodies.files.named_files import GLTF_ENDINGS, MESH_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.diagnostics import Label
 from antdsl.scene.geometry.mesh_files import read_mesh
@@ -22,8 +24,9 @@ Colours = dict[str, tuple[float, float, float]]
 
 
 def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shapes: dict[str, Shape], materials: Colours) -> None:
-    """Add the shapes that a definition refers to to `shapes`, and the colours of their materials to `materials`. A reference
-    without a file changes an existing shape. `unit`: millimetres per unit of the definition."""
+    """Add the shapes that a definition names to `shapes`, and the colours of their materials to `materials`.
+
+    A reference without a file changes an existing shape. `unit`: millimetres per unit of the definition."""
     first: dict[str, Span] = {}
     for number, reference in enumerate(form.shapes):
         node = find_node(root, ("shapes", number))
@@ -55,7 +58,7 @@ def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shape
 def _resolve_shape_reference(
     reference: ShapeReference, node: Node, files: BodyFiles, shapes: Mapping[str, Shape], materials: Colours
 ) -> list[Shape]:
-    """Return the shapes that a reference selects."""
+    """Return the shapes that a reference selects, with the changes that it makes."""
     if reference.file is None:
         if reference.shape is None:
             words = f"{f'the shape `{reference.name[:60]}`' if reference.name else 'a shape'} has neither `file` nor `shape`"
@@ -72,7 +75,7 @@ def _resolve_shape_reference(
         if reference.shape is None or not known:
             return list(known.values())
     if reference.shape not in known:
-        report_unknown(files.report, find_span(node, ("shape",)), what, reference.shape, known)
+        report_unknown_name(files.report, find_span(node, ("shape",)), what, reference.shape, known)
         return []
     return [known[reference.shape]]
 
@@ -121,7 +124,9 @@ def load_shapes(
 
 
 def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str, Shape], materials: Colours) -> None:
-    """Add the shapes of included libraries. Each library is named twice, by a condensed and by an absolute path."""
+    """Add the shapes of included libraries to `shapes`, and the colours of their materials to `materials`.
+
+    The document gives each library two paths: a condensed path with variables such as `$HIP`, and an absolute path."""
     for number, (condensed, absolute) in enumerate(form.shapelib_includes):
         place = find_node(root, ("shapelib_includes", number)).span
         if files.is_closed_format(condensed or absolute, place):
@@ -139,7 +144,7 @@ def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str
 
 
 def scale_shape(shape: Shape, factor: float) -> Shape:
-    """Return a shape in other units: its points and the joint positions at capture are multiplied by `factor`."""
+    """Return a shape in other units: its points, and the joint positions at capture, are multiplied by `factor`."""
     capture = shape.capture
     if capture is not None:
         inverse = capture.inverse_matrices.copy()
@@ -149,8 +154,9 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
 
 
 def _add_blend_attributes(reference: ShapeReference, node: Node, files: BodyFiles, shape: Shape) -> Shape:
-    """Return a shape with the documented blend attributes. A base shape has names and channels; an input has its in-between
-    shapes (names and weights)."""
+    """Return a shape with the documented blend attributes of its reference.
+
+    A base shape has the names and channels of its inputs. An input has the names and weights of its in-between shapes."""
     keys = {key for key in reference.model_fields_set if key.startswith("blendshape_")}
     if "deformDualQuaternionBlendAttrib" in reference.model_fields_set:
         shape = replace(shape, dual_quaternion_blend=reference.deformDualQuaternionBlendAttrib)

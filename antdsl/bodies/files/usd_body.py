@@ -38,7 +38,8 @@ BASE_LAYER = "body"
 
 @dataclass(slots=True)
 class _Skeleton:
-    """A skeleton's joints. `paths`: their paths in the skeleton. `names`: their names in the rig, in the same order."""
+    """A skeleton with its joints. `paths`: the joints' paths in the skeleton. `names`: their names in the rig, in the same
+    order."""
 
     prim: Any
     query: Any
@@ -48,10 +49,10 @@ class _Skeleton:
 
 @wrap_refusals
 def read_body(request: ReaderMessage) -> ReaderAnswer:
-    """Return the arrays that `pack_definition` makes of the definition.
+    """Return an answer with the arrays that `pack_definition` makes of the definition.
 
-    Also return `left_out`, sentences about the parts of the file that are not read, and `settings`, JSON of the custom data of
-    clips by their names."""
+    The answer also has `left_out`, sentences about the parts of the file that are not read, and `settings`, JSON of the custom
+    data of clips by their names."""
     said = request.document
     try:
         definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
@@ -61,8 +62,9 @@ def read_body(request: ReaderMessage) -> ReaderAnswer:
 
 
 def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, UsdBody]:
-    """Return the definition at and below a prim, and the state of the import. `rate`: samples per second of animations, 0 for the
-    stage's own. Raises BodyError if there is no definition."""
+    """Return the definition at and below a prim, and the state of the import. Raises BodyError if there is no definition.
+
+    `rate`: samples per second of animations, 0 for the stage's own."""
     body = UsdBody(stage)
     bindings = list(_iterate_skeleton_bindings(stage))
     skeletons = [_read_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
@@ -166,8 +168,7 @@ def _read_rest_matrix(stage: OpenStage, prim: Any) -> Floats:
 
 
 def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
-    """Return the joints that a mesh follows: their names, and matrices from the mesh's space to that of each joint in the bind
-    pose."""
+    """Return the joints that a mesh follows, with matrices from the mesh's space to that of each joint in the bind pose."""
     own = import_pxr_module("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
     paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
     number = {path: count for count, path in enumerate(skeleton.paths)}
@@ -190,7 +191,7 @@ def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
 
 
 def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]:
-    """Return the animations that skeletons are bound to, then other animations of the file that match one of the skeletons."""
+    """Return the animations as clips: first those that skeletons are bound to, then others that match one of the skeletons."""
     skel = import_pxr_module("UsdSkel")
     clips: dict[str, Clip] = {}
     known_paths: set[str] = set()
@@ -222,7 +223,9 @@ def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[
 
 
 def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left: int) -> Clip | None:
-    """Return an animation as a clip; None if it moves nothing. Raises BodyError for more than `left` bytes of samples."""
+    """Return an animation as a clip; None if it moves nothing.
+
+    Raises BodyError if the samples need more than `left` bytes."""
     number = {path: count for count, path in enumerate(skeleton.paths)}
     paths = [str(path) for path in query.GetJointOrder()]
     columns = [count for count, path in enumerate(paths) if path in number]

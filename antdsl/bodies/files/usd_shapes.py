@@ -1,5 +1,6 @@
-"""Meshes of a USD file as shapes. Faces are cut into triangles, and points are split where normals or texture coordinates differ.
-Also reads colours of materials, the joints that points follow, and blend shapes with their in-betweens."""
+"""Reads meshes of a USD file as shapes, with colours of materials, the joints that points follow, and blend shapes.
+
+Faces are cut into triangles, and points are split where normals or texture coordinates differ."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ class Skin:
 
 @dataclass(slots=True)
 class UsdBody:
-    """The state of a USD import."""
+    """The parts of a USD import that were read so far. `omissions`: sentences about parts that are not read."""
 
     stage: OpenStage
     joint_names: list[str] = field(default_factory=list)
@@ -95,14 +96,14 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
 
 
 def _count_points(body: UsdBody, new_points: int) -> None:
-    """Add to the number of points. Raises BodyError above the limit."""
+    """Add `new_points` to the number of points of the body. Raises BodyError above the limit."""
     body.point_count += new_points
     if body.point_count > limits.MAX_BODY_POINTS:
         raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, including blend shapes", code="too-large")
 
 
 def _to_rows(raw_values: Any, width: int) -> Floats:
-    """Return values as an array float64[n, width]. Raises BodyError if their number is not a multiple of `width`."""
+    """Return the values as an array float64[n, width]. Raises BodyError if their number is not a multiple of `width`."""
     values = np.array([] if raw_values is None else raw_values, np.float64)
     if values.size % width:
         raise BodyError(f"has values that are not {width} numbers each", _EXPORT_HELP)
@@ -110,7 +111,8 @@ def _to_rows(raw_values: Any, width: int) -> Floats:
 
 
 def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integers, Integers, Integers]:
-    """Return the point of each corner of the faces, triangles (n, 3) of corners, and the face of each triangle."""
+    """Return three results: the point of each corner of the faces, the corners of triangles (n, 3), and the face of each
+    triangle."""
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
     if len(corners) > 3 * limits.MAX_MESH_FACES or len(counts) > limits.MAX_MESH_FACES:
@@ -129,7 +131,7 @@ def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple
 
 
 def _read_normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Integers) -> Floats | None:
-    """Return a normal for each corner, or None."""
+    """Return a normal for each corner, or None if there are no usable normals."""
     primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasValue():
         return _expand_to_corners(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
@@ -137,7 +139,7 @@ def _read_normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Inte
 
 
 def _read_uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
-    """Return texture coordinates for each corner: the primvar `st`, else the first that exists."""
+    """Return texture coordinates for each corner, or None: from the primvar `st`, else from the first that exists."""
     primvars = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
     known = [each for each in primvars if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
     known.sort(key=lambda primvar: primvar.GetPrimvarName() != "st")
@@ -147,7 +149,7 @@ def _read_uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | 
 
 
 def _expand_to_corners(raw_values: Any, interpolation: str, width: int, points: int, corners: Integers) -> Floats | None:
-    """Return values [corners, width] for each corner; None if they are not finite or do not match the interpolation."""
+    """Return a value [corners, width] for each corner; None if values are not finite or do not match the interpolation."""
     values = _to_rows(raw_values, width)
     if not len(values) or not np.isfinite(values).all():
         return None
@@ -162,7 +164,9 @@ def _split_points(
     corners: Integers, triangles: Integers, attributes: dict[str, Floats | None]
 ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
     """Return three results: for each point of the shape, its point in the file; triangles of the shape's points; and attributes
-    of the shape's points."""
+    of the shape's points.
+
+    A point of the file becomes several points where its corners have different attributes."""
     columns = [corners[:, None].astype(np.float64), *(each for each in attributes.values() if each is not None)]
     rows = np.concatenate(columns, axis=1)
     _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -171,7 +175,9 @@ def _split_points(
 
 
 def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> Capture:
-    """Return the joints that `points` points of a mesh follow. `source`: the file's point for each point of the shape."""
+    """Return the joints that the points of a mesh follow.
+
+    `points`: the number of points in the file. `source`: the file's point for each point of the shape."""
     influences = skin.query.ComputeVaryingJointInfluences(points, time)
     each = int(skin.query.GetNumInfluencesPerComponent())
     if not influences or each < 1 or each > limits.MAX_JOINTS_PER_POINT or any(len(part) != points * each for part in influences):
@@ -230,7 +236,7 @@ def _read_blend_shapes(body: UsdBody, shape: Shape, prim: Any, points: Floats, s
 def _add_blend_target(
     body: UsdBody, shape: Shape, name: str, source: Integers, points: Floats, rows: Integers, offsets: Any, normal_offsets: Any
 ) -> str:
-    """Add a copy of a shape with some points moved by offsets. Return its name."""
+    """Add a copy of a shape to the library, with the points `rows` of the file moved by offsets. Return its name."""
     _count_points(body, len(source))
     moves = _to_rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))

@@ -1,9 +1,8 @@
-"""Writes an agent definition: as antdsl's own files, or as a glTF 2.0 file.
+"""Writes an agent definition: as files in antdsl's own form, or as a glTF 2.0 file.
 
-The own files are a definition file and one glTF file with the geometry of all shapes. The definition file names rig, layers,
-groups, clips and metadata in their documented forms. In a glTF file, joints are nodes, drawn layers are meshes and skins, blend
-shapes are morph targets, and clips are animations. Its coordinates are converted to metres, +y up and +z ahead.
-"""
+The files in antdsl's form are a definition file and one glTF file with the geometry of all shapes. The definition file names rig,
+layers, groups, clips and metadata in their documented forms. In a glTF file, joints are nodes, drawn layers are meshes and skins,
+blend shapes are morph targets, and clips are animations. Its coordinates are converted to metres, +y up and +z ahead."""
 
 from __future__ import annotations
 
@@ -22,8 +21,8 @@ from antdsl.bodies.files.clip_document import write_clip
 from antdsl.bodies.files.document_values import format_axis, parse_unit_mm
 from antdsl.bodies.files.documents import format_json, write_group, write_layer, write_metadata, write_rig
 from antdsl.bodies.files.gltf.gltf_clips import build_settings_extras
-from antdsl.bodies.files.gltf.gltf_settings import CAPSULE_KEYS, body_extras
-from antdsl.bodies.files.gltf.gltf_textures import COLOUR
+from antdsl.bodies.files.gltf.gltf_settings import CAPSULE_KEYS, build_body_extras
+from antdsl.bodies.files.gltf.gltf_textures import COLOUR_ATTRIBUTE
 from antdsl.bodies.files.gltf.gltf_writer import Entry, GltfWriter, ShapeParts
 from antdsl.scene.scene_model import UNIT_MM
 
@@ -37,7 +36,7 @@ _IDENTITY_TRANSFORM: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "
 
 
 def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
-    """Return the files of a definition by their paths: `NAME.json`, and in the folder `NAME` the parts that it names."""
+    """Return the bytes of a definition's files by their paths: `NAME.json`, and the files that it names, in the folder `NAME`."""
     unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     if parse_unit_mm(unit) != body.unit:
         unit, body = "mm", convert_axes(body, body.front, body.up, 1.0)
@@ -83,8 +82,9 @@ def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
 
 
 def _build_shapes_gltf(body: Definition) -> bytes:
-    """Return a glTF file with all shapes unchanged, one mesh each. Shapes that follow joints have a skin. Units and axes are
-    those of the definition."""
+    """Return the bytes of a glTF file with one mesh for each shape, in the units and axes of the definition.
+
+    Shapes that follow joints have a skin."""
     writer = GltfWriter(f"antdsl {__version__}")
     materials = {}
     for name in {m: None for shape in body.shapes.values() for m in shape.materials if m and not _has_lone_material(body, shape)}:
@@ -103,10 +103,11 @@ def _build_shapes_gltf(body: Definition) -> bytes:
     for shape in body.shapes.values():
         plain = Shape(
             shape.name, shape.points, shape.faces, shape.normals, shape.uvs, shape.materials, shape.material,
-            {key: values for key, values in shape.attributes.items() if np.ndim(values) == 1 or key == COLOUR}, shape.capture,
+            {key: values for key, values in shape.attributes.items() if np.ndim(values) == 1 or key == COLOUR_ATTRIBUTE},
+            shape.capture,
         )  # fmt: skip
         parts = ShapeParts(writer, body, plain, shape.normals)
-        entry: dict[str, Any] = {"name": shape.name, "mesh": parts.mesh(shape.name, materials)}
+        entry: dict[str, Any] = {"name": shape.name, "mesh": parts.add_mesh(shape.name, materials)}
         if shape.capture is not None:
             entry["skin"] = parts.add_skin(nodes, roots[0])
         roots.append(writer.add_part("nodes", entry))
@@ -158,11 +159,12 @@ def _to_file_name(name: str) -> str:
 
 
 def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
-    """Return the bytes of a .gltf (`text`) or .glb file of a definition, with the shapes of one layer. Also return sentences
-    about parts that glTF cannot store."""
+    """Return the bytes of a glTF file with the shapes of one layer, and sentences about the parts that glTF cannot store.
+
+    `text`: write the text form .gltf, otherwise .glb."""
     placed = convert_axes(body, FRONT, UP, METRE)
     document = _GltfParts(placed, layer)
-    data = document.writer.to_bytes(text, scene=0, scenes=[{"nodes": document.roots}], extras=body_extras(placed))
+    data = document.writer.to_bytes(text, scene=0, scenes=[{"nodes": document.roots}], extras=build_body_extras(placed))
     return data, [*document.omissions, *_list_omissions(body, layer)]
 
 
@@ -185,7 +187,7 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
 
 
 class _GltfParts:
-    """The parts of a glTF file, created in order."""
+    """The parts of a glTF file that stores a body, created in the order of their dependencies."""
 
     def __init__(self, body: Definition, layer: Layer) -> None:
         self.body, self.writer, self.omissions = body, GltfWriter(f"antdsl {__version__}"), list[str]()
@@ -227,7 +229,7 @@ class _GltfParts:
         return self.writer.add_part("materials", {"name": name, "pbrMetallicRoughness": pbr})
 
     def _add_binding(self, binding: Binding) -> None:
-        """Write a mesh. A skinned mesh becomes a node next to the joints.
+        """Add the shape of a binding as a mesh. A skinned mesh becomes a node next to the joints.
 
         Any other mesh is attached to its joint's node, or to a child of it if that node already has a mesh."""
         shape = self.body.shapes[binding.shape]
@@ -237,7 +239,7 @@ class _GltfParts:
                 if name and name not in self._materials:
                     self._materials[name] = self._add_material(name, _DEFAULT_COLOUR)
         parts = self._shape_parts[binding.shape]
-        mesh = parts.mesh(shape.name, self._materials)
+        mesh = parts.add_mesh(shape.name, self._materials)
         if "skinning" in binding.deformer and shape.capture is not None:
             node = self.writer.add_part(
                 "nodes", {"name": shape.name, "mesh": mesh, "skin": parts.add_skin(self.nodes, self.roots[0])}
@@ -251,7 +253,7 @@ class _GltfParts:
                 node = below
             self.writer.get_part("nodes", node)["mesh"] = mesh
         if parts.targets is not None:
-            rest = parts.targets.weights(self.body.rig.channel_defaults[None])[0].tolist()
+            rest = parts.targets.compute_weights(self.body.rig.channel_defaults[None])[0].tolist()
             self.writer.get_part("meshes", mesh)["weights"] = rest
             self._morph_shapes.append((node, parts))
 
@@ -282,7 +284,7 @@ class _GltfParts:
         for node, parts in self._morph_shapes:
             assert parts.targets is not None and parts.shape.blend is not None
             if set(parts.shape.blend.channels) & set(clip.channels):
-                add_sampler(node, "weights", parts.targets.weights(values).reshape(-1))
+                add_sampler(node, "weights", parts.targets.compute_weights(values).reshape(-1))
         if channels:
             self.writer.add_part(
                 "animations",

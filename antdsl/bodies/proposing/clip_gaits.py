@@ -12,23 +12,28 @@ from antdsl.bodies.proposing.joint_motion import ClipMotion
 from antdsl.bodies.proposing.leg_search import FoundLeg
 
 Floats = NDArray[np.float64]
-_LOW_SHARE = 0.2  # share of a foot's lift; a foot below this height may stand
-_STANCE_SHARE = 0.3  # share of the speed; a low foot that moves backward at least this fast stands
+_MAX_STANCE_HEIGHT_SHARE = 0.2  # share of a foot's lift; a foot below this height may stand
+_MIN_STANCE_SPEED_SHARE = 0.3  # share of the speed; a low foot that moves backward at least this fast stands
 _MIN_SPEED = 0.25  # leg lengths per second; a slower clip stays in place
 _MIN_LIFT = 0.02  # share of the leg length
-_MIN_AGREEMENT = 0.6  # share of low feet that move in the same direction
-_SHORT_RUN = 0.06  # share of a cycle; shorter stances or swings are noise
+_MIN_DIRECTION_AGREEMENT = 0.6  # share of low feet that move in the same direction
+_MIN_RUN_SHARE = 0.06  # share of a cycle; shorter stances or swings are noise
 _MAX_CYCLES = 16  # maximum number of cycles in a clip
-_MIN_GATHERING = 0.45  # mean length of the unit vectors of a foot's phases while it stands; 0.64 for half a cycle on the ground
-_PLANTED_SPEED = 0.35  # leg lengths per second; a slower low foot stands still
+_MIN_PHASE_AGREEMENT = (
+    0.45  # mean length of the unit vectors of a foot's phases while it stands; 0.64 for half a cycle on the ground
+)
+_MAX_PLANTED_SPEED = 0.35  # leg lengths per second; a slower low foot stands still
 
 
 @dataclass(frozen=True, slots=True)
 class ClipGait:
-    """A walking clip, with L feet.
+    """The gait of a walking clip, with L feet.
 
-    `speed`: definition units per second. `backward_direction` float64[3]: the direction in which feet on the ground move.
-    `cycles`: steps of each foot in the clip. `duty`, `lift`, `phases`: as in a gait."""
+    `speed`: definition units per second.
+    `backward_direction`: float64[3], the direction in which feet on the ground move.
+    `cycles`: the number of steps that each foot takes in the clip.
+    `duty`, `lift`, `phases`: as in a `Gait`.
+    `seconds`: the duration of the clip."""
 
     clip: str
     speed: float
@@ -47,15 +52,18 @@ class ClipGait:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FootPaths:
-    """The lowest point of each foot over a cycle: heights float64[F, L] above each foot's lowest position, horizontal velocities
-    float64[F, L, 3] per second, and the lift [L] of each foot."""
+    """The motion of the lowest point of each of L feet over the F samples of a cycle.
+
+    `height`: float64[F, L], above the foot's lowest position.
+    `velocity`: float64[F, L, 3], horizontal, in units per second.
+    `lift`: [L], the greatest height."""
 
     height: Floats
     velocity: Floats
     lift: Floats
 
 
-def foot_paths(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats) -> FootPaths:
+def measure_foot_paths(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats) -> FootPaths:
     """Return the paths of the soles of legs in a clip."""
     heights, velocities = [], []
     for leg in legs:
@@ -78,10 +86,10 @@ def foot_paths(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats) -> Foot
     return FootPaths(height, np.stack(velocities, axis=1), height.max(axis=0))
 
 
-def planted_share(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: float) -> float:
-    """Return the share of a clip in which feet stand still on the ground. `length`: the length of a leg."""
-    paths = foot_paths(motion, legs, up)
-    still = (paths.height < 0.05 * length) & (np.linalg.norm(paths.velocity, axis=2) < _PLANTED_SPEED * length)
+def measure_planted_share(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: float) -> float:
+    """Return the share of a clip, from 0 to 1, in which feet stand still on the ground. `length`: the length of a leg."""
+    paths = measure_foot_paths(motion, legs, up)
+    still = (paths.height < 0.05 * length) & (np.linalg.norm(paths.velocity, axis=2) < _MAX_PLANTED_SPEED * length)
     return float(still.mean())
 
 
@@ -89,8 +97,8 @@ def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: 
     """Return the gait of a clip, or None if the clip does not walk. `length`: the length of a leg."""
     if len(motion.worlds) < 4 or not legs or motion.step <= 0 or not motion.is_cyclic:
         return None
-    paths = foot_paths(motion, legs, up)
-    low = paths.height < _LOW_SHARE * paths.lift
+    paths = measure_foot_paths(motion, legs, up)
+    low = paths.height < _MAX_STANCE_HEIGHT_SHARE * paths.lift
     directions = paths.velocity[low]
     if not len(directions) or np.median(paths.lift) < _MIN_LIFT * length:
         return None
@@ -100,11 +108,11 @@ def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: 
         return None
     back = direction / speed
     along = paths.velocity @ back
-    if float((along[low] > _STANCE_SHARE * speed).mean()) < _MIN_AGREEMENT:
+    if float((along[low] > _MIN_STANCE_SPEED_SHARE * speed).mean()) < _MIN_DIRECTION_AGREEMENT:
         return None
-    speed = float(np.median(along[low & (along > _STANCE_SHARE * speed)]))
-    stands = (paths.height < 1.5 * _LOW_SHARE * paths.lift) & (along > _STANCE_SHARE * speed)
-    stands = np.stack([_without_short_runs(each) for each in stands.T], axis=1)
+    speed = float(np.median(along[low & (along > _MIN_STANCE_SPEED_SHARE * speed)]))
+    stands = (paths.height < 1.5 * _MAX_STANCE_HEIGHT_SHARE * paths.lift) & (along > _MIN_STANCE_SPEED_SHARE * speed)
+    stands = np.stack([_remove_short_runs(each) for each in stands.T], axis=1)
     duties = stands.mean(axis=0)
     if not duties.all() or duties.min() >= 1:
         return None
@@ -117,18 +125,20 @@ def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: 
 
 
 def _count_cycles(is_stance: NDArray[np.bool_]) -> int:
-    """Return the number of cycles of the feet, bool[F, L], in a clip: the least number in which stances occur at one phase."""
+    """Return how many cycles of the feet a clip has: the smallest number for which each foot stands at one phase of the cycle.
+
+    `is_stance`: bool[F, L], whether each foot is on the ground."""
     samples = np.arange(len(is_stance)) / len(is_stance)
     for cycles in range(1, _MAX_CYCLES + 1):
         turns = np.exp(2j * np.pi * cycles * samples)
-        if np.mean([abs(turns[each].mean()) for each in is_stance.T]) > _MIN_GATHERING:
+        if np.mean([abs(turns[each].mean()) for each in is_stance.T]) > _MIN_PHASE_AGREEMENT:
             return cycles
     return 1
 
 
-def _without_short_runs(is_stance: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the stances of a foot over a cycle, without swings and stances of only a few samples."""
-    shortest = max(1, round(_SHORT_RUN * len(is_stance)))
+def _remove_short_runs(is_stance: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the samples in which a foot is on the ground, with swings and stances of only a few samples removed."""
+    shortest = max(1, round(_MIN_RUN_SHARE * len(is_stance)))
     for value in (False, True):
         starts = np.flatnonzero((is_stance == value) & (np.roll(is_stance, 1) != value))
         for start in starts.tolist():

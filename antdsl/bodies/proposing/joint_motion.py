@@ -14,12 +14,14 @@ from antdsl.bodies.posed_body import find_base_layer
 
 Floats = NDArray[np.float64]
 _MAX_SAMPLES = 1200  # maximum number of examined samples of a clip
-_CYCLE_STEPS = 3  # times the longest step; a longer step from the last pose to the first is a jump
-_CLOSED_SHARE = 1e-3  # share of the body's extent; a last pose nearer to the first repeats it
+_MAX_CLOSING_STEP_RATIO = 3  # times the longest step; a longer step from the last pose to the first is a jump
+_MAX_CLOSED_GAP_SHARE = 1e-3  # share of the body's extent; a last pose nearer to the first repeats it
 
 
 def sample_worlds(body: Definition, clip: str, times: Floats) -> NDArray[np.float32]:
-    """Return world matrices of joints, float32[n, J, 3, 4], joints in the order of the rig. `clip`: "" for the rest pose."""
+    """Return the world matrices of joints at the times of a clip, float32[n, J, 3, 4], joints in the order of the rig.
+
+    `clip`: "" for the rest pose. `times`: seconds."""
     table = build_clip_table(body)
     number = table.find_clip(clip) if clip else REST_CLIP
     worlds = compute_transforms(table, sample_poses(table, np.full(len(times), number), times))[1]
@@ -30,11 +32,12 @@ def sample_worlds(body: Definition, clip: str, times: Floats) -> NDArray[np.floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipMotion:
-    """Joints over one cycle of a clip.
+    """The motion of joints over one cycle of a clip.
 
-    `worlds` float32[F, J, 3, 4]: their world matrices. `step`: seconds between samples.
-    `repeats_first_pose`: the last pose of the clip repeats the first; it is left out here.
-    `is_cyclic`: the last pose leads to the first, in a step about as long as the others."""
+    `worlds`: float32[F, J, 3, 4], the world matrices of joints.
+    `step`: seconds between samples.
+    `repeats_first_pose`: whether the last pose of the clip repeats the first; it is then left out here.
+    `is_cyclic`: whether the last pose leads to the first, in a step about as long as the others."""
 
     name: str
     worlds: NDArray[np.float32]
@@ -48,32 +51,35 @@ class ClipMotion:
         return len(self.worlds) * self.step
 
 
-def clip_motion(body: Definition, name: str, extent: float) -> ClipMotion:
-    """Return the motion of a clip. `extent`: the size of the body. Long clips are examined at fewer samples."""
+def measure_clip_motion(body: Definition, name: str, extent: float) -> ClipMotion:
+    """Return the motion of the clip `name`. Only a limited number of samples of a long clip is examined.
+
+    `extent`: the size of the body, in the definition's units."""
     clip = body.clips[name]
     count = min(max(clip.sample_count, 1), _MAX_SAMPLES)
     times = np.linspace(0.0, clip.duration, count)
     worlds = sample_worlds(body, name, np.minimum(times, clip.duration * (1 - 1e-6)))
     step = clip.duration / max(count - 1, 1)
     positions = worlds[:, :, :, 3].astype(np.float64)
-    closes = count > 2 and bool(np.abs(positions[-1] - positions[0]).max() < max(_CLOSED_SHARE * extent, 1e-9))
+    closes = count > 2 and bool(np.abs(positions[-1] - positions[0]).max() < max(_MAX_CLOSED_GAP_SHARE * extent, 1e-9))
     gap = float(np.abs(positions[-1] - positions[0]).max())
     longest = float(np.abs(np.diff(positions, axis=0)).max(initial=0.0))
-    return ClipMotion(name, worlds[:-1] if closes else worlds, step, closes, closes or gap <= _CYCLE_STEPS * longest)
+    return ClipMotion(name, worlds[:-1] if closes else worlds, step, closes, closes or gap <= _MAX_CLOSING_STEP_RATIO * longest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyPoints:
-    """The points of the drawn layer in one pose: `place` float64[P, 3].
+    """The points of the drawn layer in one pose.
 
-    `joint` int[P]: the joint that each follows most, or -1."""
+    `place`: float64[P, 3], their positions.
+    `joint`: int[P], the joint that each point follows most, or -1."""
 
     place: Floats
     joint: NDArray[np.intp]
 
 
-def posed_points(body: Definition, worlds: NDArray[np.float32]) -> BodyPoints:
-    """Return the points of a body. `worlds`: the matrices of its joints in one pose, [J, 3, 4]."""
+def find_posed_points(body: Definition, worlds: NDArray[np.float32]) -> BodyPoints:
+    """Return the points of the drawn layer of a body in a pose. `worlds`: the world matrices of its joints, [J, 3, 4]."""
     poses = Poses(worlds[None], None, np.asarray(body.rig.channel_defaults, np.float32)[None])
     positions, joints = [np.zeros((0, 3))], [np.zeros(0, np.intp)]
     layer = find_base_layer(body)
@@ -81,11 +87,11 @@ def posed_points(body: Definition, worlds: NDArray[np.float32]) -> BodyPoints:
         shape = body.shapes[binding.shape]
         points = np.asarray(deform_binding(body, binding, poses).points[0], np.float64)
         if shape.capture is not None and binding.deformer not in ("", "blendshape"):
-            numbers = np.array([body.rig.joint(name) for name in shape.capture.names], np.intp)
+            numbers = np.array([body.rig.find_joint(name) for name in shape.capture.names], np.intp)
             strongest = shape.capture.weights.argmax(axis=1)
             joint = numbers[np.take_along_axis(shape.capture.joints, strongest[:, None], axis=1)[:, 0]]
         else:
-            joint = np.full(len(points), body.rig.joint(binding.transform) if binding.transform else -1, np.intp)
+            joint = np.full(len(points), body.rig.find_joint(binding.transform) if binding.transform else -1, np.intp)
         positions.append(points)
         joints.append(joint)
     return BodyPoints(np.concatenate(positions), np.concatenate(joints))

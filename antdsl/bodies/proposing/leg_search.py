@@ -16,13 +16,13 @@ _CONTACT_HEIGHT = 0.05  # share of the body's height; points up to this height t
 _MIN_CONTACT_POINTS = 3  # minimum number of points of a joint that touches the ground
 # share of the body's height; a higher joint with points on the ground is a knee, and a joint below it the foot
 _ANKLE_HEIGHT = 0.2
-_SHORT_BONE = 0.15  # share of the leg length; a shorter first bone belongs to the trunk, such as a collar bone or a coxa
+_MIN_BONE_SHARE = 0.15  # share of the leg length; a shorter first bone belongs to the trunk, such as a collar bone or a coxa
 _MIN_LEG_HEIGHT = 0.15  # share of the body's height; a lower chain lies on the ground and is not a leg
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundLeg:
-    """A leg by joint numbers, and the points of its sole.
+    """A leg that the search found, by joint numbers, and the points of its sole.
 
     `chain`: all joints from the trunk to the foot.
     `soles`: for each part of the sole, the joint that it follows and its position in the space of that joint, float64[3]."""
@@ -36,10 +36,11 @@ class FoundLeg:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegSearch:
-    """The found legs, and the reasons why other parts on the ground are not legs.
+    """The legs that the search found, and the reasons why other parts on the ground are not legs.
 
-    `feet`: all chains that touch the ground, including those that are not legs, for the motion of their soles. `ground`,
-    `height`: position of the ground and height of the body along its up."""
+    `feet`: all chains that touch the ground, including those that are not legs, for the motion of their soles.
+    `ground`: the position of the ground along the body's up axis.
+    `height`: the height of the body along this axis."""
 
     legs: tuple[FoundLeg, ...]
     feet: tuple[FoundLeg, ...]
@@ -75,7 +76,7 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
         if rise < _MIN_LEG_HEIGHT * height:
             reasons.append(f"`{name}` touches the ground, but its chain lies on it, so it is not a leg")
             continue
-        upper, lower = _hip_and_knee(path, positions)
+        upper, lower = _find_hip_and_knee(path, positions)
         legs.append(FoundLeg(upper, lower, contacts[0], tuple(path), soles))
         feet[-1] = legs[-1]
     if not groups:
@@ -84,7 +85,7 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
 
 
 def _group_by_branch(rig: Rig, contact_joints: list[int]) -> dict[int, list[int]]:
-    """Return joints that touch the ground by the joint where their chain leaves the rest, each group from the trunk outward.
+    """Return the joints that touch the ground, grouped by the first joint of their chain. Each group is from the trunk outward.
 
     A chain begins below the nearest joint that has several branches to the ground."""
     below = {joint: {each for each in contact_joints if joint in _list_ancestors(rig, each)} for joint in range(len(rig.names))}
@@ -111,7 +112,7 @@ def _is_one_chain(rig: Rig, joints: set[int]) -> bool:
 
 
 def _list_ancestors(rig: Rig, joint: int) -> list[int]:
-    """Return a joint and all joints above it, up to the root."""
+    """Return a joint and all its ancestors, up to the root."""
     path = [joint]
     while rig.parents[path[-1]] >= 0:
         path.append(int(rig.parents[path[-1]]))
@@ -119,7 +120,7 @@ def _list_ancestors(rig: Rig, joint: int) -> list[int]:
 
 
 def is_below(rig: Rig, joint: int, top: int) -> bool:
-    """Return whether a joint is `top` or below it."""
+    """Return whether a joint is `top` or a descendant of it."""
     return top in _list_ancestors(rig, joint)
 
 
@@ -129,14 +130,14 @@ def _find_joint_path(rig: Rig, start: int, end: int) -> list[int]:
     return path[: path.index(start) + 1][::-1]
 
 
-def _hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
-    """Return the joints of hip and knee of a chain with three joints or more.
+def _find_hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
+    """Return the joint of the hip and the joint of the knee, for a chain of three joints or more.
 
-    The knee is the joint that is farthest from the line from hip to foot, measured against the shorter of both bones, so that it
-    divides the leg into two usable bones."""
+    The knee is the joint that is farthest from the line from hip to foot, relative to the shorter of both bones. So it divides
+    the leg into two usable bones."""
     bones = [float(np.linalg.norm(positions[b] - positions[a])) for a, b in pairwise(path)]
     first, total = 0, max(sum(bones), 1e-12)
-    while len(path) - first > 3 and bones[first] < _SHORT_BONE * total:
+    while len(path) - first > 3 and bones[first] < _MIN_BONE_SHARE * total:
         first += 1
     hip, foot = positions[path[first]], positions[path[-1]]
     line = foot - hip
@@ -152,7 +153,7 @@ def _hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
 
 
 def _find_sole(joint: int, points: BodyPoints, low: NDArray[np.bool_], worlds: NDArray[np.float32]) -> tuple[int, Floats]:
-    """Return a joint and the mean of its points on the ground, in the space of the joint."""
+    """Return a joint, and the mean position of its points on the ground in the space of the joint."""
     middle = points.place[low & (points.joint == joint)].mean(axis=0)
     matrix = worlds[joint].astype(np.float64)
     return joint, np.linalg.lstsq(matrix[:, :3], middle - matrix[:, 3], rcond=None)[0]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition, to_language_name
 from antdsl.bodies.files.document_values import format_axis
-from antdsl.bodies.proposing.joint_motion import posed_points
+from antdsl.bodies.proposing.joint_motion import find_posed_points
 from antdsl.bodies.proposing.leg_search import FoundLeg, is_below
-from antdsl.bodies.proposing.study import IDLE_WORDS, STILL_SHARE, BodyStudy, study_body
+from antdsl.bodies.proposing.study import IDLE_WORDS, MIN_STILL_SHARE, BodyStudy, study_body
 from antdsl.scene.scene_model import UNIT_MM
 
 Floats = NDArray[np.float64]
@@ -23,8 +23,8 @@ _PLAUSIBLE_HEIGHT_MM = (2.0, 4000.0)  # mm; of an animal or a person
 _UNIT_WORDS = ("m", "cm", "mm")
 _GAIT_WORDS = ("walk", "run", "trot", "gallop", "jog", "sprint", "hop", "crawl", "march")
 # a name that contains no information
-_NO_NAME = re.compile(r"(?:clip|anim|animation|action|take|armature|mixamo\.com|[\W_\d])*", re.IGNORECASE)
-_UPRIGHT = 1.5  # ratio of height to length; above it, a body stands upright
+_UNINFORMATIVE_NAME_PATTERN = re.compile(r"(?:clip|anim|animation|action|take|armature|mixamo\.com|[\W_\d])*", re.IGNORECASE)
+_MIN_UPRIGHT_RATIO = 1.5  # ratio of height to length; above it, a body stands upright
 _TRUNK_SHARE = 0.96  # share of the trunk's points that its capsule contains along each axis
 _GRAVITY_MM = 9810.0
 _WALK_FROUDE, _WALK_STRIDE, _WALK_DUTY, _WALK_LIFT = 0.16, 1.4, 0.62, 0.1  # values of a normal walk, in leg lengths
@@ -32,28 +32,31 @@ _WALK_FROUDE, _WALK_STRIDE, _WALK_DUTY, _WALK_LIFT = 0.16, 1.4, 0.62, 0.1  # val
 
 @dataclass(slots=True, eq=False)
 class Proposal:
-    """A proposed definition. `lines`: keys and values in order. `reasons`: the reasons by key; "" for the file."""
+    """A proposed definition.
+
+    `lines`: the keys of the file with their values, in order.
+    `reasons`: the reasons for each value by key; "" has the reasons for the file."""
 
     lines: dict[str, Any] = field(default_factory=dict)
     reasons: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, key: str, value: Any, *reasons: str) -> None:
-        """Add a key with its reasons."""
+        """Add a key with its value, and the reasons for the value."""
         self.lines[key] = value
         self.reasons.setdefault(key, []).extend(reasons)
 
-    def text(self) -> str:
-        """Return the definition file. Reasons are comments."""
+    def format_text(self) -> str:
+        """Return the text of the definition file. Reasons are comments."""
         rows = ["{"]
         rows += [f"  // {reason}" for reason in self.reasons.get("", ())]
         for key, value in self.lines.items():
             rows += [f"  // {reason}" for reason in self.reasons.get(key, ())]
-            rows.append(f"  {json.dumps(key)}: {_value_text(value)},")
+            rows.append(f"  {json.dumps(key)}: {_format_value(value)},")
         return "\n".join([*rows, "}"]) + "\n"
 
 
-def _value_text(value: Any) -> str:
-    """Return JSON for a value; a list of objects has a line for each."""
+def _format_value(value: Any) -> str:
+    """Return the JSON text of a value, with one line for each object of a list of objects."""
     if isinstance(value, list) and value and isinstance(value[0], dict):
         return "[\n" + "".join(f"    {json.dumps(each, ensure_ascii=False)},\n" for each in value) + "  ]"
     return json.dumps(value, ensure_ascii=False)
@@ -70,9 +73,9 @@ def propose_definition(body: Definition, file: str) -> Proposal:
     front = _add_axes(proposal, study)
     unit = _add_unit(proposal, study)
     _add_length(proposal, study, front)
-    names = _clip_names(study)
+    names = _choose_clip_names(study)
     if study.idle:
-        proposal.add("idle", names[study.idle], f"`{study.idle}` {_idle_reason(study)}")
+        proposal.add("idle", names[study.idle], f"`{study.idle}` {_explain_idle_clip(study)}")
     else:
         proposal.reasons.setdefault("clips", []).append(
             "no clip stands still, so the rest pose is used for idle agents and for the standing height of legs"
@@ -83,18 +86,18 @@ def propose_definition(body: Definition, file: str) -> Proposal:
     return proposal
 
 
-def _idle_reason(study: BodyStudy) -> str:
+def _explain_idle_clip(study: BodyStudy) -> str:
     """Return the reason for choosing a clip as the idle clip."""
     if any(word in study.idle.lower() for word in IDLE_WORDS):
         return "its name suggests this"
-    return f"has feet on the ground for {study.plant_heights.get(study.idle, 0.0):.0%} of its time, and moves least"
+    return f"has feet on the ground for {study.planted_shares.get(study.idle, 0.0):.0%} of its time, and moves least"
 
 
 # ---- axes, units and length
 
 
 def _add_axes(proposal: Proposal, study: BodyStudy) -> Floats:
-    """Add `front` and `up`, and return the front."""
+    """Add `front` and `up` to the proposal, and return the front axis."""
     body, up = study.body, study.up
     word = format_axis(_round_axis(up))
     if word == format_axis(body.up):
@@ -113,21 +116,21 @@ def _find_front(study: BodyStudy) -> tuple[Floats, str]:
     """Return the front axis and the reason for it."""
     if study.gaits:
         gait = max(study.gaits.values(), key=lambda gait: gait.speed)
-        return _nearest_axis(
+        return _find_nearest_axis(
             -gait.backward_direction, study.up
         ), f"in `{gait.clip}`, feet on the ground move in the opposite direction"
-    toes = _toe_direction(study)
+    toes = _measure_toe_direction(study)
     if toes is not None:
-        return _nearest_axis(toes, study.up), "feet point this way; no clip walks"
+        return _find_nearest_axis(toes, study.up), "feet point this way; no clip walks"
     default = np.array(study.body.front, np.float64)
     if abs(float(default @ study.up)) > 0.5:
-        return _nearest_axis(
+        return _find_nearest_axis(
             np.cross(study.up, [0.36, 0.48, 0.8]), study.up
         ), "a guess: no clip walks, and feet have no clear direction"
     return default, "as in the file; no clip walks"
 
 
-def _toe_direction(study: BodyStudy) -> Floats | None:
+def _measure_toe_direction(study: BodyStudy) -> Floats | None:
     """Return the mean direction from foot joints to the points of their soles. Return None if feet have no clear direction."""
     total = np.zeros(3)
     for leg in study.search.legs:
@@ -140,7 +143,7 @@ def _toe_direction(study: BodyStudy) -> Floats | None:
     return total / size if size > 0.02 * study.length * max(len(study.search.legs), 1) else None
 
 
-def _nearest_axis(direction: Floats, up: Floats) -> Floats:
+def _find_nearest_axis(direction: Floats, up: Floats) -> Floats:
     """Return the axis perpendicular to `up` that is nearest to a direction."""
     axes = [sign * axis for axis in np.eye(3) if abs(float(axis @ up)) < 0.5 for sign in (1.0, -1.0)]
     return max(axes, key=lambda axis: float(axis @ direction))
@@ -152,7 +155,7 @@ def _round_axis(axis: Floats) -> tuple[float, float, float]:
 
 
 def _add_unit(proposal: Proposal, study: BodyStudy) -> float:
-    """Add `units`, and return them in millimetres."""
+    """Add `units` to the proposal, and return the millimetres per unit."""
     body, low, high = study.body, *_PLAUSIBLE_HEIGHT_MM
     own = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     height = study.search.height
@@ -169,36 +172,42 @@ def _add_unit(proposal: Proposal, study: BodyStudy) -> float:
 
 
 def _format_metres(millimetres: float) -> str:
-    """Return a length in words."""
+    """Return a length (mm) as text in metres."""
     return f"{millimetres / 1000:.3g} m" if millimetres >= 100 else f"{millimetres:.3g} mm"
 
 
 def _add_length(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
-    """Add `length`: along the front, or the height of an upright body."""
+    """Add `length` to the proposal: the extent along the front axis, or the height of an upright body."""
     if not len(study.points.place):
         return
     along, height = float(np.ptp(study.points.place @ front)), study.search.height
-    if height > _UPRIGHT * along:
-        proposal.add("length", _rounded(height), "length: its height, since it stands upright: `size` of an agent is its height")
+    if height > _MIN_UPRIGHT_RATIO * along:
+        proposal.add(
+            "length", _round_digits(height), "length: its height, since it stands upright: `size` of an agent is its height"
+        )
     else:
-        proposal.add("length", _rounded(along), "length: along its front in the standing pose; `size` of an agent is this length")
+        proposal.add(
+            "length", _round_digits(along), "length: along its front in the standing pose; `size` of an agent is this length"
+        )
     if abs(study.search.ground) > 0.05 * height:
         proposal.reasons["length"].append(
-            f"the lowest point is at {_rounded(study.search.ground):g}, not at 0: move the model onto the ground"
+            f"the lowest point is at {_round_digits(study.search.ground):g}, not at 0: move the model onto the ground"
         )
 
 
 # ---- clips
 
 
-def _clip_names(study: BodyStudy) -> dict[str, str]:
-    """Return a short name for each clip: a common word in its name, else its activity, else its name in the language's
-    letters."""
+def _choose_clip_names(study: BodyStudy) -> dict[str, str]:
+    """Return a short name for each clip, by its name in the file.
+
+    It is a common word in the file's name, else a word for the clip's activity, else the file's name in the language's
+    spelling."""
     names: dict[str, str] = {}
     taken: set[str] = set()
     by_speed = sorted(study.gaits, key=lambda name: study.gaits[name].speed)
-    nameless = [name for name in by_speed if _NO_NAME.fullmatch(name)]
-    words = {name: word for name in by_speed if (word := _gait_word(name))}
+    nameless = [name for name in by_speed if _UNINFORMATIVE_NAME_PATTERN.fullmatch(name)]
+    words = {name: word for name in by_speed if (word := _find_gait_word(name))}
     words |= {name: "walk" if k == 0 else "run" for k, name in enumerate(nameless)}
     words |= {study.idle: "idle"} if study.idle else {}
     order = dict.fromkeys([*words, *study.body.clips])
@@ -212,26 +221,28 @@ def _clip_names(study: BodyStudy) -> dict[str, str]:
     return names
 
 
-def _gait_word(name: str) -> str:
-    """Return the usual word for a way of walking in the name of a clip, or ""."""
+def _find_gait_word(name: str) -> str:
+    """Return the word for a gait, such as `walk`, that the name of a clip contains, or ""."""
     return next((word for word in _GAIT_WORDS if word in name.lower()), "")
 
 
 def _add_clips(proposal: Proposal, study: BodyStudy, names: Mapping[str, str]) -> None:
-    """Add `clips`: `names`, strides, and whether feet are placed on the ground while they play."""
+    """Add `clips` to the proposal: their names, strides, and whether feet are placed on the ground while they play.
+
+    `names`: the proposed names by the names in the file."""
     entries, reasons = [], []
     for name in study.body.clips:
         entry: dict[str, Any] = {"clip": name, "name": names[name]}
         gait = study.gaits.get(name)
         if gait is not None:
-            entry["stride"] = _rounded(gait.speed * gait.seconds)
+            entry["stride"] = _round_digits(gait.speed * gait.seconds)
             reasons.append(
                 f"`{names[name]}`: feet on the ground move {gait.speed:.3g} units a second, for {gait.seconds:.3g} s a cycle"
             )
-        elif study.search.feet and study.plant_heights[name] < STILL_SHARE:
+        elif study.search.feet and study.planted_shares[name] < MIN_STILL_SHARE:
             entry["feet"] = False
             reasons.append(
-                f"`{names[name]}`: feet leave the ground ({study.plant_heights[name]:.0%} stand), so the clip moves the legs"
+                f"`{names[name]}`: feet leave the ground ({study.planted_shares[name]:.0%} stand), so the clip moves the legs"
             )
         if gait is None and name != study.idle and not study.motions[name].is_cyclic:
             entry["loop"] = False
@@ -248,7 +259,7 @@ def _add_clips(proposal: Proposal, study: BodyStudy, names: Mapping[str, str]) -
 
 
 def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str], front: Floats, unit: float) -> None:
-    """Add `legs` and `gaits`. `clip_names`: by the names in the file."""
+    """Add `legs` and `gaits` to the proposal. `clip_names`: the proposed names by the names in the file."""
     search = study.search
     if not search.legs:
         for reason in search.reasons or ("no chain of joints reaches the ground",):
@@ -276,13 +287,15 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
     if not gaits:
         speed = (_WALK_FROUDE * _GRAVITY_MM * study.length * unit) ** 0.5 / unit
         leg = study.length
-        gaits.append(_make_gait("walk", speed, _WALK_STRIDE * leg, _WALK_DUTY, _WALK_LIFT * leg, _usual_phases(names, len(legs))))
+        gaits.append(
+            _make_gait("walk", speed, _WALK_STRIDE * leg, _WALK_DUTY, _WALK_LIFT * leg, _build_usual_phases(names, len(legs)))
+        )
         gait_reasons.append(f"no clip walks: a typical walk for legs of {_format_metres(leg * unit)}")
     proposal.add("gaits", gaits, *gait_reasons)
 
 
 def _order_legs(legs: Sequence[FoundLeg], study: BodyStudy, front: Floats, side: Floats) -> tuple[list[int], list[str]]:
-    """Return the order of legs, pairs from front to back and left before right, and their names."""
+    """Return the order of legs, and the name of each in this order. Pairs are from front to back, left before right."""
     feet = np.array([study.worlds[leg.upper, :, 3].astype(np.float64) for leg in legs])
     ahead, right = feet @ front, feet @ side
     middle = float(right.mean())
@@ -298,8 +311,10 @@ def _order_legs(legs: Sequence[FoundLeg], study: BodyStudy, front: Floats, side:
     return order, names
 
 
-def _usual_phases(names: Iterable[str], count: int) -> list[float]:
-    """Return the phases of a normal walk: two legs alternate, four move one after the other, more move as two tripods."""
+def _build_usual_phases(names: Iterable[str], count: int) -> list[float]:
+    """Return the phases of legs in a normal walk, by the number of legs.
+
+    Two legs alternate, four legs move one after the other, and more legs move as two tripods."""
     phases = []
     for name in names:
         pair, is_right = int(name.partition("_")[2] or 1) - 1, name.startswith("right")
@@ -313,9 +328,10 @@ def _usual_phases(names: Iterable[str], count: int) -> list[float]:
 
 
 def _make_gait(name: str, speed: float, stride: float, duty: float, lift: float, phases: list[float]) -> dict[str, Any]:
+    """Return the entry of `gaits` for a gait, with rounded numbers."""
     return {
-        "name": name, "speed": _rounded(speed), "stride": _rounded(stride), "duty": round(duty, 2), "lift": _rounded(lift),
-        "phases": phases,
+        "name": name, "speed": _round_digits(speed), "stride": _round_digits(stride), "duty": round(duty, 2),
+        "lift": _round_digits(lift), "phases": phases,
     }  # fmt: skip
 
 
@@ -323,7 +339,7 @@ def _make_gait(name: str, speed: float, stride: float, duty: float, lift: float,
 
 
 def _add_capsule(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
-    """Add `capsule`: the trunk, without legs and outstretched arms, in the standing pose."""
+    """Add `capsule` to the proposal: the box of the trunk in the standing pose, without legs and outstretched arms."""
     rig, search = study.body.rig, study.search
     limbs = {k for leg in search.legs for k in range(len(rig.names)) if is_below(rig, k, leg.chain[0])}
     own = ~np.isin(study.points.joint, sorted(limbs))
@@ -332,11 +348,11 @@ def _add_capsule(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
         return
     side = np.cross(front, study.up)
     tail = (1 - _TRUNK_SHARE) / 2
-    pose = f"of the clip `{study.idle}`" if study.idle else _rest_words(study)
+    pose = f"of the clip `{study.idle}`" if study.idle else _describe_rest_pose(study)
     if not study.idle and study.gaits:
         slow = min(study.gaits.values(), key=lambda gait: gait.speed)
         worlds = study.motions[slow.clip].worlds[0]
-        points = posed_points(study.body, worlds)
+        points = find_posed_points(study.body, worlds)
         trunk = points.place[own] if own.sum() > 8 else points.place
         pose = f"of the clip `{slow.clip}`: no clip stands still, and arms may be spread in the rest pose"
     low, high = (np.quantile(trunk @ np.stack([front, study.up, side], axis=1), end, axis=0) for end in (tail, 1 - tail))
@@ -344,18 +360,19 @@ def _add_capsule(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
     proposal.add(
         "capsule",
         {
-            "length": _rounded(max(size[0], size[2])), "width": _rounded(size[2]),
-            "height": _rounded(max(middle[1], 0.0)),
-            "ahead": _rounded(middle[0]),
+            "length": _round_digits(max(size[0], size[2])), "width": _round_digits(size[2]),
+            "height": _round_digits(max(middle[1], 0.0)),
+            "ahead": _round_digits(middle[0]),
         },
         f"capsule: the trunk without legs, in the first pose {pose}",
     )  # fmt: skip
 
 
-def _rest_words(study: BodyStudy) -> str:
+def _describe_rest_pose(study: BodyStudy) -> str:
+    """Return words that describe the rest pose in the reason for the capsule."""
     return "of the file: no clip stands or walks, so check the width if arms are spread"
 
 
-def _rounded(number: float) -> float:
-    """Return a number with four digits."""
+def _round_digits(number: float) -> float:
+    """Return the number rounded to four digits."""
     return float(f"{number:.4g}")

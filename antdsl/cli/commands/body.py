@@ -89,7 +89,7 @@ def _print_or_write_proposal(body: Definition, source: Path, target: Path | None
     if source.suffix.lower() == ".json" or not source.is_file():
         raise typer.BadParameter(f"`{source.name}` is not a glTF or USD file", param_hint="FILE")
     if target is None:
-        print_result(propose_definition(body, source.name).text(), newline=False)
+        print_result(propose_definition(body, source.name).format_text(), newline=False)
         return
     if target.suffix.lower() != ".json":
         raise typer.BadParameter(f"`{target.name}` must end in .json", param_hint="--to")
@@ -100,7 +100,7 @@ def _print_or_write_proposal(body: Definition, source: Path, target: Path | None
     require_writable_file(target, "--to")
     with protect_inputs({"--to": target}) as inputs:
         inputs.append(source)
-    write_atomically(target, propose_definition(body, source.resolve().relative_to(folder).as_posix()).text().encode())
+    write_atomically(target, propose_definition(body, source.resolve().relative_to(folder).as_posix()).format_text().encode())
     if not quiet:
         print_note(f"{target}: read its reasons, correct mistakes, and name it in a scene: `body: {target.name}`")
 

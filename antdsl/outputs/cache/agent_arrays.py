@@ -1,6 +1,7 @@
 """Arrays of the agents in a frame, in scene units. Each row is an agent: ordered by species name, then by id.
 
-Each species writes its own rows of an array. Registers are read in row order. Each value is written at the agent's rank by id."""
+Each species writes its own rows of an array. Registers are read in row order, and each value is written at the agent's rank by
+id."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ class AgentArrayBuilder:
     """Builder of the agents' arrays.
 
     `scale`: scene units per millimetre.
-    `factors`: multiplier of a number, by (species, name); 1 where absent.
-    `pair_names`: by species, the names of values that exist per pair of agents and not per agent."""
+    `factors`: by (species, name of a number), the factor from the program's unit to the frame's unit; 1 where absent.
+    `pair_names`: for each species, the names of values that exist for each pair of agents, and not for each agent."""
 
     def __init__(self, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]) -> None:
         self.scale, self.factors, self.pair_names = scale, factors, pairs
@@ -58,7 +59,8 @@ class AgentArrayBuilder:
 
 
 def write_column(population: Population, column: Column, scale: float, out: NDArray[Any], threads: int = 1) -> None:
-    """Write a column of a population into `out`, by id, in the units of frames. The column is a fixed array or registers."""
+    """Write a column of a population into `out`, in order of id, in the units of frames. The column is a fixed array or
+    registers."""
     ranks, factor = population.id_ranks(), column.compute_unit_factor(scale)
     if column.kind == "register" and not column.shape:
         write_numbers(population, column.name, factor, out, threads)
@@ -73,7 +75,7 @@ def write_column(population: Population, column: Column, scale: float, out: NDAr
 
 
 def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32], threads: int = 1) -> None:
-    """Write a register times `factor` into `out` float32[n], by id."""
+    """Write a register times `factor` into `out` float32[n], in order of id."""
     of = population.now[name]
     if of.dtype == np.float32:
         work = partial(frame_loops.write_numbers, of, population.id_ranks(), np.float32(factor), out)
@@ -83,7 +85,8 @@ def write_numbers(population: Population, name: str, factor: float, out: NDArray
 
 
 def write_colours(world: World, population: Population, out: NDArray[np.float32]) -> None:
-    """Write the state colours of agents into `out` float32[n, 3], by id. Raises IndexError for an invalid state."""
+    """Write the colours of the agents' states into `out` float32[n, 3], in order of id. Raises IndexError for an invalid
+    state."""
     machines = population.plan.machines
     if not machines:
         out[:] = 1.0
@@ -95,6 +98,7 @@ def write_colours(world: World, population: Population, out: NDArray[np.float32]
 
 
 def _write_states(world: World, population: Population, out: NDArray[np.int16]) -> None:
+    """Write the numbers of the agents' states into `out` int16[n], in order of id."""
     machines = population.plan.machines
     if machines:
         work = partial(frame_loops.write_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
@@ -104,7 +108,7 @@ def _write_states(world: World, population: Population, out: NDArray[np.int16]) 
 
 
 def write_orientations(world: World, population: Population, out: NDArray[np.float32]) -> None:
-    """Write the orientations of agents into `out` float32[n, 4]: quaternions x, y, z, w, by id."""
+    """Write the orientations of agents into `out` float32[n, 4], quaternions x, y, z, w, in order of id."""
     heading, up, ranks = (
         _find_vector_columns(population, "heading"),
         _find_vector_columns(population, "up"),
@@ -114,15 +118,17 @@ def write_orientations(world: World, population: Population, out: NDArray[np.flo
 
 
 def _write_species(world: World, population: Population, out: NDArray[np.int16]) -> None:
+    """Write the number of the species into all rows of `out` int16[n]."""
     out[:] = sorted(world.populations).index(population.name)
 
 
 def _write_ages(world: World, population: Population, out: NDArray[np.float32]) -> None:
+    """Write the ages of agents into `out` float32[n], in order of id."""
     out[:] = (world.frame - population.born[population.rows_by_id()]) * world.dt
 
 
 def _find_vector_columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
-    """Return the registers for x, y and z of a vector."""
+    """Return the registers with the x, y and z of the vector `name`."""
     return tuple(population.now[f"{name}.{axis}"] for axis in AXES)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import ARRAY_NAMES, hash_definition, pack_definition, unpack_definition
-from antdsl.bodies.files.definition_checks import ReadDefinition, check_definition
+from antdsl.bodies.files.definition_checks import LocatedDefinition, check_definition
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest, WornBodyEntry
 from antdsl.scene.crowds.body_choice import make_body_key
@@ -21,11 +21,11 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredBodies:
-    """Definitions for a cache.
+    """Agent definitions in the form that a cache stores.
 
     `entries`: a manifest entry for each definition.
-    `index_by_species`: the bodies of each species that has bodies from files, or bodies that the scene names.
-    `arrays`: the arrays of all definitions."""
+    `index_by_species`: the entries of the bodies of each species that has bodies from files, or bodies that the scene names.
+    `arrays`: the arrays of all definitions for `static.npz`."""
 
     entries: tuple[BodyEntry, ...]
     index_by_species: Mapping[str, tuple[WornBodyEntry, ...]]
@@ -35,8 +35,9 @@ class StoredBodies:
     def from_definitions(
         definitions: Mapping[str, Definition], weights_by_species: Mapping[str, Mapping[str, float]]
     ) -> StoredBodies:
-        """Build from definitions by body key. `weights_by_species`: by species, the words and files that the scene names, with
-        their weights."""
+        """Return the stored form of definitions, given by body key.
+
+        `weights_by_species`: for each species, the words and files of the bodies that the scene names, with their weights."""
         numbers: dict[int, int] = {}
         entries: list[BodyEntry] = []
         arrays: dict[str, NDArray[Any]] = {}
@@ -58,8 +59,9 @@ class StoredBodies:
 
 
 def load_definition(manifest: Manifest, static: Arrays, number: int) -> Definition:
-    """Return the definition at index `number` of the manifest's list. Raises BodyError if it is missing, damaged, or not the one
-    written."""
+    """Return the definition at index `number` of the manifest's list.
+
+    Raises BodyError if it is missing or damaged, or differs from the definition that was written."""
     arrays = {part: static[name] for part in ARRAY_NAMES if (name := f"body.{number}.{part}") in static}
     if number >= len(manifest.bodies) or len(arrays) != len(ARRAY_NAMES):
         raise BodyError("is missing")
@@ -70,10 +72,11 @@ def load_definition(manifest: Manifest, static: Arrays, number: int) -> Definiti
 
 
 def unpack_checked_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """Return the definition from arrays that `bodies.agents.packed` made. Raises BodyError for any other arrays; all of them are
-    checked."""
+    """Return the definition that `bodies.agents.packed` stored in these arrays. All arrays are checked.
+
+    Raises BodyError for any other arrays."""
     definition, report = unpack_definition(arrays), Report()
     with np.errstate(all="ignore"):
-        if check_definition(ReadDefinition(definition, needs_length=False), report) is None:
+        if check_definition(LocatedDefinition(definition, needs_length=False), report) is None:
             raise BodyError(f"is damaged: in a body, {report.errors[0].message}")
     return definition

@@ -1,4 +1,4 @@
-"""Reading of a cache: its frames and their content, checkpoints and hashes. Everything is checked before use.
+"""Reads a cache: its frames and their content, checkpoints and hashes. Everything is checked before use.
 
 manifest.json                         the inputs of the cache, and how to read it
 static.npz                            meshes, positions of field cells
@@ -71,8 +71,8 @@ def make_checkpoint_path(folder: Path, frame: int) -> Path:
 def list_numbered_files(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:
     """Return the numbers of the frames or checkpoints in a cache's folder, ascending, and the files with invalid names.
 
-    `path`: returns the path of a frame's or checkpoint's file from the folder and the number.
-    The second list has files in the same folder with names such as `frame.12.npz`."""
+    `path`: returns the path of a frame's or checkpoint's file from the folder and the number. A file has an invalid name if it is
+    in the same folder, with a name such as `frame.12.npz`."""
     place = path(folder, 0).parent
     numbers, strays = [], []
     for each in place.iterdir() if place.is_dir() else ():
@@ -111,7 +111,7 @@ class Cache:
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
         """Return the arrays of a frame in the documented format. Raises CacheError if the frame is missing or damaged.
 
-        `names`: the names of the arrays to return; None for all."""
+        `names`: the names of the arrays to return; None for all arrays."""
         return _read_arrays(make_frame_path(self.folder, number), number, names)
 
     def read_checkpoint(self, number: int) -> Arrays:
@@ -119,10 +119,10 @@ class Cache:
         return _read_arrays(make_checkpoint_path(self.folder, number), number)
 
     def read_static(self) -> Arrays:
-        """Return the arrays of `static.npz`, in scene units. Raises CacheError if the file is damaged or lacks an array that
-        the manifest needs.
+        """Return the arrays of `static.npz`, in scene units, such as meshes and the positions of field cells.
 
-        Among them are meshes (`mesh.NAME.vertices`, `.faces`) and positions of field cells (`field.NAME.P`)."""
+        Raises CacheError if the file is damaged or lacks an array that the manifest needs. Meshes are `mesh.NAME.vertices` and
+        `.faces`, positions of field cells are `field.NAME.P`."""
         arrays = _read_arrays(self.folder / STATIC_FILE_NAME, None)
         for name in _list_required_arrays(self.manifest, arrays):
             if name not in arrays:
@@ -130,8 +130,7 @@ class Cache:
         return arrays
 
     def find_source_files(self) -> list[Path]:
-        """Return the files that the scene was made from, without those that no longer exist. Empty if the manifest names no
-        scene."""
+        """Return the existing files that the scene was made from. Empty if the manifest names no scene."""
         if self.manifest.scene_path is None:
             return []
         scene = Path(os.path.normpath(self.folder.resolve() / self.manifest.scene_path))
@@ -142,24 +141,25 @@ class Cache:
         return {frame: line.hash for frame, line in self.lines().items()}
 
     def lines(self) -> dict[int, HashLine]:
-        """Return the complete lines of `hashes.jsonl`, by frame."""
+        """Return the complete lines of `hashes.jsonl`, by frame: the hashes of each frame."""
         return read_lines(self.folder / HASHES_FILE_NAME)
 
     def find_frame_damage(self, frame: int, line: HashLine | None) -> str | None:
-        """Return a message on damage to a frame's file, or None if its bytes are those that were written. `line`: the line of the
-        frame."""
+        """Return a message about damage to a frame's file, or None if its bytes are those that were written.
+
+        `line`: the hashes of the frame."""
         return find_frame_damage(make_frame_path(self.folder, frame), frame, line)
 
     def find_checkpoint_damage(self, frame: int, line: HashLine | None) -> str | None:
-        """Return a message on damage to a checkpoint, or None. An unreadable checkpoint is damaged too.
+        """Return a message about damage to a checkpoint, or None. An unreadable checkpoint is damaged too.
 
-        `line`: the line of the frame. If it has no hash of the checkpoint, changed bytes are not detected."""
+        `line`: the hashes of the frame. If the checkpoint has no hash there, changed bytes are not detected."""
         return find_checkpoint_damage(make_checkpoint_path(self.folder, frame), frame, line) or _find_read_problem(
             lambda: self.read_checkpoint(frame)
         )
 
     def find_static_damage(self) -> str | None:
-        """Return a message on damage to `static.npz`, or None."""
+        """Return a message about damage to `static.npz`, or None."""
         expected = self.manifest.static
         return (find_static_damage(self.folder / STATIC_FILE_NAME, expected) if expected else None) or _find_read_problem(
             self.read_static
@@ -168,13 +168,13 @@ class Cache:
 
 @dataclass(frozen=True, eq=False)
 class CacheView(Cache):
-    """A view of another cache. Subclasses change what they override; all else is read from `source`."""
+    """A cache that reads another cache, `source`. Subclasses change what they override; everything else is that of `source`."""
 
     source: Cache
 
     @classmethod
     def of(cls, source: Cache, *values: Any) -> Self:
-        """Return the view of a cache. `values`: those of the further fields."""
+        """Return a view of the cache `source`. `values`: the values of the further fields of the class, in order."""
         return cls(source.folder, source.manifest, source, *values)
 
     def frames(self) -> list[int]:
@@ -186,20 +186,20 @@ class CacheView(Cache):
         return self.source.checkpoints()
 
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
-        """Return the arrays of a frame. `names`: the names to return; None for all."""
+        """Return the arrays of a frame. `names`: the names of the arrays to return; None for all arrays."""
         return self.source.frame(number, names)
 
     def read_static(self) -> Arrays:
-        """Return the arrays that apply to all frames."""
+        """Return the arrays that apply to all frames, such as meshes."""
         return self.source.read_static()
 
     def find_source_files(self) -> list[Path]:
-        """Return the files that the view was made from, without those that no longer exist."""
+        """Return the existing files that the view was made from."""
         return self.source.find_source_files()
 
 
 def select_arrays(arrays: Arrays, names: frozenset[str] | None) -> Arrays:
-    """Return the arrays with some names, and the frame's number; all if `names` is None."""
+    """Return the arrays called `names` and the frame's number; all arrays if `names` is None."""
     return arrays if names is None else {name: array for name, array in arrays.items() if name in names or name == "frame"}
 
 
@@ -233,7 +233,7 @@ def _find_read_problem(read: Callable[[], object]) -> str | None:
 
 
 def _list_required_arrays(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
-    """Yield the names of the arrays that must exist: those that the manifest's entries need, and the vectors of each stored
+    """Yield the names of the arrays that `static.npz` must have: those of the manifest's entries, and the vectors of each
     flow."""
     for mesh in manifest.meshes:
         if not mesh.row.is_dug:
@@ -246,6 +246,7 @@ def _list_required_arrays(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
 
 
 def _read_arrays(path: Path, number: int | None, names: frozenset[str] | None = None) -> Arrays:
+    """Return the arrays of a file. Raises CacheError if it is missing, damaged, or of another frame than `number`."""
     try:
         arrays = read_npz(path, None if names is None else names | {"frame"})
     except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""Writing of a cache that can be continued after a crash at any time.
+"""Writes a cache that can be continued after a crash at any time.
 
-A thread writes frames atomically while the simulation continues. A checkpoint is written only after all earlier frames are on
-the disk. Hashes are written line by line."""
+A thread writes frames atomically while the simulation continues. A checkpoint is written only after all earlier frames are on the
+disk. Hashes are written line by line."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class ForeignFolder(Exception):
 
 
 class PathBlocked(Exception):
-    """Error if a folder, a link or another object has the path of a cache file. The message names the path."""
+    """Error for a path of a cache file at which there is a folder, a link or another object. The message names the path."""
 
 
 class DifferentInputs(Exception):
@@ -74,7 +74,7 @@ class DifferentInputs(Exception):
 
 
 def prepare_folder(folder: Path, *, force: bool) -> None:
-    """Create the folder, or check that antdsl may write to it. Changes nothing on an error.
+    """Create the folder, or check that antdsl may write to it. Nothing changes after an error.
 
     Raises ForeignFolder if the folder has other files. Raises PathBlocked if something else has the path of a file of the
     cache."""
@@ -125,8 +125,9 @@ def _find_unfinished_files(folder: Path) -> list[Path]:
 def clear_folder(folder: Path, last_retained: int | None = None, damaged_frames: Container[int] = ()) -> None:
     """Remove the frames, checkpoints and hashes of an earlier run, and no other files.
 
-    `last_retained`: remove only files of frames after this one; None removes all.
+    `last_retained`: only files of frames after this frame are removed; None removes all.
     `damaged_frames`: frames with a checkpoint that is also removed.
+
     Hashes are removed first. If the removal is interrupted, a file without a hash is ignored."""
     remaining_lines = (
         {}
@@ -154,11 +155,11 @@ class DifferentHashes(Exception):
 
 @dataclass(frozen=True, slots=True)
 class IntactPart:
-    """The part of a cache that a run can continue.
+    """The undamaged part of a cache, from which a run can continue.
 
-    `checkpoints`: checkpoints to continue from, the latest first.
+    `checkpoints`: the frames of checkpoints to continue from, the latest first.
     `last_frame`: the last frame in the cache.
-    `damage`: a message on the first incomplete frame, or None if all frames are complete."""
+    `damage`: a message about the first incomplete frame, or None if all frames are complete."""
 
     cache: Cache
     checkpoints: list[int]
@@ -192,10 +193,10 @@ def find_intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: 
 
 
 def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
-    """Return a checkpoint's arrays without the surface error, and the surface error separately. Raises CacheError if it is
+    """Return a checkpoint's arrays without the surface error, and the surface error. Raises CacheError if the checkpoint is
     damaged.
 
-    The surface error is the greatest of all frames up to this one; None if it was not stored."""
+    The surface error is the greatest of all frames up to this frame; None if it was not stored."""
     arrays = cache.read_checkpoint(frame)
     stored_error = arrays.get(SURFACE_ERROR_KEY)
     known = (
@@ -214,11 +215,11 @@ class CacheWriter:
     After an error, nothing more is written.
 
     `get_provenance`: returns the provenance for the manifest. It reads all of antdsl's files, so the writing thread calls it.
-    `report`: a callback for the results of each frame. It is called some frames later, and always before `__exit__` returns.
+    `report`: a callback for the measurements of each frame. It is called some frames later, and always before `__exit__` returns.
 
-    Once a frame is written, its results contain `hash`, `surface_error` and `seconds`.
+    The measurements of a written frame contain `hash`, `surface_error` and `seconds`.
     `surface_error`: the greatest of all frames so far, in body lengths; None if the error of earlier frames is unknown.
-    `seconds`: the time spent, by name."""
+    `seconds`: the time spent, by the name of the work."""
 
     def __init__(
         self,
@@ -247,7 +248,7 @@ class CacheWriter:
         self._lock.__exit__(kind, value, trace)
 
     def _finish_writing(self, worker: BackgroundWorker, *, is_complete: bool) -> None:
-        """Stop the thread. If the run is complete, sync the files first, and raise the error of a failed job."""
+        """Stop the writing thread. If the run is complete, sync the files first, and raise the error of a failed job."""
         try:
             if is_complete:
                 worker.submit(self._file_writer.sync_files)
@@ -266,10 +267,10 @@ class CacheWriter:
         damaged_frames: Container[int] = (),
         greatest_error: float | None = 0.0,
     ) -> None:
-        """Write the files that apply to the complete run. Raises FolderLocked if another run has written since `retained_lines`
-        were read.
+        """Write the files that apply to the complete run, and remove frames of an earlier run.
 
-        Frames and checkpoints up to the last line of `retained_lines` stay. Other frames of an earlier run are removed first.
+        Frames and checkpoints up to the last line of `retained_lines` stay. Raises FolderLocked if another run has written since
+        these lines were read.
 
         `damaged_frames`: frames with a checkpoint that is also removed.
         `greatest_error`: the greatest surface error of the frames that stay; None if unknown."""
@@ -287,6 +288,7 @@ class CacheWriter:
         self._worker.submit(partial(self._write_manifest, hash_static_file(file)))
 
     def _write_manifest(self, static: str) -> Mapping[str, Any]:
+        """Write the manifest with the hash `static` of `static.npz`. Return no measurements."""
         write_manifest(self.folder, self.manifest.model_copy(update={"static": static, "made_with": self._get_provenance()}))
         return {}
 

@@ -1,4 +1,4 @@
-"""Solids of a cache at a frame, for drawing. They are dug again, starting from the last checkpoint."""
+"""Solids of a cache at a frame, for drawing. The stored balls are dug again, starting from the last checkpoint."""
 
 from __future__ import annotations
 
@@ -43,8 +43,9 @@ class _DugSolid:
 
 
 class DugSolids:
-    """Solids frame by frame. Ascending frames are fastest. For any other frame, digging starts again at the checkpoint before
-    it."""
+    """The solids of a cache, dug frame by frame.
+
+    Ascending frames are fastest. For any other frame, digging starts again at the checkpoint before it."""
 
     def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: CutPlane | None = None) -> None:
         self.cache, self._static, self._cut_plane = cache, static, cut
@@ -55,7 +56,7 @@ class DugSolids:
         self._scale = 1.0 / {"mm": 1.0, "cm": 10.0, "m": 1000.0}[cache.manifest.units]
 
     def at(self, frame: int) -> tuple[Solid, ...]:
-        """Return all solids at a frame. A solid is the same object until it is dug again."""
+        """Return all solids as dug at a frame. A solid is the same object until it is dug again."""
         if not self._solid_by_name:
             return ()
         if self._last_frame is None or not self._last_frame <= frame < self._last_frame + self.cache.manifest.checkpoint:
@@ -69,7 +70,7 @@ class DugSolids:
         )
 
     def iterate_volumes(self) -> Iterator[tuple[str, Volume, NDArray[np.float64]]]:
-        """Yield name, volume and offset (mm) of each solid at the last requested frame."""
+        """Yield the name, the volume and the offset (mm) of each solid at the last requested frame."""
         for name, solid in self._solid_by_name.items():
             yield name, solid.volume, np.asarray(self._static[f"solid.{name}.offset"])
 
@@ -85,7 +86,8 @@ class DugSolids:
                 solid.volume.carve_balls(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
 
     def _restore_volumes(self, frame: int) -> int:
-        """Restore the volumes to the last complete checkpoint, or to the start. Return the last frame to dig."""
+        """Restore the volumes from the last readable checkpoint up to `frame`, or from the start. Return the frame of this
+        state."""
         for number in sorted((n for n in self.cache.checkpoints() if n <= frame), reverse=True):
             try:
                 arrays = self.cache.read_checkpoint(number)

@@ -36,7 +36,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def make_event_arrays(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
-    """Return the arrays with the events since the previous frame, for the kinds `kinds`. `scale`: scene units per millimetre."""
+    """Return the arrays of the events of these kinds since the previous frame. `scale`: scene units per millimetre."""
     return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENT_ARRAY_MAKERS[kind](world, scale).items()}
 
 
@@ -68,7 +68,7 @@ def _make_contact_arrays(world: World, scale: float) -> Arrays:
 
 
 def _compute_contact_points(near_pairs: NearbyPairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the contact points (3, k) in mm of pairs of capsules.
+    """Return the contact points (3, k) in mm of the pairs of capsules `pairs`.
 
     A contact point is midway between the two surfaces, on the shortest line between the capsules' axes."""
     i, j, direction, gap = near_pairs.i[pairs], near_pairs.j[pairs], near_pairs.direction[:, pairs], near_pairs.gap[pairs]

@@ -21,17 +21,17 @@ _SUBJECT_BY_ARRAY_PREFIX = {each.name.partition(".")[0]: each.row_kind for each 
 
 
 def find_array_subject(name: str) -> str | None:
-    """Return the kind of row that an array has (`one`, `pair`, `event`), by the first word of its name; None for others."""
+    """Return the kind of row that an array has (`one`, `pair`, `event`), by the first word of its name; None for other arrays."""
     return _SUBJECT_BY_ARRAY_PREFIX.get(name.partition(".")[0]) if "." in name else None
 
 
 def list_special_arrays(form: str) -> frozenset[str]:
-    """Return the names of the arrays for which a file format has a special attribute."""
+    """Return the names of the arrays for which the file format `form` has a special attribute."""
     return frozenset(each.frame_name for each in FRAME_COLUMNS if form in each.exports.split())
 
 
 def iterate_other_numbers(arrays: Arrays, form: str) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the names and arrays with one number per agent that a file format writes under the same names."""
+    """Yield the arrays with one number per agent for which the file format `form` has no special attribute, with their names."""
     own, count = list_special_arrays(form), len(arrays["P"])
     for name, values in arrays.items():
         if name not in own and "." not in name.removesuffix(".state") and values.shape == (count,):
@@ -59,4 +59,5 @@ def make_agent_keys(arrays: Arrays) -> LongArray:
 
 
 def _count_agents(arrays: Arrays) -> int:
+    """Return the number of agents in a frame."""
     return next((len(arrays[name]) for name in ("id", "P", "orient") if name in arrays), 0)

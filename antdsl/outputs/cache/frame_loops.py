@@ -1,9 +1,9 @@
-"""Loops of `frame_maker`, `agent_arrays`, `pose_arrays` and `surface_error`.
+"""Kernels of `frame_maker`, `agent_arrays`, `pose_arrays` and `surface_error`.
 
-Each loop passes once over the agents, for one array or for all clips of a machine. Loops with the last arguments `begin` and
+Each kernel passes once over the agents, for one array or for all clips of a machine. Kernels with the last arguments `begin` and
 `end` run in parallel chunks.
 
-A loop that reads several numbers of an agent follows the rows in memory. It writes each result at the agent's rank by id. One
+A kernel that reads several numbers of an agent follows the rows in memory. It writes each result at the agent's rank by id. One
 scattered write costs less than several scattered reads."""
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 @kernel
 def write_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
-    """Write the positions of agents in scene units, each at its rank. Minus zero becomes zero."""
+    """Write the positions of agents times `scale` (scene units per mm), each at the agent's rank. Minus zero becomes zero."""
     for i in range(begin, end):
         k = ranks[i]
         out[k, 0] = np.float32((position[i, 0] + 0.0) * scale)
@@ -47,7 +47,7 @@ def write_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out
 
 @kernel
 def write_vectors(vectors: FloatColumns3, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: I64, end: I64) -> None:
-    """Write vectors of agents times a factor, each at its rank."""
+    """Write the vectors of agents times `scale`, each at the agent's rank."""
     x, y, z = vectors
     for i in range(begin, end):
         k = ranks[i]
@@ -58,21 +58,21 @@ def write_vectors(vectors: FloatColumns3, ranks: Array1[I32], scale: F32, out: A
 
 @kernel
 def write_numbers(numbers: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32], begin: I64, end: I64) -> None:
-    """Write numbers of agents times a factor, each at its rank."""
+    """Write the numbers of agents times `scale`, each at the agent's rank."""
     for i in range(begin, end):
         out[ranks[i]] = numbers[i] * scale
 
 
 @kernel
 def write_integers(integers: Array1[I32], ranks: Array1[I32], out: Array1[I16], begin: I64, end: I64) -> None:
-    """Write integers of agents, each at its rank."""
+    """Write integers of agents, each at the agent's rank."""
     for i in range(begin, end):
         out[ranks[i]] = integers[i]
 
 
 @kernel
 def write_colours(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> BOOL:
-    """Write the state colours of agents, each at its rank. Return whether every state has a colour."""
+    """Write the colours of the agents' states, each at the agent's rank. Return whether every state has a colour."""
     for i in range(begin, end):
         number, k = state[i], ranks[i]
         if number < 0 or number >= colours.shape[0]:
@@ -85,7 +85,10 @@ def write_colours(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], 
 def write_playing_clips(
     clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares, begin: I64, end: I64
 ) -> None:
-    """Write what one machine of each agent plays, each at the agent's rank: clips, turns, weights and the fade."""
+    """Write the clips that one machine of each agent plays, each at the agent's rank.
+
+    `clips`, `clips_out`: the current and the previous clip.
+    `shares`, `shares_out`: played cycles and weight of the current clip, the same of the previous clip, and the fade."""
     clip, previous = clips
     clip_out, before_out = clips_out
     turns, weight, before_turns, before_weight, fade = shares
@@ -99,14 +102,14 @@ def write_playing_clips(
 
 @kernel
 def mark_worn_layer(is_worn: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
-    """Set `bit` in the masks of the agents that wear a layer (`is_worn`). Masks are by rank."""
+    """Set `bit` in the masks of the agents that wear a layer (`is_worn`). `mask` is in the order of ranks."""
     for i in range(ranks.size):
         mask[ranks[i]] |= bit if is_worn[i] else 0
 
 
 @kernel
 def compress_nonzero_cells(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
-    """Write the indices of the values that are not 0 to `cells`, and these values to `out`. Return their number.
+    """Write the indices of the values that are not 0 to `cells`, and these values to `out`. Return how many there are.
 
     Both outputs need one element more than `values`."""
     count = 0
@@ -211,9 +214,9 @@ def write_feet(
 def find_greatest_error(
     position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32], begin: I64, end: I64
 ) -> F64:
-    """Return the greatest deviation, in body lengths, of an agent's distance to its ground from its clearance.
+    """Return the greatest deviation, in body lengths, of an agent's distance to its ground from the agent's clearance.
 
-    Positions are rounded to float32, as written. The result is NaN if the value of any agent is NaN."""
+    Positions are rounded to float32, as in the cache. The result is NaN if the value of any agent is NaN."""
     worst, unknown = 0.0, False
     for i in range(begin, end):
         x = np.float64(np.float32(position[i, 0])) - ground[i, 0]

@@ -1,4 +1,4 @@
-"""Conversion of a world at one frame to a cache's arrays in scene units.
+"""Converts a world at one frame to a cache's arrays in scene units.
 
 Rows are agents: species in order of their names, agents by id within each species."""
 
@@ -61,7 +61,7 @@ Arrays = dict[str, NDArray[Any]]
 class FrameMaker:
     """Converter of a world to the arrays of a frame.
 
-    `attributes`: the names in the scene's `output`; names that are not built in are registers.
+    `attributes`: the names of arrays in the scene's `output`; names that are not built in are registers.
     `events`: the kinds of events in frames."""
 
     def __init__(
@@ -109,7 +109,7 @@ class FrameMaker:
         return arrays if self.piece_maker is None else arrays | self.piece_maker.frame(world)
 
     def _make_pair_arrays(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
-        """Return the attributes of a species that have one value per pair of agents: the ids of both agents and the value."""
+        """Return the attributes of a species that have one value per pair of agents, as the ids of both agents and the value."""
         arrays: Arrays = {}
         for name, slots in self.pair_names[population.name].items():
             who, value = (np.stack([population.now[each[part]][rows] for each in slots], axis=1) for part in (0, 1))
@@ -123,7 +123,7 @@ class FrameMaker:
         return arrays
 
     def _make_moving_arrays(self, world: World) -> Arrays:
-        """Return the positions of moving meshes and items in this frame, and the velocity of the ground under agents."""
+        """Return the positions of moving meshes and items in this frame, and the velocity of the ground at each agent."""
         moves = world.setting.motion
         arrays: Arrays = {}
         for name in moves.meshes:
@@ -140,21 +140,21 @@ class FrameMaker:
 
 
 def _find_nonzero_cells(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the indices of a field's cells that are not zero, and the values of these cells."""
+    """Return the indices of a field's cells with values that are not zero, and these values."""
     cells, strength = np.empty(len(values) + 1, np.int32), np.empty(len(values) + 1, np.float32)
     count = frame_loops.compress_nonzero_cells(values, cells, strength)
     return cells[:count], strength[:count]
 
 
 def _list_plain_numbers(program: Program) -> set[str]:
-    """Return the names of the numbers that at least one species has once per agent."""
+    """Return the names of the numbers of which at least one species has one value per agent."""
     return {a.name for species in program.species.values() for a in species.attributes if a.pair_species is None}
 
 
 def make_static_arrays(world: World, setting: WorldSetting) -> Arrays:
     """Return the arrays of `static.npz`, in scene units and relative to the world's origin.
 
-    They are meshes, positions of field cells, and flows as arrows."""
+    They are meshes, the positions of field cells, and flows as arrows."""
     scale = 1.0 / setting.unit_mm
     arrays: Arrays = {}
     for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
@@ -171,7 +171,7 @@ def make_static_arrays(world: World, setting: WorldSetting) -> Arrays:
 
 
 def _find_start_positions(field: PheromoneField) -> NDArray[np.float64]:
-    """Return the positions (n, 3) in mm of the cells that a field has at the start."""
+    """Return the positions (n, 3) in mm of the cells that a field has before the first step."""
     cells = field.cells
     return cells.position[: cells.initial_count] if isinstance(cells, GrowingCells) else cells.position
 
@@ -199,8 +199,8 @@ def make_manifest(
 ) -> Manifest:
     """Return the manifest of a run that begins with this world.
 
-    `looks`: the looks that the scene sets, by name of a mesh or of items. Items with different looks have a mapping by item
-        name."""
+    `looks`: the looks in pictures that the scene sets, by the name of a mesh or of items. Items with different looks have a
+    mapping by item name."""
     scale, kinds = 1.0 / setting.unit_mm, {name: kind for kind, names in world.plan.thing_names_by_kind.items() for name in names}
     return Manifest(
         antdsl=version,
@@ -253,11 +253,13 @@ def make_manifest(
 
 
 def _scale_point(point: NDArray[np.float64], scale: float) -> tuple[float, float, float]:
+    """Return a point (mm) in scene units."""
     x, y, z = (point * scale).tolist()
     return x, y, z
 
 
 def _make_mesh_entry(setting: WorldSetting, name: str, kind: str, looks: Mapping[str, Look | Mapping[str, Look]]) -> MeshEntry:
+    """Return the manifest's entry for the mesh `name`, a kind of thing called `kind`."""
     off, look = setting.deviations.get(name), looks.get(name)
     deviation = None if off is None else off / setting.unit_mm
     moves = name in setting.motion.meshes
@@ -273,7 +275,7 @@ def _make_mesh_entry(setting: WorldSetting, name: str, kind: str, looks: Mapping
 
 
 def _list_item_looks(looks: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[Look | None, ...]:
-    """Return the look of each item, in the order of `names`; empty if the scene sets none."""
+    """Return the look in pictures of each item, in the order of `names`; empty if the scene sets none."""
     if not looks:
         return ()
     return tuple(looks if isinstance(looks, str) else looks.get(name) for name in names)
@@ -282,6 +284,7 @@ def _list_item_looks(looks: Look | Mapping[str, Look] | None, names: list[str]) 
 def _make_species_entry(
     population: Population, setting: WorldSetting, bodies: tuple[WornBodyEntry, ...], feelers: tuple[FeelersEntry, ...]
 ) -> SpeciesEntry:
+    """Return the manifest's entry for a species."""
     machines = tuple(
         MachineEntry(
             name=machine.name,

@@ -1,4 +1,4 @@
-"""Writing of frames and checkpoints, in order, in a thread, with results for each.
+"""Writes frames and checkpoints in order, in a thread, and returns measurements for each.
 
 A thread, unlike a process, receives arrays without a copy into shared memory. Nothing changes these arrays afterwards. Nearly all
 of its work (checksums, hashes, files) runs without the interpreter's lock."""
@@ -32,7 +32,7 @@ class CacheFileWriter:
     """Writer of files into a cache's folder, in order. It must be closed.
 
     A frame is written atomically, then its line with the hash. A checkpoint is written after all earlier frames are on the disk.
-    The results of its methods have `seconds`, by name."""
+    The methods return measurements: `seconds` has the time spent, by the name of the work."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -41,7 +41,7 @@ class CacheFileWriter:
         self._last_line: dict[int, HashLine] = {}  # the last written line
 
     def frame(self, frame: int, file: StoredFile, line: HashLine) -> Measures:
-        """Write the file of a frame, then its line. Return the seconds spent."""
+        """Write the file of a frame, then its line of hashes. Return the seconds spent."""
         began = time.perf_counter()
         path = make_frame_path(self.folder, frame)
         write_atomically(path, file.parts, sync=False)
@@ -50,11 +50,12 @@ class CacheFileWriter:
         return _measure_elapsed("write", began)
 
     def _write_line(self, frame: int, line: HashLine) -> None:
+        """Append the line of hashes of a frame."""
         self._last_line = {frame: line}
         self._lines_file.write([line.text(frame)])
 
     def write_checkpoint(self, frame: int, arrays: Arrays) -> Measures:
-        """Write a checkpoint durably, after everything before it, its hash included. Return the seconds spent.
+        """Write a checkpoint durably, after all earlier frames and its own hash. Return the seconds spent.
 
         In caches of older versions, checkpoints have no hash."""
         began = time.perf_counter()
@@ -75,11 +76,12 @@ class CacheFileWriter:
         return _measure_elapsed("sync", began)
 
     def close(self) -> None:
-        """Close the writer. Nothing is written afterwards."""
+        """Close the writer. It cannot write anything afterwards."""
         self._lines_file.close()
 
 
 def _measure_elapsed(label: str, start_time: float) -> Measures:
+    """Return the measurement of work that began at `start_time`: its seconds, under the name `label`."""
     return {"seconds": {label: time.perf_counter() - start_time}}
 
 

@@ -29,7 +29,7 @@ _MAX_FILE_BYTES = 400 * limits.MAX_FRAMES
 
 @dataclass(frozen=True, slots=True)
 class HashLine:
-    """The hashes of a frame. Fields are empty in caches older than the field.
+    """The hashes of a frame. Fields that a cache is too old for are empty.
 
     `hash`: the hash of the state.
     `feet`: the hash of all feet; empty if no feet are computed.
@@ -42,33 +42,33 @@ class HashLine:
     feet: str = ""
 
     def text(self, frame: int) -> bytes:
-        """Return the line of a frame as JSON text."""
+        """Return the line of a frame in `hashes.jsonl`, as JSON text."""
         words = {"frame": frame, "hash": self.hash, "file": self.file}
         optional = {"checkpoint": self.checkpoint, "feet": self.feet}
         return json.dumps(words | {name: text for name, text in optional.items() if text}).encode() + b"\n"
 
 
 def make_line(frame: int, state: str, file: StoredFile, feet: str = "") -> HashLine:
-    """Return the line of a frame. `state`: the state hash; `file`: the written file; `feet`: the hash of the feet."""
+    """Return the hashes of a frame. `state`: the state hash; `file`: the written file; `feet`: the hash of the feet."""
     return HashLine(state, _hash_headers(_make_frame_prefix(frame, state) + _make_feet_prefix(feet), file.headers), feet=feet)
 
 
 def add_checkpoint_hash(frame: int, line: HashLine, file: StoredFile) -> HashLine:
-    """Return a frame's line with the hash of its checkpoint file added.
+    """Return a frame's hashes with the hash of its checkpoint file added.
 
-    The returned line is written after the frame's earlier line and replaces it."""
+    The new line is written after the frame's earlier line and replaces it."""
     return replace(
         line, checkpoint=_hash_headers(_make_checkpoint_prefix(frame, line.hash) + _make_feet_prefix(line.feet), file.headers)
     )
 
 
 def hash_static_file(file: StoredFile) -> str:
-    """Return the hash of the written `static.npz`."""
+    """Return the hash of `static.npz` before it is written."""
     return _hash_headers(_STATIC_PREFIX, file.headers)
 
 
 def read_lines(path: Path) -> dict[int, HashLine]:
-    """Return the complete lines, by frame. The result is empty if no line can be read."""
+    """Return the hashes in the complete lines of a file, by frame. The result is empty if no line can be read."""
     lines: dict[int, HashLine] = {}
     try:
         text = read_size_limited(path, _MAX_FILE_BYTES, follows_links=False).decode("utf-8", "replace")
@@ -88,15 +88,17 @@ def read_lines(path: Path) -> dict[int, HashLine]:
 
 
 def find_frame_damage(path: Path, frame: int, line: HashLine | None) -> str | None:
-    """Return a message on damage to the file of a frame, complete without context. Return None if its bytes are those that were
-    written."""
+    """Return a message about damage to the file of a frame, or None if its bytes are those that were written.
+
+    The message is complete without context."""
     if line is None:
         return _find_hash_problem(path, b"", "")
     return _find_hash_problem(path, _make_frame_prefix(frame, line.hash) + _make_feet_input(line.file, line.feet), line.file)
 
 
 def find_checkpoint_damage(path: Path, frame: int, line: HashLine | None) -> str | None:
-    """Return a message on damage to a checkpoint, or None. Damage is not detected if the cache has no hash of the checkpoint."""
+    """Return a message about damage to a checkpoint, or None. Damage is not detected if the cache has no hash of the
+    checkpoint."""
     if line is None:
         return _find_hash_problem(path, b"", "")
     if not line.checkpoint and not line.file.startswith(_HEADER_METHOD_PREFIX):
@@ -107,15 +109,15 @@ def find_checkpoint_damage(path: Path, frame: int, line: HashLine | None) -> str
 
 
 def find_static_damage(path: Path, expected_hash: str) -> str | None:
-    """Return a message on damage to `static.npz`, or None if it matches the hash `expected_hash` of the manifest."""
+    """Return a message about damage to `static.npz`, or None if the file matches the manifest's hash `expected_hash`."""
     return _find_hash_problem(path, _STATIC_PREFIX, expected_hash)
 
 
 def _find_hash_problem(path: Path, prefix: bytes, expected_hash: str) -> str | None:
-    """Return how a file differs from its hash, or None.
+    """Return a message about how a file differs from its hash, or None.
 
-    `expected_hash`: the result of `_hash_headers` for `prefix` and the file's headers. In older caches: the hash of `prefix` and
-    all bytes of the file. Empty if there is no hash."""
+    `expected_hash`: the result of `_hash_headers` for `prefix` and the file's headers. In older caches, it is the hash of
+    `prefix` and all bytes of the file. Empty if there is no hash."""
     try:
         handle = open_regular_file(path, follows_links=False)
     except FileNotFoundError:
@@ -145,14 +147,17 @@ _HEADER_METHOD_PREFIX = "headers:"
 
 
 def _make_frame_prefix(frame: int, state: str) -> bytes:
+    """Return the bytes that are hashed before the headers of a frame file."""
     return f"{frame} {state} ".encode()
 
 
 def _make_checkpoint_prefix(frame: int, state: str) -> bytes:
+    """Return the bytes that are hashed before the headers of a checkpoint file."""
     return f"checkpoint {frame} {state} ".encode()
 
 
 def _make_feet_prefix(feet: str) -> bytes:
+    """Return the bytes with the hash of the feet that are hashed before the headers of a frame file."""
     return f"{feet} ".encode() if feet else b""
 
 
@@ -168,6 +173,7 @@ def _hash_headers(prefix: bytes, headers: Iterable[bytes]) -> str:
 
 
 def _hash_bytes(prefix: bytes, data: Iterable[bytes]) -> str:
+    """Return the hash of `prefix` and `data`."""
     hashed = sha256(prefix)
     for part in data:
         hashed.update(part)

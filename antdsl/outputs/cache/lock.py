@@ -30,7 +30,8 @@ class FolderLock:
     has no locks.
 
     The file contains the process id and the host, for people to read. The lock itself belongs to the operating system, so no lock
-    outlives its processes. If the run that holds the lock has ended but its writer has not, `__enter__` waits for the writer.
+    outlives its processes. The run that holds the lock may have ended while its writer has not. Then `__enter__` waits for the
+    writer.
 
     A file with further hard links is replaced, not written into. So the lock changes neither a hard-link copy of the cache nor a
     file outside the cache."""
@@ -45,8 +46,7 @@ class FolderLock:
         return self
 
     def _open_locked(self) -> int | None:
-        """Return the handle of the open, locked file. Return None if the path was not the file's only name; the next call then
-        succeeds."""
+        """Return the handle of the open, locked file. Return None if the file had other names; the next call then succeeds."""
         handle = os.open(self.path, _OPEN_FLAGS, 0o644)
         try:
             self._wait_for_lock(handle)
@@ -79,8 +79,8 @@ class FolderLock:
         return True
 
     def _wait_for_lock(self, handle: int) -> None:
-        """Lock the open file. Raises FolderLocked if another process holds the lock, after waiting for the writer of a run
-        that has ended."""
+        """Lock the open file, after waiting for the writer of a run that has ended. Raises FolderLocked if a process still holds
+        the lock."""
         began = time.monotonic()
         while True:
             try:
@@ -105,12 +105,13 @@ class FolderLock:
 
 
 def _find_host_name() -> str:
-    """Return the name of this machine or container. A process id is meaningful only together with it."""
+    """Return the name of this machine or container. A process id is meaningful only together with this name."""
     return "".join(each for each in platform.node() if each.isascii() and each.isprintable() and each != " ")[:64]
 
 
 def _read_holder(handle: int) -> tuple[str, str]:
-    """Return the process id and the host in the file. Both are empty where the system denies reading it (Windows)."""
+    """Return the process id and the host in the file. Both are empty where the system does not permit reading the file
+    (Windows)."""
     try:
         os.lseek(handle, 0, os.SEEK_SET)
         words = os.read(handle, 128).decode("ascii", "replace").split()

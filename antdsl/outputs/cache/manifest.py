@@ -36,6 +36,8 @@ MeshKind = Annotated[Word, Field(pattern=f"^({'|'.join(KINDS_WITH_FACES)})$")]
 
 
 class ManifestPart(BaseModel):
+    """An object of the manifest. Unknown keys are ignored."""
+
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, hide_input_in_errors=True)
 
 
@@ -48,6 +50,8 @@ class StateEntry(ManifestPart):
 
 
 class MachineEntry(ManifestPart):
+    """A state machine of a species, with its states."""
+
     name: Word
     states: tuple[StateEntry, ...]
 
@@ -73,10 +77,9 @@ class BodyEntry(ManifestPart):
 
 
 class ClipEntry(ManifestPart):
-    """A clip that states play.
+    """A clip that states play. `add`: whether the clip is added to all others.
 
     `on`: the transform group with the joints that it moves; empty for all joints.
-    `add`: the clip is added to all others.
     `left`, `right`, `up`, `down`: the clips that replace it while an agent turns left or right, climbs or descends."""
 
     name: Word
@@ -101,9 +104,10 @@ class WornBodyEntry(ManifestPart):
 
 
 class ReplacedBody(ManifestPart):
-    """Agents with a body of their own: `count` ids from `first` on. `body`: its index among the bodies of the species.
+    """Agents of a species that have another body because of an edit: `count` ids from `first` on.
 
-    `level`: the ids are those with this many of the species' `copies`; later copies have the bodies of their originals."""
+    `body`: the index of the body among the bodies of the species.
+    `level`: how many of the species' `copies` existed at that edit; later copies have the bodies of their originals."""
 
     first: Annotated[int, Field(ge=0)]
     count: Annotated[int, Field(ge=1)]
@@ -116,16 +120,16 @@ class SpeciesEntry(ManifestPart):
 
     `body`: the body in pictures; None chooses one by the species' name.
     `definition`: the index of its agent definition in the manifest's `bodies`.
-    `bodies`: the bodies of a species with several; `body_choice` says which agent has which. Empty for one body.
+    `bodies`: the bodies of a species with several bodies; `body_choice` says which agent has which body. Empty for one body.
     `clips`: the clips of its states; frames contain indices into this list.
     `playing`: the machines that play clips.
     `wears`: body layers that agents may show in addition to the body's own; frames have masks with one bit per layer.
     `channels`: the channels of the body that states set.
-    `looks`: the transform groups of the body that states turn.
+    `looks`: the transform groups of the body that states turn towards a direction.
     `copies`: added by edits, in their order. The agent with the id i + k N is a copy of agent i, with a number N of this list.
     `merged`: the indices in `copies` of numbers N of another cache: the agent with the id i + N is its agent i.
-    `drawn_as`: the name with which bodies are drawn, if an edit gave the species another one.
-    `joints`: the joints of the body that edits shift and turn.
+    `drawn_as`: the name with which bodies are drawn, if an edit gave the species another name.
+    `joints`: the joints of the body that edits shift and rotate.
     `replaced`: the agents that edits gave other bodies than those drawn for them."""
 
     name: Word
@@ -169,13 +173,11 @@ class ImportEntry(ManifestPart):
 
 
 class MeshEntry(ManifestPart):
-    """A mesh.
+    """A mesh. `imported`: the import report of its file.
 
-    `imported`: the import report of its file.
     `moves`: whether each frame has the mesh's vertices.
     `look`: its look in pictures; None chooses one by its name.
-    `deviation`: only for a height field: the greatest distance of its triangles from the bilinear surface through its samples, in
-    scene units."""
+    `deviation`: only for a height field, the greatest distance of its triangles from the bilinear surface (scene units)."""
 
     name: Word
     kind: MeshKind
@@ -200,7 +202,7 @@ class FieldEntry(ManifestPart):
 class ItemsEntry(ManifestPart):
     """Items of one name: the names of the single items, and the attributes for which each frame has an array.
 
-    Positions and radii are in scene units, at the first simulated frame.
+    `position`, `radius`: in scene units, at the first simulated frame.
     `moves`: whether each frame has positions of the items.
     `looks`: the look of each item in pictures; empty if the scene sets none."""
 
@@ -228,9 +230,9 @@ class EditsEntry(ManifestPart):
     """The edits of the cache that readers apply to its frames.
 
     `name`: the file that they were read from. `text`: its content.
-    `arrays`: the file next to the manifest with the meshes and bodies that they name; None without any.
+    `arrays`: the file next to the manifest with the meshes and bodies that the edits name; None without any.
     `caches`: by name in the text, the paths from the cache's folder to other caches.
-    `next_ids`: by species, the first id that no agent has. `counted_frames`: the number of frames that this is known of."""
+    `next_ids`: by species, the first id that no agent has, in the first `counted_frames` frames."""
 
     name: Word
     text: Annotated[str, Field(max_length=limits.MAX_EDITS_BYTES)]
@@ -253,9 +255,9 @@ class CameraEntry(ManifestPart):
 
 
 class FollowEntry(ManifestPart):
-    """A camera that follows an agent, named as in the scene.
+    """A camera that follows an agent (`follow`, named as in the scene).
 
-    `by`: from the agent to the camera in scene units; None for a close one.
+    `by`: the displacement from the agent to the camera in scene units; None for a close camera.
     `smooth`: the time in seconds over which the agent's motion is averaged, before and after a frame."""
 
     follow: Word
@@ -268,7 +270,8 @@ AnyCameraEntry = CameraEntry | FollowEntry | Literal["fit"]  # `fit`: one that h
 
 
 def make_camera_array_name(camera: str, part: str) -> str:
-    """Return the name of an array of `static.npz`: one of `CAMERA_PARTS` of a moving camera at each frame."""
+    """Return the name of an array of `static.npz` with a moving camera's `part` at each frame. `part`: a word of
+    `CAMERA_PARTS`."""
     return f"camera.{part}" if camera == DEFAULT_CAMERA else f"camera.{camera}.{part}"
 
 
@@ -337,17 +340,17 @@ class Manifest(ManifestPart):
 
     @property
     def named_cameras(self) -> Mapping[str, AnyCameraEntry]:
-        """Return all cameras by name. A manifest without `cameras` has only the default one."""
+        """Return all cameras by name. A manifest without `cameras` has only the default camera."""
         return self.cameras or ({} if self.camera is None else {DEFAULT_CAMERA: self.camera})
 
 
 def join_line(text: str) -> str:
-    """Return a line of notes or edits without its braces and line breaks."""
+    """Return a line of notes or edits without the braces around it and without line breaks."""
     return " ".join(text.split()).removeprefix("{").removesuffix("}").strip()
 
 
 def shorten_line(text: str) -> str:
-    """Return a text of at most a manifest's length. The end of a longer one is replaced by a hash."""
+    """Return the text if a manifest can store it. The end of a longer text is replaced by a hash."""
     if len(text) <= _MAX_LINE:
         return text
     return f"{text[:_MAX_LINE]}… {hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}"
@@ -358,10 +361,9 @@ class ManifestError(Exception):
 
 
 def find_relative_path(file: Path, folder: Path) -> str | None:
-    """Return the path from a folder to a file, with `/` and `..`. Return None if it is too long for a manifest.
+    """Return the path from a folder to a file, with `/` and `..`, or None if it is too long for a manifest.
 
-    Also return None if the path would pass through the root of the file system, because it would reveal folders of this
-    machine."""
+    Also return None if it would pass through the root of the file system, because it would reveal folders of this machine."""
     start = folder.resolve()
     # first the path through links, because it stays below the common folder
     for end in (Path(os.path.abspath(file)), file.resolve()):

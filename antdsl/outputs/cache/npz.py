@@ -34,12 +34,14 @@ def encode_npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def make_npz_file(arrays: Mapping[str, NDArray[Any]]) -> StoredFile:
-    """Return the NPZ file as consecutive parts. The parts share memory with the arrays, which must not change until the parts
-    were used."""
+    """Return the NPZ file with these arrays, as consecutive parts.
+
+    The parts share memory with the arrays, which must not change until the parts were written."""
     return make_stored_file(_make_member(name, array) for name, array in arrays.items())
 
 
 def _make_member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview]:
+    """Return the zip member of an array: its form, and its bytes after the header."""
     (form, kind), of = _make_member_form(name, array.dtype, array.shape), array.data
     if not kind and of.nbytes and of.c_contiguous:
         return form, of.cast("B")
@@ -48,9 +50,9 @@ def _make_member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview
 
 @lru_cache(1024)  # arrays of consecutive frames usually have equal shapes
 def _make_member_form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[MemberForm, str]:
-    """Return the zip member's form for an array with this name, type and shape, and the type to convert the array to.
+    """Return the form of the zip member for an array with this name, type and shape, and the type to convert the array to.
 
-    The second result is empty if the array in memory already has the bytes of the file."""
+    The type is empty if the array in memory already has the bytes of the file."""
     kind = _encode_type(name, dtype)
     as_it_is = dtype.isnative and dtype.str == kind
     return make_member_form(f"{name}.npy", _make_header(kind, shape), dtype.itemsize * prod(shape)), "" if as_it_is else kind
@@ -59,7 +61,7 @@ def _make_member_form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -
 def write_member(
     file: zipfile.ZipFile, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterable[NDArray[Any]]
 ) -> None:
-    """Add an array with this type and shape to an open NPZ file. `parts`: its consecutive parts, of which memory holds one at a
+    """Add an array with this type and shape to an open NPZ file. `parts`: its rows in consecutive parts, one in memory at a
     time."""
     entry = zipfile.ZipInfo(f"{name}.npy", _FIXED_DATE)
     kind = _encode_type(name, dtype)
@@ -78,6 +80,7 @@ def _encode_type(name: str, dtype: np.dtype[Any]) -> str:
 
 
 def _make_header(kind: str, shape: tuple[int, ...]) -> bytes:
+    """Return the header of an array in NumPy's format. `kind`: the code of its type."""
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape!r}, }}".encode("ascii")
     header += b" " * (-(len(NPY_MAGIC) + 2 + len(header) + 1) % 64) + b"\n"
     return NPY_MAGIC + len(header).to_bytes(2, "little") + header

@@ -53,12 +53,12 @@ _CLIP_FIELDS, _SHARE_FIELDS = ("clip", "before"), ("turns", "weight", "before_tu
 
 
 def list_playing_machines(population: Population) -> Iterator[str]:
-    """Yield the names of the machines that play clips, in text order."""
+    """Yield the names of the machines that play clips, in the order of the text."""
     return (machine.name for machine in population.plan.machines if f"{machine.name}.clip" in population.plan.registers)
 
 
 def make_clip_arrays(population: Population, threads: int = 1) -> dict[str, NDArray[Any]]:
-    """Return the `clips` arrays of a species, by agent id. Arrays of the earlier clip are included if any agent has one."""
+    """Return the `clips` arrays of a species, in order of id. Arrays of the earlier clip are included if any agent has one."""
     arrays: dict[str, NDArray[Any]] = {}
     for machine in list_playing_machines(population):
         now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTER_BY_FIELD.items()}
@@ -84,7 +84,7 @@ def read_machine_clips(species: str, machine: str, arrays: Arrays, count: int) -
 
 
 def _find_array(arrays: Arrays, name: str, kind: str, *shape: int) -> NDArray[Any] | None:
-    """Return an array of a frame. Return None if the frame has no array of this name, type and shape."""
+    """Return the array of a frame that has this name, type and shape, or None."""
     array = arrays.get(name)
     return None if array is None or array.shape != shape else np.asarray(array, kind)
 
@@ -96,7 +96,9 @@ def read_all_machine_clips(species: SpeciesEntry, arrays: Arrays, count: int) ->
 
 
 def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[Any]]:
-    """Return the `feet` arrays of a body; empty if its feet are not computed. `scale`: scene units per millimetre."""
+    """Return the `feet` arrays of the agents with a body, or nothing if its feet are not computed.
+
+    `key`: the key of the body. `scale`: scene units per millimetre."""
     feet = world.feet.get(key)
     if feet is None:
         return {}
@@ -115,7 +117,8 @@ def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[
 
 
 def read_feet(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
-    """Return the feet of the `count` agents that have a body, with `legs` legs each. Return None if the frame lacks them."""
+    """Return the feet of the `count` agents that have the body `key`, with `legs` legs each. Return None if the frame lacks
+    them."""
     parts = [
         _find_array(arrays, f"feet.{key}.{each.field}", each.type, count, *each.compute_dimensions(legs=legs))
         for each in STANCE_COLUMNS
@@ -124,8 +127,8 @@ def read_feet(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | N
 
 
 def list_wearable_layers(population: Population, setting: WorldSetting) -> tuple[str, ...]:
-    """Return the layers that agents of a species may show in addition to the body's own: first those of its states, then the
-    scene's."""
+    """Return the layers that agents of a species may show in addition to the base layer: those of its states, then those of the
+    scene."""
     by_scene = (
         name for crowd in _find_species_crowds(population, setting) for part in crowd.worn_layers for name in part if name
     )
@@ -133,7 +136,7 @@ def list_wearable_layers(population: Population, setting: WorldSetting) -> tuple
 
 
 def make_display_arrays(population: Population, setting: WorldSetting) -> dict[str, NDArray[Any]]:
-    """Return the arrays `wears`, `channels`, `looks` and `leans` of a species, by agent id."""
+    """Return the arrays `wears`, `channels`, `looks` and `leans` of a species, in order of id."""
     name, now, plan, rows = population.name, population.now, population.plan, population.rows_by_id()
     arrays: dict[str, NDArray[Any]] = {}
     layers = list_wearable_layers(population, setting)
@@ -156,12 +159,12 @@ def make_display_arrays(population: Population, setting: WorldSetting) -> dict[s
 
 
 def mark_layer(population: Population, is_worn: NDArray[np.bool_], bit: np.uint64, mask: NDArray[np.uint64]) -> None:
-    """Set `bit` in the masks of the agents that wear a layer. `is_worn`: by row; `mask`: by id."""
+    """Set `bit` in the masks of the agents that wear a layer. `is_worn` is in the order of rows, `mask` in the order of ids."""
     frame_loops.mark_worn_layer(is_worn, population.id_ranks(), bit.view(np.int64), mask.view(np.int64))
 
 
 def read_layer_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
-    """Return the mask of layers of each of `count` agents; 0 for all if the frame has no masks."""
+    """Return the layer mask of each of `count` agents; 0 for all if the frame has no masks."""
     masks = _find_array(arrays, f"wears.{species.name}", "u8", count)
     if not species.wears or masks is None:
         return np.zeros(count, np.uint64)
@@ -169,12 +172,12 @@ def read_layer_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArr
 
 
 def list_mask_layers(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
-    """Return the names of the layers in a mask."""
+    """Return the names of the layers with bits in a mask."""
     return tuple(layer for k, layer in enumerate(species.wears) if mask >> k & 1)
 
 
 def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> DrivenPose:
-    """Return the channels and looks that states set in a frame, and the variation between bodies, for agents with these `ids`.
+    """Return the channels and looks that states set in a frame, and the variation between bodies, for the agents `ids`.
 
     Data that the frame lacks is left out."""
     of, count = species.name, len(ids)
@@ -191,14 +194,15 @@ def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int6
 
 
 def _find_species_crowds(population: Population, setting: WorldSetting) -> Iterator[CrowdData]:
-    """Yield the scene's crowd lines of a species."""
+    """Yield the crowd lines of the scene that belong to a species."""
     return (crowd for crowd in setting.crowds if crowd.species == population.name)
 
 
 def _draw_scene_layer_masks(
     population: Population, rows: NDArray[np.intp], setting: WorldSetting, layers: tuple[str, ...]
 ) -> Iterator[NDArray[np.uint64]]:
-    """Yield masks of the layers that the scene gives to agents, one layer per part of the body.
+    """Yield masks with the layers that the scene gives to agents: a mask for each part of the body, with one layer for each
+    agent.
 
     Layers are drawn by the agent's id and the scene's seed, and stay for the agent's lifetime. Agents born later use the crowd
     line of their parent."""
@@ -215,5 +219,5 @@ def _draw_scene_layer_masks(
 
 
 def _make_layer_bit(layers: tuple[str, ...], layer: str) -> np.uint64:
-    """Return the mask with the bit of one layer; 0 for a layer that the body lacks."""
+    """Return the mask with the bit of `layer`; 0 for a layer that the body lacks."""
     return np.uint64(1 << layers.index(layer)) if layer in layers else np.uint64(0)

@@ -1,4 +1,4 @@
-"""Solids in a cache: their state at the start, the balls dug in each frame, and at every checkpoint interval the surface.
+"""Solids in a cache: their start state, the balls dug in each frame, and their surface at every checkpoint interval.
 
 static.npz  mesh.NAME.vertices, .faces, .bricks: the surface, and the brick of each face
             solid.NAME.values, .table, .shape, .origin, .voxel, .band, .offset: the distances, to repeat the digging
@@ -23,14 +23,14 @@ Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
 class PieceMaker:
-    """Builder of the arrays of solids in frames. It reads from each volume the changes since the previous call."""
+    """Builder of the arrays of solids in frames. Each call reads from the volumes the changes since the previous call."""
 
     def __init__(self, first: int, interval: int, scale: float) -> None:
         self.first, self.every, self.scale = first, interval, scale
         self._pieces_by_solid: dict[str, dict[int, Piece]] = {}
 
     def frame(self, world: World) -> Arrays:
-        """Return the arrays of the world's current frame."""
+        """Return the arrays of solids for the world's current frame."""
         arrays: Arrays = {}
         dug_now = take_dug_balls(world)
         for name, volume in world.solids.items():
@@ -47,7 +47,9 @@ class PieceMaker:
 
 
 def make_start_arrays(world: World, scale: float) -> Arrays:
-    """Return the arrays of all solids for `static.npz`, before digging. `offset` (mm) is 0, since the manifest has the origin."""
+    """Return the arrays of all solids for `static.npz`, before any digging.
+
+    `offset` (mm) is 0, since the manifest has the origin. `scale`: scene units per millimetre."""
     arrays: Arrays = {}
     for name, volume in world.solids.items():
         bricks = volume.bricks
@@ -88,6 +90,7 @@ def read_start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
 
 
 def _join_arrays(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays:
+    """Return the arrays of a solid's surface, from the meshes of its bricks, in scene units."""
     order = sorted(pieces)
     vertices, faces = join_pieces([pieces[brick] for brick in order])
     return {
@@ -98,7 +101,7 @@ def _join_arrays(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays
 
 
 def join_pieces(pieces: list[Piece]) -> Piece:
-    """Return several meshes joined into one."""
+    """Return several meshes as one mesh."""
     shift = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     faces = [faces + np.int32(start) for (_, faces), start in zip(pieces, shift, strict=False)]
     return (

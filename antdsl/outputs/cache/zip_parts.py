@@ -3,8 +3,8 @@
 It follows the application note of the format (PKWARE, .ZIP File Format Specification 6.3.10). It writes the same bytes as
 Python's `zipfile`, 10 times as fast. Data that is known before a member is written goes into one header.
 
-In this module, the headers of a file are everything except the contents of its members. They include the directory. They contain
-the CRC-32 of each content, so their bytes suffice to detect damage anywhere in the file."""
+In this module, the headers of a file are all its bytes except the contents of its members. They include the directory. They
+contain the CRC-32 of each content, so they suffice to detect damage anywhere in the file."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class NotStored(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredFile:
-    """A zip file that has not been written yet.
+    """A zip file that is not written yet.
 
     `parts`: its consecutive bytes.
     `headers`: all bytes except the contents of its members."""
@@ -55,9 +55,9 @@ class StoredFile:
 
 
 def make_stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> StoredFile:
-    """Return a file with these members, in order. Each member is its form and the content after the form's head.
+    """Return the zip file with these members, in order. A member is its form, and the bytes of its content after the form's head.
 
-    Contents are not copied. They must not change until the parts have been used."""
+    Contents are not copied. They must not change until the parts were written."""
     parts: list[bytes | memoryview] = []
     headers: list[bytes] = []
     entries: list[bytes] = []
@@ -77,8 +77,9 @@ def make_stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> Stored
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemberForm:
-    """Data shared by all members with the same name, head and size.
+    """The bytes that all members with the same name, head and size have in common.
 
+    `head`: the first bytes of the content. `size`: the length of the content.
     `head_crc`: the CRC-32 of the head.
     `header`: the fixed bytes of the member's header, before and after the CRC-32.
     `entry`: the fixed bytes of the directory entry, before, between and after the CRC-32 and the offset."""
@@ -117,9 +118,10 @@ def _split_around_field(record: bytes, offset: int) -> tuple[bytes, bytes]:
 
 
 def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
-    """Yield the headers of a file, piece by piece, and check the contents in between by their CRC-32. The file arrives in blocks.
+    """Yield the headers of a file, piece by piece, and check the contents in between by their CRC-32.
 
-    Raises NotStored if a checksum differs, or if `make_stored_file` cannot have made the file."""
+    `blocks`: the bytes of the file, in blocks of any length. Raises NotStored if a checksum differs, or if `make_stored_file`
+    cannot have made the file."""
     file = _BlockReader(blocks)
     while (mark := file.read_up_to(len(_MEMBER_SIGNATURE))) == _MEMBER_SIGNATURE:
         local = mark + file.read_exactly(_LOCAL_HEADER.size - len(_MEMBER_SIGNATURE))
@@ -144,7 +146,7 @@ class _BlockReader:
         self._remainder = memoryview(b"")
 
     def _read_next(self, max_bytes: int) -> memoryview:
-        """Return at least one and at most `max_bytes` of the next bytes. Empty at the end."""
+        """Return some of the next bytes, at least one and at most `max_bytes`. Empty at the end."""
         if not self._remainder:
             self._remainder = memoryview(next(self._blocks, b""))
         block, self._remainder = self._remainder[:max_bytes], self._remainder[max_bytes:]

@@ -1,6 +1,6 @@
-"""Selectors applied to the agents of a cache.
+"""Applies selectors to the agents of a cache.
 
-Names, shares and `without` depend on ids alone, so they hold in all frames. Positions and states are those of one frame."""
+Names, shares and `without` depend on ids alone, so they apply in all frames. Positions and states are those of one frame."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from antdsl.scene.thing_models import UNIT_MM
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The agents of a cache that a selector selects. `frame`: the frame in which positions and states are read."""
+    """The agents of a cache that a selector selects. `frame`: the frame from which positions and states are read."""
 
     selector: AnySelector
     cache: Cache
     frame: int
 
     def find(self, keys: LongArray) -> NDArray[np.bool_]:
-        """Return which agents are selected, by their keys (`make_agent_keys`)."""
+        """Return whether the selector selects each agent of `keys` (`make_agent_keys`)."""
         if reads_frame(self.selector):
             return np.isin(keys, self._keys_of_frame)
         return select_agents(
@@ -40,6 +40,7 @@ class Selection:
 
     @cached_property
     def _keys_of_frame(self) -> LongArray:
+        """Return the keys of the agents that the selector selects in `frame`."""
         arrays = self.cache.frame(self.frame)
         names = list_cameras(self.cache.manifest)
         cameras = {name: CameraInFrame(read_camera(self.cache, name), self.frame) for name in names}
@@ -47,7 +48,7 @@ class Selection:
 
 
 def list_cameras(manifest: Manifest) -> frozenset[str]:
-    """Return the cameras that selectors may name: those that follow no agent."""
+    """Return the names of the cameras that selectors may name: cameras that follow no agent."""
     return frozenset(name for name, camera in manifest.named_cameras.items() if isinstance(camera, CameraEntry))
 
 
@@ -70,7 +71,7 @@ def list_selector_names(manifest: Manifest) -> SelectorNames:
 
 
 def _list_stored_machines(species: SpeciesEntry, manifest: Manifest) -> list[tuple[str, MachineEntry]]:
-    """Return the machines of a species with states in the frames, each with the name of its array."""
+    """Return the machines of a species that have their states in the frames, each with the name of the array."""
     names = ("state", *(f"{machine.name}.state" for machine in species.machines[1:]))
     return [(name, m) for name, m in zip(names, species.machines, strict=False) if name in manifest.attributes]
 
@@ -78,7 +79,7 @@ def _list_stored_machines(species: SpeciesEntry, manifest: Manifest) -> list[tup
 def select_agents(
     selector: AnySelector, arrays: Arrays, manifest: Manifest, cameras: Mapping[str, CameraInFrame] | None = None
 ) -> NDArray[np.bool_]:
-    """Return which agents of a frame a selector selects. `cameras`: by name, in this frame."""
+    """Return whether a selector selects each agent of a frame. `cameras`: the cameras in this frame, by name."""
     keys, unit_mm = make_agent_keys(arrays), UNIT_MM[manifest.units]
     position = (np.asarray(arrays["P"], np.float64) + manifest.origin) * unit_mm if "P" in arrays else np.zeros((len(keys), 3))
     rows = {entry.name: np.flatnonzero(keys % SPECIES_PER_KEY == number) for number, entry in enumerate(manifest.species)}
@@ -108,7 +109,7 @@ def select_agents(
 
 
 def find_item_points(arrays: Arrays, manifest: Manifest, unit_mm: float) -> dict[str, NDArray[np.float64]]:
-    """Return the points of items in a frame, in mm from the scene's zero point, by item and by items."""
+    """Return the positions of items in a frame, in mm from the scene's zero point, by the names of single items and of groups."""
     points: dict[str, NDArray[np.float64]] = {}
     for group in manifest.items:
         moved = arrays.get(f"items.{group.name}.P") if group.moves else None

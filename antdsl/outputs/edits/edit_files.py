@@ -1,4 +1,4 @@
-"""Files that edits name: meshes and bodies, stored as arrays with the edits, and other caches."""
+"""Reads the files that edits name: meshes and bodies, which are stored as arrays with the edits, and other caches."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _PARTS_BY_KIND = {"mesh": ("vertices", "faces"), "body": ARRAY_NAMES}
 
 
 def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[ArrayDict, dict[str, Cache], Report]:
-    """Return the arrays of the meshes and bodies that edits name, as `PATH.PART`, the caches by their paths, and a report.
+    """Return the arrays of the meshes and bodies that edits name (as `PATH.PART`), the caches by their paths, and a report.
 
-    `folder`: the folder of the edits, which the files are in."""
+    `folder`: the folder of the edits, which contains the files."""
     arrays: ArrayDict = {}
     caches: dict[str, Cache] = {}
     report, roots = Report(), Roots(folder)
@@ -56,7 +56,7 @@ def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[
 
 
 def find_missing_file(edits: EditList, manifest: Manifest, arrays: Mapping[str, Any], caches: Mapping[str, Any]) -> str | None:
-    """Return a file that edits name and that the stored inputs of edits lack, or None."""
+    """Return a file that edits name and that is not among the stored inputs of edits, or None."""
     for edit in edits.edits:
         for file in edit.line.list_files(manifest):
             names = (f"{file.path}.{part}" for part in _PARTS_BY_KIND.get(file.kind, ()))
@@ -66,13 +66,14 @@ def find_missing_file(edits: EditList, manifest: Manifest, arrays: Mapping[str, 
 
 
 def _read_body(file: EditFile, roots: Roots, report: Report, span: Span) -> Mapping[str, NDArray[Any]]:
+    """Return the arrays of the agent definition in a file; empty after an error."""
     definition, findings = read_definition(file.path, roots, span)
     report.extend(findings)
     return {} if definition is None else {f"{file.path}.{part}": array for part, array in pack_definition(definition).items()}
 
 
 def encode_edit_arrays(arrays: ArrayDict) -> tuple[str, bytes]:
-    """Return the name of the file with these arrays next to a manifest, and its content."""
+    """Return the name and the content of the file with these arrays, which is stored next to the manifest."""
     data = encode_npz(arrays)
     return f"edits.{hashlib.blake2b(data, digest_size=16).hexdigest()}.npz", data
 

@@ -35,12 +35,12 @@ class EditLine(ScenePart):
         return ()
 
     def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
-        """Return the names of items outside selectors, each after the keys that lead to it."""
+        """Return the names of items outside selectors, each with the keys that lead to it: (keys, name)."""
         return ()
 
 
 class EditFile(NamedTuple):
-    """A file that a line names by its key `key`: a `mesh`, a `body` or a `cache`."""
+    """A file that a line names by its key `key`. `kind`: a mesh, a body or a cache."""
 
     key: str
     path: str
@@ -48,7 +48,7 @@ class EditFile(NamedTuple):
 
 
 class AgentsLine(EditLine, SelectorKeys):
-    """A line for some agents. `agents`: the value of the verb; the keys of selectors narrow them."""
+    """A line that changes some agents. `agents`: the value of the verb; the keys of selectors select fewer of them."""
 
     agents: Selector
 
@@ -60,9 +60,11 @@ class AgentsLine(EditLine, SelectorKeys):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EditInputs:
-    """What edits need in addition to their lines and the cache.
+    """The inputs of edits in addition to their lines and the cache.
 
-    `ground`: of the cache. `arrays`: meshes and bodies from files. `caches`: other caches, by their paths in the text.
+    `ground`: the ground of the cache.
+    `arrays`: meshes and bodies from files.
+    `caches`: other caches, by their paths in the text.
     `next_ids`: by species, the first id that no agent of the run has."""
 
     ground: Ground | None = None
@@ -77,7 +79,7 @@ class NotEditable(Exception):
 
 @dataclass(frozen=True, eq=False)
 class EditLayer(CacheView):
-    """A view of a cache with one edit. Subclasses say how a frame changes.
+    """A view of a cache with one edit. Subclasses define how a frame changes.
 
     `required_arrays`: arrays that the frames must have.
     `stored_frames`: the number of frames of the cache below that stay in memory, for edits that read several frames for one."""
@@ -105,18 +107,18 @@ class EditLayer(CacheView):
         return manifest
 
     def pass_inputs(self) -> EditInputs:
-        """Return the inputs of the next edit."""
+        """Return the inputs for the next edit, which reads this view."""
         return self.inputs
 
     @cached_property
     def first_frame(self) -> int:
-        """Return the first frame of the edit, in which positions and states for selectors are read."""
+        """Return the first frame of the edit, from which selectors read positions and states."""
         frames = self.source.frames()
         return max(self.line.frames.first, self.manifest.first) if self.line.frames else min(frames, default=self.manifest.first)
 
     @cached_property
     def selection(self) -> Selection:
-        """Return the agents of the edit."""
+        """Return the selection of the edit's agents."""
         return Selection(self.line.selector, self.source, self.first_frame)
 
     def is_active(self, number: int) -> bool:
@@ -136,12 +138,12 @@ class EditLayer(CacheView):
 
     @abstractmethod
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return the arrays of a frame with the edit. `arrays`: those of the frame without it, which stay unchanged."""
+        """Return the arrays of a frame with the edit. `arrays`: the arrays of the frame without it, which stay unchanged."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredFrames(CacheView):
-    """A view of a cache of which the last `capacity` frames that were read stay in memory."""
+    """A view of a cache that stores the `capacity` frames that were read last in memory."""
 
     capacity: int
     _frames: OrderedDict[int, Arrays] = field(default_factory=OrderedDict, init=False)

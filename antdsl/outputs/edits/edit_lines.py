@@ -1,4 +1,4 @@
-"""Reader of edits: from the text of a file to the lines of `edits:`. Every error has its location, and says what to write."""
+"""Reads edits: from the text of a file to the lines of `edits:`. Every error has its location and a correction."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ EDITS_KEY = "edits"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedEdit:
-    """A line of `edits:` with its text on one line and its index among the lines."""
+    """A line of `edits:` with its location: `text`, the line as one line of text, and `number`, its index among the lines."""
 
     line: EditLine
     text: str
@@ -57,7 +57,7 @@ class EditList:
 def read_edits(data: bytes, name: str, manifest: Manifest) -> tuple[EditList | None, Report]:
     """Return the edits in the bytes of a file, and a report. The edits are None if there are errors.
 
-    `manifest`: of the cache that they change, with the names that selectors use."""
+    `manifest`: the manifest of the cache that they change, with the names that selectors use."""
     source, report = decode_source(data, name, "edits")
     document = None
     if report.ok:
@@ -87,7 +87,7 @@ def read_edits(data: bytes, name: str, manifest: Manifest) -> tuple[EditList | N
 
 
 def _read_line(report: Report, document: MappingNode, number: int, node: DocumentNode) -> Iterator[EditLine]:
-    """Yield the line at a node. Yield nothing, after an error in the report, if it is none."""
+    """Yield the line at a node. Yield nothing, and report an error, if the node is no line."""
     from pydantic import ValidationError
 
     known = ", ".join(f"`{word}`" for word in VERB_BY_WORD)
@@ -113,7 +113,7 @@ def _read_line(report: Report, document: MappingNode, number: int, node: Documen
 
 
 def _check_names(report: Report, edits: EditList, edit: PlacedEdit, manifest: Manifest) -> None:
-    """Report names of a line that the cache does not have, and frames that it does not have."""
+    """Report names and frames in a line that the cache does not have."""
     line, names = edit.line, list_selector_names(manifest)
     problems = (
         [*find_problems(line.agents, names, line.verb), *find_problems(line, names)] if isinstance(line, AgentsLine) else []

@@ -77,7 +77,7 @@ def read_inputs(cache: Cache, entry: EditsEntry, edits: EditList) -> EditInputs:
 
 
 def find_next_ids(cache: Cache) -> dict[str, int]:
-    """Return by species the first id that no agent of a cache has. Raises CacheError if a frame is damaged."""
+    """Return for each species the first id that no agent of a cache has. Raises CacheError if a frame is damaged."""
     next_ids = {species.name: 0 for species in cache.manifest.species}
     for line in cache.manifest.lines:
         next_ids[line.species] = max([next_ids.get(line.species, 0), *(first + count for first, count in line.ranges)])
@@ -91,8 +91,12 @@ def find_next_ids(cache: Cache) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedEdits:
-    """The edits of a file for a cache. `view`: the cache with them. `entry`: as they are stored in the cache's manifest.
-    `inputs`: with the arrays of meshes and bodies from files, and of settled agents."""
+    """The edits of a file for a cache.
+
+    `view`: the cache with the edits.
+    `entry`: the edits as the manifest stores them.
+    `inputs`: the inputs of the edits, with the arrays of meshes and bodies from files, and of agents that were simulated
+        again."""
 
     edits: EditList
     view: EditedCache
@@ -142,10 +146,10 @@ def smooth_cache(cache: Cache, width: int) -> Cache:
 
 
 def apply_edits(cache: Cache, edits: EditList, inputs: EditInputs) -> EditedCache:
-    """Return the view of a cache with edits: in the order of the text, those that read the result of all others, and then the
-    settled agents.
+    """Return the view of a cache with edits, each reading the view of the edit before.
 
-    Raises CacheError if the settled agents among the inputs are damaged."""
+    The order is that of the text, then edits that read the result of all others, then agents that were simulated again. Raises
+    CacheError if the arrays of these agents are damaged."""
     listed, settled = _list_inputs(cache.manifest, edits), SettledFrames.unpack(inputs.arrays)
     layers = sorted(edits.edits, key=lambda edit: VERB_BY_WORD[edit.line.verb].is_last)
     top: Cache = cache
@@ -159,6 +163,6 @@ def apply_edits(cache: Cache, edits: EditList, inputs: EditInputs) -> EditedCach
 
 
 def _list_inputs(manifest: Manifest, edits: EditList) -> dict[str, str]:
-    """Return the entries of edits among the inputs of a manifest."""
+    """Return the entries for edits among the inputs of a manifest, by name."""
     first = 1 + sum(name.startswith(INPUT_PREFIX) for name in manifest.inputs)
     return {f"{INPUT_PREFIX}{first + k}": shorten_line(edit.text) for k, edit in enumerate(edits.edits)}

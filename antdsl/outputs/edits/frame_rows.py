@@ -1,4 +1,4 @@
-"""Rows of agents in a frame's arrays: the agents that they belong to, a choice of them, and the rows of two frames in one."""
+"""Finds the rows of agents in a frame's arrays, selects some of them, and joins the rows of two frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FLOAT_FILLS = {"channels": np.nan}
 
 
 class FrameRows:
-    """The rows of one frame's arrays, by the agents that they belong to. Agents are named by `make_agent_keys`."""
+    """The rows of one frame's arrays, by the agents that they belong to. Agents are identified by `make_agent_keys`."""
 
     def __init__(self, arrays: Arrays, manifest: Manifest) -> None:
         self.arrays, self.manifest = arrays, manifest
@@ -40,7 +40,7 @@ class FrameRows:
         self._rows_by_body: dict[str, NDArray[np.intp]] = {}
 
     def find_body_rows(self, body: str) -> NDArray[np.intp]:
-        """Return the rows of the agents of a species, or of one of its bodies, `SPECIES#1`."""
+        """Return the rows of the agents of a species, or of the agents that have one of its bodies (`SPECIES#1`)."""
         if body not in self._rows_by_body:
             number = self._number_by_species.get(find_species_of_key(body), -1)
             rows = np.flatnonzero(get_species_numbers(self.arrays) == number)
@@ -51,8 +51,9 @@ class FrameRows:
         return self._rows_by_body[body]
 
     def find_row_keys(self, name: str) -> LongArray | None:
-        """Return the agent of each row of an array; of pairs and events, the owner. None for an array that is not about
-        agents."""
+        """Return the agent of each row of an array; None for an array that is not about agents.
+
+        For pairs and events, this is the agent that owns the row."""
         subject, array = find_array_subject(name), self.arrays[name]
         keys: LongArray | None = None
         if name in self._agent_names:
@@ -68,7 +69,7 @@ class FrameRows:
         return keys if keys is not None and array.ndim and len(array) == len(keys) else None
 
     def iterate_agent_arrays(self) -> Iterator[tuple[str, LongArray]]:
-        """Yield the names of the arrays with rows of agents, and the agent of each row."""
+        """Yield the name of each array with rows of agents, and the agent of each row."""
         for name in self.arrays:
             keys = self.find_row_keys(name)
             if keys is not None:
@@ -76,15 +77,15 @@ class FrameRows:
 
 
 def keep_rows(arrays: Arrays, manifest: Manifest, is_chosen: Callable[[LongArray], NDArray[np.bool_]]) -> dict[str, NDArray[Any]]:
-    """Return a frame with the rows of some agents. `is_chosen`: returns which agents, by their keys."""
+    """Return a frame with only the rows of some agents. `is_chosen`: returns whether each key is one of these agents."""
     rows = FrameRows(arrays, manifest)
     return {**arrays, **{name: arrays[name][is_chosen(keys)] for name, keys in rows.iterate_agent_arrays()}}
 
 
 def join_frames(first: Arrays, second: Arrays, manifest: Manifest) -> dict[str, NDArray[Any]]:
-    """Return a frame with the agents of both: species after species, by id. All else is of `first`.
+    """Return a frame with the agents of both frames, species after species, by id. All other arrays are those of `first`.
 
-    A frame that lacks an array of agents gets neutral values for it. `first` and `second` have no agent in common."""
+    An array that one of the frames lacks gets neutral values for the agents of this frame. The frames have no agent in common."""
     tables = FrameRows(first, manifest), FrameRows(second, manifest)
     named = [dict(table.iterate_agent_arrays()) for table in tables]
     joined = dict(first)
@@ -100,7 +101,7 @@ def join_frames(first: Arrays, second: Arrays, manifest: Manifest) -> dict[str, 
 
 
 def _find_lacking_keys(table: FrameRows, name: str) -> LongArray:
-    """Return the agents that an array would have rows of, if the frame had it."""
+    """Return the agents of the rows that an array would have in a frame that lacks it."""
     subject = find_array_subject(name)
     if subject in ("pair", "event"):
         return np.empty(0, np.int64)
@@ -108,6 +109,7 @@ def _find_lacking_keys(table: FrameRows, name: str) -> LongArray:
 
 
 def _make_neutral_rows(name: str, sample: NDArray[Any], count: int) -> NDArray[Any]:
+    """Return rows without an effect for an array of this name. `sample`: an array with the type and shape of the rows."""
     fill = _FLOAT_FILLS.get(name.partition(".")[0], _FILL_BY_FIELD.get(name.rpartition(".")[2], 0))
     rows = np.empty((count, *sample.shape[1:]), sample.dtype)
     rows[...] = (0, 0, 0, 0, 0, 0, 1) if name.startswith("joints.") else fill
@@ -115,14 +117,14 @@ def _make_neutral_rows(name: str, sample: NDArray[Any], count: int) -> NDArray[A
 
 
 def _sort_rows(name: str, array: NDArray[Any], keys: LongArray) -> NDArray[Any]:
-    """Return rows in the order of species and ids. Events stay in their order."""
+    """Return the rows in the order of species and ids. Rows of events keep their order."""
     if find_array_subject(name) == "event":
         return array
     return array[np.lexsort((keys // SPECIES_PER_KEY, keys % SPECIES_PER_KEY))]
 
 
 def _sort_pairs(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return a frame in which the values per pair are by owner and other."""
+    """Return a frame in which the values of pairs are sorted by the ids of both agents."""
     for name in [each for each in arrays if find_array_subject(each) == "pair" and each.endswith(".other")]:
         start = name.removesuffix("other")
         order = np.lexsort((arrays[name], arrays[f"{start}id"]))
@@ -131,7 +133,7 @@ def _sort_pairs(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def match_rows(keys: LongArray, others: LongArray) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the row of each key among `others`, in any order, and whether there is one."""
+    """Return the row of each key among `others`, which have any order, and whether the key is among them."""
     if not len(others):
         return np.zeros(len(keys), np.intp), np.zeros(len(keys), np.bool_)
     order = np.argsort(others, kind="stable")
@@ -140,8 +142,9 @@ def match_rows(keys: LongArray, others: LongArray) -> tuple[NDArray[np.intp], ND
 
 
 def _split_name(name: str) -> tuple[str, str]:
-    """Return the first and the last word of an array's name. The last one is empty for a word in capitals, which stands for
-    any."""
+    """Return the first and the last word of an array's name.
+
+    The last word is empty if it is in capitals, because it then stands for any word."""
     first, dot, rest = name.partition(".")
     last = rest.rpartition(".")[2]
     return (first, "" if last.isupper() and len(last) > 1 else last) if dot else ("", name)
@@ -151,6 +154,6 @@ _BETWEEN_BY_FIELD = {_split_name(column.frame_name): column.interpolation for co
 
 
 def find_interpolation(name: str) -> str:
-    """Return the `between` of an array's column: how its values change between two frames."""
+    """Return how the values of an array change between two frames: the `interpolation` of its column."""
     first, last = _split_name(name)
     return _BETWEEN_BY_FIELD.get((first, last), _BETWEEN_BY_FIELD.get((first, ""), ""))

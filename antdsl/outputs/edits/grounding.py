@@ -1,4 +1,4 @@
-"""Agents that move on ground: they stay at their height above it and turn as its normal turns, and each foot likewise."""
+"""Moves agents on ground: they keep their height above it and turn as its normal turns, and so does each foot."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ _LIFT = 0.5  # body lengths: ground up to there above a point counts as below it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grounds:
-    """The ground that agents leave, and the one that they come to. `down_direction`: the unit vector along which they fall onto
-    it; None if they only follow it along their own up."""
+    """The ground that agents leave (`old`), and the ground that they come to (`new`).
+
+    `down_direction`: the unit vector along which they fall onto it; None if they follow it along their own up direction."""
 
     old: Terrain | MirroredTerrain
     new: Terrain
@@ -30,7 +31,7 @@ class Grounds:
 
 
 def move_on_ground(arrays: Arrays, manifest: Manifest, moves: AgentMoves, grounds: Grounds) -> dict[str, NDArray[Any]]:
-    """Return a frame in which agents have moved on ground. Where there is none near an agent or a foot, it moves rigidly."""
+    """Return a frame in which agents have moved on ground. An agent or a foot without ground nearby moves rigidly."""
     rows = moves.rows
     start, orient, length = (np.asarray(arrays[name], np.float64)[rows] for name in ("P", "orient", "pscale"))
     up = find_axes(orient)[1]

@@ -1,4 +1,5 @@
-"""Agents that were simulated again because of edits: their frames, stored with the edits, and the view that shows them."""
+"""Agents that were simulated again because of edits: their frames, which are stored with the edits, and a view with these
+frames."""
 
 from __future__ import annotations
 
@@ -21,8 +22,9 @@ _ROWS = f"{SETTLED_PREFIX}rows."
 class SettledFrames:
     """The frames of agents that were simulated again.
 
-    `keys`, `first_frames` int64[n]: the agents (`make_agent_keys`), and the last frame in which each is as edits leave it.
-    `frames`: the rows of these agents in the arrays of each frame."""
+    `keys` int64[n]: the agents (`make_agent_keys`). `first_frames` int64[n]: the last frame in which each agent is as the edits
+    leave it.
+    `frames`: by frame number, the rows of these agents in the arrays of the frame."""
 
     keys: NDArray[np.int64]
     first_frames: NDArray[np.int64]
@@ -30,17 +32,17 @@ class SettledFrames:
 
     @staticmethod
     def of(frames: Mapping[int, Arrays], first_frames: Mapping[int, int]) -> SettledFrames:
-        """Return the frames of agents. `first_frames`: by agent."""
+        """Return the frames of agents. `first_frames`: by the key of the agent, as in `SettledFrames`."""
         keys = np.array(sorted(first_frames), np.int64)
         return SettledFrames(keys, np.array([first_frames[key] for key in keys.tolist()], np.int64), frames)
 
     def describe_agents(self) -> str:
-        """Return how many agents and which frames these are, in words."""
+        """Return a text with the number of agents and the range of frames."""
         count = len(self.keys)
         return f"{count:,} agent{'' if count == 1 else 's'} in frames {min(self.frames)} to {max(self.frames)}"
 
     def pack(self) -> dict[str, NDArray[Any]]:
-        """Return arrays to store. The rows of all frames are concatenated."""
+        """Return the arrays that store these frames. The rows of all frames are concatenated."""
         names = sorted({name for arrays in self.frames.values() for name in arrays})
         packed: dict[str, NDArray[Any]] = {
             _KEYS: self.keys,
@@ -55,7 +57,7 @@ class SettledFrames:
 
     @staticmethod
     def unpack(arrays: Mapping[str, NDArray[Any]]) -> SettledFrames | None:
-        """Return the frames in stored arrays; None without any. Raises CacheError if they are damaged."""
+        """Return the frames that `pack` stored in these arrays; None if there are none. Raises CacheError if they are damaged."""
         if _KEYS not in arrays:
             return None
         try:

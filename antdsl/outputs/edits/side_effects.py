@@ -1,4 +1,4 @@
-"""Side effects of edits: agents that overlap, or stand off the ground, because of them."""
+"""Finds side effects of edits: agents that overlap, or stand off the ground, because of them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ _GAP_REACH = 50.0  # body lengths in which ground is searched
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trunks:
-    """The trunks of a frame's agents as capsules: `middle` [n, 3], unit `axis` [n, 3], `half` lengths and radii [n]."""
+    """The trunks of a frame's agents as capsules.
+
+    `keys`: the agents. `middle` [n, 3], unit `axis` [n, 3]: the centre and the direction of the capsule. `half` [n], `radius`
+    [n]: half the length of the axis, and the radius."""
 
     keys: LongArray
     middle: Floats
@@ -39,7 +42,7 @@ class Trunks:
 
 
 def describe_side_effects(cache: EditedCache) -> list[str]:
-    """Return messages about agents that overlap or stand off the ground in a cache with edits, and did not without them.
+    """Return messages about agents that overlap or stand off the ground with the edits of a cache, and do not without them.
 
     A sample of frames is examined. An overlap is a quarter of the smaller width, a gap half a body length."""
     frames = cache.frames()
@@ -86,7 +89,7 @@ def _name_agent(cache: Cache, key: int) -> str:
 
 
 def iterate_capsules(cache: Cache) -> Iterator[list[BodyCapsuleData]]:
-    """Yield by species the collision sizes of its bodies."""
+    """Yield for each species the collision sizes of its bodies."""
     bodies = CacheBodies(cache.manifest, cache.read_static())
     for number, species in enumerate(cache.manifest.species):
         sizes = []
@@ -102,6 +105,7 @@ def iterate_capsules(cache: Cache) -> Iterator[list[BodyCapsuleData]]:
 
 
 def make_trunks(cache: Cache, arrays: Arrays, sizes: list[list[BodyCapsuleData]]) -> Trunks:
+    """Return the trunks of a frame's agents. `sizes`: for each species, the collision sizes of its bodies."""
     numbers, ids = get_species_numbers(arrays), get_agent_ids(arrays)
     shape = np.zeros((len(ids), 4))
     for number, own in enumerate(sizes):
@@ -116,7 +120,7 @@ def make_trunks(cache: Cache, arrays: Arrays, sizes: list[list[BodyCapsuleData]]
 
 
 def find_changed(old: Trunks, new: Trunks) -> NDArray[np.bool_]:
-    """Return which agents are new, or elsewhere than before."""
+    """Return whether each trunk of `new` is new, or differs from the trunk of its agent in `old`."""
     at, is_there = match_rows(new.keys, old.keys)
     if not len(old.keys):
         return np.ones(len(new.keys), np.bool_)
@@ -126,7 +130,7 @@ def find_changed(old: Trunks, new: Trunks) -> NDArray[np.bool_]:
 
 
 def find_overlaps(trunks: Trunks, is_chosen: NDArray[np.bool_], min_depth: float = _MIN_DEPTH) -> Iterator[tuple[int, int]]:
-    """Yield the keys of agents that overlap, at least one of them chosen: by more than `min_depth` of the smaller width."""
+    """Yield the keys of two agents that overlap by more than `min_depth` of the smaller width, if one of them is chosen."""
     from scipy.spatial import cKDTree
 
     good = np.flatnonzero(np.isfinite(trunks.middle).all(axis=1) & (trunks.radius > 0))
@@ -160,7 +164,7 @@ def measure_segment_distances(a: Floats, u: Floats, b: Floats, v: Floats) -> Flo
 
 
 def _find_gaps(old: Arrays, new: Arrays, changed: NDArray[np.bool_], terrain: Terrain) -> list[int]:
-    """Return the keys of changed agents that stand farther from the ground than before."""
+    """Return the keys of changed agents that are farther from the ground than before."""
     rows = np.flatnonzero(changed)
     keys = make_agent_keys(new)[rows]
     at, is_there = match_rows(keys, make_agent_keys(old))
@@ -173,7 +177,7 @@ def _find_gaps(old: Arrays, new: Arrays, changed: NDArray[np.bool_], terrain: Te
 
 
 def _measure_heights(arrays: Arrays, rows: NDArray[np.intp], terrain: Terrain) -> Floats:
-    """Return the distances of agents from the ground along their up; inf without ground."""
+    """Return the distances of agents from the ground along their up direction; inf without ground."""
     position, orient, length = (np.asarray(arrays[name], np.float64)[rows] for name in ("P", "orient", "pscale"))
     hits = terrain.find_along(position, find_axes(orient)[1], 0.5 * length, _GAP_REACH * length)
     offset = position - hits.position

@@ -1,4 +1,4 @@
-"""Storage of edits: in the manifest of their cache, which stays unchanged otherwise, or as a new cache with edited frames."""
+"""Stores edits: in the manifest of their cache, which stays unchanged otherwise, or as a new cache with edited frames."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from antdsl.outputs.edits.edit_files import encode_edit_arrays
 
 
 def store_edits(folder: Path, entry: EditsEntry | None, arrays: Mapping[str, NDArray[Any]] | None = None) -> bool:
-    """Write edits into the manifest of a cache, or take them away with None. Return whether the cache had edits before.
+    """Write edits into the manifest of a cache, or remove them if `entry` is None. Return whether the cache had edits before.
 
-    `arrays`: of the meshes and bodies that they name; they are written first, into a file next to the manifest.
-    Raises ManifestError if there is no cache, FolderLocked while a run writes to it."""
+    `arrays`: the meshes and bodies that the edits name. They are written first, into a file next to the manifest. Raises
+    ManifestError if there is no cache, FolderLocked while a run writes to it."""
     with FolderLock(folder):
         manifest = read_manifest(folder)
         if entry is not None and entry.arrays is not None:

@@ -31,7 +31,9 @@ from antdsl.scene.notes.selectors import AgentConditions
 
 
 class EditVerb(NamedTuple):
-    """A verb: the model of its lines, and the view that applies one. `is_last`: it reads the result of all other edits."""
+    """A verb: the model of its lines, and the class of the view that applies a line.
+
+    `is_last`: whether the view reads the result of all other edits."""
 
     line: type[EditLine]
     layer: type[EditLayer]

@@ -28,13 +28,13 @@ from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances,
 class ExportFormat:
     """An export to files with some `extensions`.
 
-    `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return
-    messages about omissions and changes.
+    `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return messages about
+        omissions and changes.
     `per_frame_forms`: the forms that write one file per frame, with the frame number in the name.
-    `coloured_forms`: the forms that write colours of agents, natural ones or those of states.
+    `coloured_forms`: the forms that write colours of agents, natural colours or those of states.
     `options`: by form, the dataclass of its additional options.
     `forbidden_strings`: strings that file names must not contain, because they have a special meaning for the export's
-    libraries."""
+        libraries."""
 
     extensions: tuple[str, ...]
     forms: Mapping[str, Callable[..., Sequence[str] | None]]
@@ -94,7 +94,8 @@ def find_export(path: Path) -> ExportFormat | None:
 
 @dataclass(frozen=True, eq=False)
 class AgentSubset(CacheView):
-    """A view of another cache that contains only the agents with some `ids`, in all species. Everything else is unchanged."""
+    """A view of another cache that contains only the agents with the given `ids`, in all species. Everything else is
+    unchanged."""
 
     ids: frozenset[int]
 
@@ -108,5 +109,5 @@ class AgentSubset(CacheView):
 
 
 def _list_id_arrays(names: frozenset[str]) -> set[str]:
-    """Return the names of the id arrays that arrays of pairs and events need."""
+    """Return the names of the arrays with ids that belong to these arrays of pairs and events."""
     return {f"{name.rpartition('.')[0]}.id" for name in names if find_array_subject(name) in ("pair", "event")}

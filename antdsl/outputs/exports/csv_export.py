@@ -17,10 +17,10 @@ HEADER_LINE = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
 
 
 def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write these frames as CSV, atomically, in the scene's units and axes. Positions are relative to the scene's zero point.
+    """Write the agents of these frames as CSV, atomically, in the scene's units and axes.
 
-    Angles are degrees about x, then y, then z, without jumps between frames. Angles and scale (the body's length) place a body of
-    length 1 along +x with +y up.
+    Positions are relative to the scene's zero point. Angles are degrees about x, then y, then z, without jumps between frames.
+    Angles and scale (the body's length) place a body of length 1 along +x with +y up.
 
     Raises CacheError for a damaged frame, OSError if writing fails."""
     row = "%d,%d" + f",{choose_coordinate_format(gallery)}" * 3 + ",%.9g" * 6  # nine digits restore a float32 exactly

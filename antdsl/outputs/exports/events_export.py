@@ -33,8 +33,7 @@ _COLUMNS = (Column("frame", "derived", "i8"), *CONTACT_COLUMNS[:4], Column("what
 class EventRows:
     """Events of one kind in one frame.
 
-    `species`: the species number of each agent; `id`: its id.
-    `P`, `N` (k, 3): position in scene units, and normal.
+    `species`: the species number of each agent. `id`: the id of each agent. `P`, `N` (k, 3): position in scene units, and normal.
     `what`: the number of the new state, of the leg or of the event; -1 for none.
     `other_species`, `other`, `depth`: for contacts, the other agent and the penetration depth."""
 
@@ -50,9 +49,9 @@ class EventRows:
 
 
 def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write events as a table with one row per event; `what` is a word. Return messages on missing events.
+    """Write the events of these frames as a table with one row per event, and return messages about missing events.
 
-    Raises CacheError for a damaged frame, OSError if writing fails."""
+    The column `what` has words. Raises CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
     names, digits = [entry.name for entry in gallery.manifest.species], choose_coordinate_format(gallery)
     with atomic_file(path) as file:
@@ -72,11 +71,11 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 
 def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write events as arrays, and return messages on missing events. Raises CacheError for a damaged frame, OSError if writing
-    fails.
+    """Write the events of these frames as arrays, and return messages about missing events.
 
     Each kind has the arrays `KIND.frame`, `.species`, `.id`, `.P`, `.N` and `.what`. Contacts also have `.other_species`,
-    `.other` and `.depth`. `KIND.P` is relative to `origin` float64[3]."""
+    `.other` and `.depth`. `KIND.P` is relative to `origin` float64[3]. Raises CacheError for a damaged frame, OSError if writing
+    fails."""
     frames = list(frames)
     events_by_kind: dict[str, list[tuple[int, EventRows]]] = {kind: [] for kind in EVENT_KINDS}
     for frame, each in _iterate_events(gallery, frames):
@@ -93,6 +92,7 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 
 def _note_missing_events(gallery: Gallery, frames: list[int]) -> list[str]:
+    """Return messages about the kinds of events that the cache does not have."""
     arrays = gallery.cache.frame(frames[-1])
     lacks = [kind for kind in ("emit", "contact") if f"events.{kind}.id" not in arrays]
     kinds = ", ".join(lacks)
@@ -100,7 +100,7 @@ def _note_missing_events(gallery: Gallery, frames: list[int]) -> list[str]:
 
 
 def _iterate_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, EventRows]]:
-    """Yield the events of frames, kind after kind, each with its frame.
+    """Yield each frame number with the events of one kind in this frame, kind after kind.
 
     Events of the first frame follow from the frame before it, if that exists."""
     previous: Arrays | None
@@ -134,7 +134,9 @@ def _compare_frames(gallery: Gallery, previous_arrays: Arrays, arrays: Arrays) -
 
 
 def _find_footfalls(gallery: Gallery, body: tuple[int, int, str], previous_arrays: Arrays, arrays: Arrays) -> Iterator[EventRows]:
-    """Yield the feet that land between two frames, of agents with a body: its species, its index there, and its key."""
+    """Yield the events of feet that land between two frames, for the agents with one body.
+
+    `body`: the number of the species, the index of the body in it, and the key of the body."""
     number, which, key = body
     down = [each.get(f"feet.{key}.down") for each in (previous_arrays, arrays)]
     positions = arrays.get(f"feet.{key}.P")
@@ -158,9 +160,9 @@ def _make_events(
     event_details: NDArray[Any] | None = None,
     positions: NDArray[np.float64] | None = None,
 ) -> EventRows:
-    """Return events of the agents in some rows of a frame. `N` is the agents' up.
+    """Return events of one kind for the agents in `rows` of a frame. `N` is the agents' up direction.
 
-    `positions`: positions of the events; None for the positions of the agents."""
+    `event_details`: the values of `what`. `positions`: positions of the events; None for the positions of the agents."""
     none = np.full(len(rows), -1, np.int64)
     up = rotate_vectors(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_DEFAULT_UP, (len(rows), 1)))
     where = np.asarray(arrays["P"], np.float64)[rows] if positions is None else positions
@@ -170,7 +172,7 @@ def _make_events(
 
 
 def _read_stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[EventRows]:
-    """Yield the events stored in a frame. Contacts in `known_pairs`, those of the previous frame, are left out."""
+    """Yield the events that a frame stores. Contacts in `known_pairs`, those of the previous frame, are left out."""
     for kind in ("emit", "contact"):
         of = select_by_prefix(arrays, f"events.{kind}.")
         if "id" not in of:
@@ -186,13 +188,13 @@ def _read_stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> It
 
 
 def _list_contact_pairs(arrays: Arrays) -> list[tuple[int, ...]]:
-    """Return the species and ids of both agents of each contact in a frame."""
+    """Return the species and ids of both agents, for each contact in a frame."""
     keys = [f"events.contact.{name}" for name in ("species", "id", "other_species", "other")]
     return list(zip(*(arrays[key].tolist() for key in keys), strict=True)) if keys[-1] in arrays else []
 
 
 def _find_event_words(gallery: Gallery, events: EventRows) -> list[str]:
-    """Return the words for `what`: the state that begins, the leg that lands, or the event that is emitted."""
+    """Return the word for `what` of each event: the state that begins, the leg that lands, or the event that is emitted."""
     species, manifest = events.species.tolist(), gallery.manifest
     if events.kind == "state":
         return [manifest.species[s].machines[0].states[k].name for s, k in zip(species, events.what.tolist(), strict=True)]

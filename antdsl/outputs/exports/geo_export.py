@@ -53,6 +53,7 @@ def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
 
 def _make_geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
+    """Return the points of a frame, as the format's list of keys and values."""
     manifest, count = gallery.manifest, len(arrays["P"])
     points = [
         _format_numbers(name, values, kind) for name, (values, kind) in _make_point_attributes(gallery, frame, arrays).items()
@@ -75,7 +76,7 @@ def _make_geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
 
 
 def _make_point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
-    """Return the numeric attributes of agents, each with Houdini's type of vector ("" for plain numbers)."""
+    """Return the numeric attributes of agents by name: their values, and Houdini's type of vector ("" for plain numbers)."""
     z_up = gallery.manifest.up == "z"
     turn = normalise_quaternion(np.asarray(arrays["orient"], np.float64))
     attributes = {"P": (_rotate_to_y_up(arrays["P"], z_up), "point")}
@@ -101,7 +102,7 @@ def _make_point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict
 
 
 def _make_text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
-    """Return the text attributes of agents, each as a table of texts and the index of each agent's text. -1 means no text."""
+    """Return the text attributes of agents by name: a table of texts, and the index of each agent's text (-1 for no text)."""
     manifest, count = gallery.manifest, len(arrays["P"])
     which = get_species_numbers(arrays)
     species = [entry.name for entry in manifest.species]
@@ -119,7 +120,8 @@ def _make_text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[l
 
 
 def _make_clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
-    """Return the attributes `clipN_time` (seconds) and `clipN_weight` of the clips that each agent plays."""
+    """Return the attributes `clipN_time` (seconds) and `clipN_weight` of the clips that each agent plays, as numeric
+    attributes."""
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
     for number, entry, rows, slot, (clip, turns, weight) in _iterate_played_clips(gallery, arrays):
         body = gallery.bodies.numbers(number, get_agent_ids(arrays)[rows])
@@ -130,7 +132,7 @@ def _make_clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDAr
 
 
 def _make_clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
-    """Return the attributes `clipN` (the name of a clip) and `clipN_group` (the transform group that it moves)."""
+    """Return the attributes `clipN` (the name of a clip) and `clipN_group` (its transform group), as text attributes."""
     attributes: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
     for _, entry, rows, slot, (clip, _, _) in _iterate_played_clips(gallery, arrays):
         for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
@@ -141,8 +143,9 @@ def _make_clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[s
 
 
 def _iterate_played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[int, SpeciesEntry, NDArray[np.intp], int, Slot]]:
-    """Yield the clips of each species that plays clips: species number, entry, rows of its agents, slot number, clips in the
-    slot."""
+    """Yield the clips of each species that plays clips, slot by slot.
+
+    The results are the number of the species, its entry, the rows of its agents, the number of the slot, and the clips in it."""
     for number, entry in enumerate(gallery.manifest.species):
         rows = find_species_rows(arrays, number)
         machines = read_all_machine_clips(entry, arrays, len(rows))
@@ -152,10 +155,11 @@ def _iterate_played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[in
 
 
 def _make_clip_slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
-    """Return two slots per machine, for the outgoing and the current clip: clip number, turns, weight.
+    """Return two slots per machine, first for the outgoing clip, then for the current clip.
 
-    Houdini normalises the weights at each joint. In antdsl, a machine's clips replace a share of the earlier machines'
-    clips, equal to their total weight. The returned weights give the same result for up to two machines."""
+    A slot has the clip numbers, the played cycles and the weights of all agents. Houdini normalises the weights at each joint. In
+    antdsl, a machine's clips replace a share of the earlier machines' clips, equal to their total weight. The returned weights
+    give the same result for up to two machines."""
     slots, below = [], np.zeros(count)
     for machine in machines:
         fade = np.clip(machine.fade, 0, 1).astype(np.float64)
@@ -174,8 +178,9 @@ def _make_clip_slots(machines: Iterable[MachineClips], count: int) -> list[Slot]
 
 
 def _find_clip_durations(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
-    """Return the duration in seconds of each clip of a species, one row for each of its bodies; 1 for clips that the body lacks.
-    A last column 0 stands for no clip."""
+    """Return the duration in seconds of each clip of a species, with one row for each of its bodies.
+
+    A clip that the body lacks has the duration 1. A last column of zeros stands for no clip."""
     bodies = [gallery.load_body(number, 0, which).definition.clips for which in range(len(gallery.bodies.keys(number)))]
     return np.array(
         [[*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0] for clips in bodies]
@@ -205,6 +210,7 @@ def _compute_angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, orie
 
 
 def _rotate_to_y_up(vectors: NDArray[Any], z_up: bool) -> Floats:
+    """Return vectors (n, 3) of the scene in axes with y up. `z_up`: whether the scene has z up."""
     xyz = np.asarray(vectors, np.float64)
     return np.stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]], axis=1) if z_up else xyz
 

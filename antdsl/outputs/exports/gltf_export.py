@@ -39,8 +39,8 @@ _SpeciesBody = tuple[str, str]  # a species, and the key of one of its bodies
 class GltfOptions:
     """Options of an export to glTF.
 
-    `tolerance`: the largest distance of a joint or mesh point from its pose, as a share of the body's length. 0 writes all keys
-    that differ."""
+    `tolerance`: the largest permitted distance of a joint or mesh point from its pose, as a share of the body's length. 0 writes
+    all keys that differ."""
 
     tolerance: float = 0.005
 
@@ -49,9 +49,8 @@ _DEFAULT_OPTIONS = GltfOptions()
 
 
 def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path, options: GltfOptions = _DEFAULT_OPTIONS) -> list[str]:
-    """Write agents with joints, meshes, items and the camera, animated over these frames.
-
-    Return messages about features that glTF lacks.
+    """Write agents with joints, meshes, items and the camera, animated over these frames. Return messages about features that
+    glTF lacks.
 
     Raises ExportUnavailable beyond the limits of one glTF file, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
@@ -76,11 +75,13 @@ class _BodyRecord:
     """The animation of all agents with one body.
 
     `outfits`: the body with each set of layers that agents wear.
-    `arrays`: arrays by frame and name, with one row per agent.
-    `id` int64, `frame` (numbers from 0), `outfit` (index of `outfits`): agent, frame and layers of the row.
-    `translation` float32[J + 1, 3], `rotation` float32[J + 1, 4], `scale` float32[J + 1, 3]: of the agent's node, and of joints.
-    `channels` float32[C]. `shear`: the largest.
-    `colour_by_agent`: by agent id, the display colour in its first frame."""
+    `arrays`: by name, the arrays of each frame, with one row per agent:
+    - `id` int64, `frame` (counted from 0), `outfit` (index of `outfits`): the agent, frame and layers of the row
+    - `translation` float32[J + 1, 3], `rotation` float32[J + 1, 4], `scale` float32[J + 1, 3]: of the agent's node, and of joints
+    - `channels` float32[C]: channel values
+
+    `shear`: the largest shear.
+    `colour_by_agent`: by agent id, the display colour in the agent's first frame."""
 
     outfits: list[PosedBody] = field(default_factory=list)
     arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
@@ -105,7 +106,7 @@ class _BodyRecord:
             self.arrays.setdefault(name, []).append(values)
 
     def take_sorted_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all rows, sorted by agent and frame. The collected arrays are freed."""
+        """Return the rows of all frames, sorted by agent and frame. The collected arrays are freed."""
         keys = [np.concatenate(self.arrays[name]) for name in ("frame", "id")]
         order = np.lexsort(keys)
         return {name: np.concatenate(self.arrays.pop(name))[order] for name in list(self.arrays)}
@@ -120,7 +121,7 @@ class _BodyCollector:
 
     @staticmethod
     def gather(gallery: Gallery, frames: list[int]) -> _BodyCollector:
-        """Return the agents of some frames. Raises ExportUnavailable beyond the limits of agents or bytes."""
+        """Return the agents of `frames`. Raises ExportUnavailable beyond the limits of agents or bytes."""
         bodies: dict[_SpeciesBody, _BodyRecord] = {}
         output = _BodyCollector(bodies)
         size = 0
@@ -142,7 +143,7 @@ class _BodyCollector:
         return output
 
     def _add_crowd(self, species: str, body: _BodyRecord, crowd: Crowd, number: int) -> None:
-        """Append one frame's rows of a crowd to its body."""
+        """Append the rows of a crowd in the frame `number` to the record of its body."""
         assert crowd.ids is not None
         body.add_rows(crowd, number)
         for one, colour in zip(np.asarray(crowd.ids).tolist(), np.asarray(crowd.colour).tolist(), strict=True):
@@ -150,7 +151,7 @@ class _BodyCollector:
                 self.recoloured_species.add(species)
 
     def make_notes(self) -> list[str]:
-        """Return messages on features of the agents that glTF lacks."""
+        """Return messages about features of the agents that glTF lacks."""
         messages = [] if self.bodies else [NO_AGENTS_MESSAGE]
         messages += [
             f"agents of `{species}` keep the colour of their first state: glTF has no colours over time"
@@ -166,7 +167,10 @@ class _BodyCollector:
 
 @dataclass(slots=True, eq=False)
 class _WornShape:
-    """A shape that agents wear. `outfits`: the numbers of the outfits that have it. `body`: one of them."""
+    """A shape that agents wear.
+
+    `outfits`: the numbers of the outfits that have it. `body`: the body of one of these outfits.
+    `meshes`: the numbers of its meshes by colour."""
 
     binding: Binding
     body: PosedBody
@@ -176,15 +180,17 @@ class _WornShape:
 
     @property
     def is_skinned(self) -> bool:
+        """Return whether the points of the shape follow several joints."""
         return "skinning" in self.binding.deformer
 
     @property
     def has_targets(self) -> bool:
+        """Return whether the shape has morph targets."""
         return self.parts.targets is not None and "blendshape" in self.binding.deformer
 
 
 class _AgentWriter:
-    """Writes the nodes, skins and animation of all agents with one body."""
+    """Writer of the nodes, skins and animation of all agents with one body."""
 
     def __init__(self, stage: GltfStage, body: _BodyRecord, species: str, states: StateChanges, options: GltfOptions) -> None:
         self._stage, self._species, self._states, self._colours = stage, species, states, body.colour_by_agent
@@ -208,7 +214,7 @@ class _AgentWriter:
             if each.is_skinned:
                 radii[1:] = np.maximum(radii[1:], each.parts.measure_radii(rig.names))
             else:
-                node = 1 + rig.joint(each.binding.transform) if each.binding.transform in rig.names else 0
+                node = 1 + rig.find_joint(each.binding.transform) if each.binding.transform in rig.names else 0
                 radii[node] = max(radii[node], each.parts.measure_radius())
         move, turn, size = (self._arrays[path] for path in PATHS)
         unit = np.repeat(size[self._rows.starts[:-1], 0, :1], self._rows.counts, axis=0)  # of the body's space, in the scene
@@ -217,9 +223,9 @@ class _AgentWriter:
         return NodeTracks([-1, *(rig.parents + 1).tolist()], [top, *joints], radii / length)
 
     def write_agents(self) -> None:
-        """Write all agents."""
+        """Write the nodes, shapes and keys of all agents."""
         weights = {
-            k: each.parts.targets.weights(self._arrays["channels"])
+            k: each.parts.targets.compute_weights(self._arrays["channels"])
             for k, each in enumerate(self._shapes) if each.parts.targets is not None and each.has_targets
         }  # fmt: skip
         steps = {k: self._rows.choose_steps(values, np.full(len(self._ids), _WEIGHT_TOLERANCE)) for k, values in weights.items()}
@@ -232,7 +238,7 @@ class _AgentWriter:
                     self._stage.write_weights(node, self._arrays["frame"][rows], weights[k][rows])
 
     def _write_joints(self, agent: int, agent_id: int) -> list[int]:
-        """Write the nodes of an agent and its joints, with their keys, and return their numbers."""
+        """Write the nodes of an agent and its joints, with their keys, and return the numbers of these nodes."""
         stage, name = self._stage, f"{self._species}_{agent_id}"
         nodes = [
             stage.add_agent(
@@ -257,7 +263,7 @@ class _AgentWriter:
         return nodes
 
     def _write_shape(self, worn_shape: _WornShape, agent: int, agent_id: int, nodes: list[int]) -> int | None:
-        """Write the node of a shape that an agent wears in some frames, and return its number. None: it never wears it."""
+        """Write the accessors of a body's shape, and return them."""
         stage, binding, rig = self._stage, worn_shape.binding, self._definition.rig
         rows = np.arange(*self._rows.starts[agent : agent + 2].tolist())
         frames = self._arrays["frame"][rows[np.isin(self._arrays["outfit"][rows], worn_shape.outfits)]]
@@ -265,7 +271,7 @@ class _AgentWriter:
             return None
         colour = self._colours[agent_id]
         if colour not in worn_shape.meshes:
-            worn_shape.meshes[colour] = worn_shape.parts.mesh(
+            worn_shape.meshes[colour] = worn_shape.parts.add_mesh(
                 binding.shape, _write_materials(stage, worn_shape.body, binding.shape, colour)
             )
         name, followed = f"{self._species}_{agent_id}_{binding.shape}", dict(zip(rig.names, nodes[1:], strict=True))
@@ -283,7 +289,7 @@ class _AgentWriter:
 
 
 def _list_shapes(writer: GltfWriter, outfits: list[PosedBody]) -> Iterable[_WornShape]:
-    """Return the shapes of some outfits, each once."""
+    """Return the shapes of the given outfits, each shape once."""
     shapes: dict[Binding, _WornShape] = {}
     for number, body in enumerate(outfits):
         for binding in body.bindings:

@@ -30,10 +30,10 @@ _SHORT_ROTATION_ERROR = 4.0 / 32767
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentRows:
-    """The rows of A agents, sorted by agent and frame.
+    """The rows of A agents in all frames, sorted by agent and frame.
 
-    `frames` int64[r]: frame numbers of the cache.
-    `starts` int64[A + 1]: agent k has the rows `starts[k]:starts[k + 1]`, at least one."""
+    `frames`: int64[r], the frame number of each row.
+    `starts`: int64[A + 1]; agent k has the rows `starts[k]:starts[k + 1]`, at least one."""
 
     frames: NDArray[np.int64]
     starts: NDArray[np.int64]
@@ -44,20 +44,20 @@ class AgentRows:
         return np.diff(self.starts)
 
     def list_keys(self, agent: int, step: int) -> NDArray[np.int64]:
-        """Return the rows of an agent that are keys: each `step`-th and the last."""
+        """Return the rows of an agent that become keys: each `step`-th row and the last row."""
         start, end = self.starts[agent : agent + 2]
         keys = np.arange(start, end, step)
         return keys if keys[-1] == end - 1 else np.append(keys, end - 1)
 
     def measure_constant_errors(self, values: NDArray[Any]) -> Floats:
-        """Return, for each agent, the largest distance of `values` (r, k) from those of its first row."""
+        """Return, for each agent, the largest distance of its `values` (r, k) from the values in its first row."""
         first = np.repeat(values[self.starts[:-1]], self.counts, axis=0)
         return np.asarray(np.maximum.reduceat(_measure_distances(values, first), self.starts[:-1]))
 
     def choose_steps(self, values: NDArray[Any], tolerances: Floats) -> NDArray[np.int64]:
-        """Return the key step of each agent: 0 for constant `values` (r, k), 1 for a key in each row.
+        """Return the number of rows between two keys for each agent: 0 for constant `values` (r, k), 1 for a key in each row.
 
-        `tolerances` float64[A]: the largest permitted distances, of quaternions if k is 4."""
+        `tolerances` float64[A]: the largest permitted distances. With k = 4, these are distances of quaternions."""
         steps = np.where(self.measure_constant_errors(values) <= tolerances, 0, 1)
         agents, step = np.flatnonzero((steps == 1) & (self.counts > 2)), 2
         while len(agents):
@@ -67,8 +67,10 @@ class AgentRows:
         return steps
 
     def _measure_key_errors(self, values: NDArray[Any], agents: NDArray[np.intp], step: int) -> Floats:
-        """Return the largest distance of `values` from those between keys at each `step`-th row, for each of some agents. They
-        have at least 3 rows."""
+        """Return, for each of `agents`, the largest distance of `values` from the values interpolated between keys at each
+        `step`-th row.
+
+        The agents have at least 3 rows."""
         counts = self.counts[agents]
         row_ends = np.cumsum(counts)
         place = np.arange(row_ends[-1]) - np.repeat(row_ends - counts, counts)  # of each row, from the agent's first
@@ -87,7 +89,7 @@ class AgentRows:
 
 
 def _measure_distances(a: NDArray[Any], b: NDArray[Any]) -> Floats:
-    """Return the distances of rows (n, k); of quaternions, the nearer one of both signs counts."""
+    """Return the distances of rows (n, k). For quaternions, this is the distance to the nearer of both signs."""
     wide = a.astype(np.float64)
     distances: Floats = np.sqrt(((wide - b) ** 2).sum(axis=1))
     if a.shape[1] == 4:
@@ -97,19 +99,20 @@ def _measure_distances(a: NDArray[Any], b: NDArray[Any]) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NodeTracks:
-    """The tracks of N nodes, parents before children. The first is the agent itself, with transforms in lengths of its size.
+    """The tracks of N nodes, parents before children. The first node is the agent, with transforms in lengths of its size.
 
-    `parents` int64[N], -1 for the first.
+    `parents`: int64[N], -1 for the first node.
     `transforms_by_node`: by node, translations (r, 3), rotations (r, 4) and scales (r, 3).
-    `radii` float64[N]: largest distance of mesh points that follow the node, in its own space."""
+    `radii`: float64[N], the largest distance from the node of mesh points that follow it, in the space of the node."""
 
     parents: Sequence[int]
     transforms_by_node: Sequence[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]]
     radii: Floats
 
     def compute_max_displacements_per_unit(self) -> Floats:
-        """Return float64[N, 3]: by how much a translation, a quaternion and a scale that differ by 1 move a joint or point, at
-        most."""
+        """Return upper bounds, float64[N, 3], of how far a change by 1 moves a joint or point.
+
+        The columns are changes of a node's translation, quaternion and scale."""
         lengths = [
             float(np.sqrt((move.astype(np.float64) ** 2).sum(axis=1)).max(initial=0.0)) for move, _, _ in self.transforms_by_node
         ]
@@ -136,15 +139,15 @@ class NodeTracks:
 class KeyPlan:
     """The keys of all tracks.
 
-    `steps` int64[N, 3, A]: by node, path and agent, see `AgentRows.choose_steps`.
-    `has_short_rotations`: rotations are int16."""
+    `steps`: int64[N, 3, A], by node, path and agent, the rows between two keys, as `AgentRows.choose_steps`.
+    `has_short_rotations`: whether rotations are written as int16."""
 
     steps: NDArray[np.int64]
     has_short_rotations: bool
 
 
 def plan_keys(rows: AgentRows, tracks: NodeTracks, tolerance: float) -> KeyPlan:
-    """Choose keys so that no joint or point is farther than `tolerance` from its pose, in lengths of the body."""
+    """Return keys for which no joint or point is farther than `tolerance` from its pose, in lengths of the body."""
     levers = np.maximum(tracks.compute_max_displacements_per_unit(), 1e-12)
     rounding = float(tracks.sum_along_chains(levers[:, 1] / 2).max()) * _SHORT_ROTATION_ERROR
     has_short_rotations = 1.5 * rounding <= tolerance

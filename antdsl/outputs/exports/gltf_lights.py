@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.transforms import matrix_to_quaternion
-from antdsl.casting.lamps import UNIT_DISTANCE, place_bulb
+from antdsl.casting.lamps import UNIT_DISTANCE_IN_RADII, place_bulb
 from antdsl.outputs.exports.gltf_stage import GltfStage
 from antdsl.outputs.pictures.lamps import LAMP_COLOUR, find_lamps
 from antdsl.outputs.pictures.light import SUN_LIGHT, make_sun
@@ -24,7 +24,7 @@ _LUX_PER_LIGHT = float(np.pi) * 683
 
 
 def add_lights(stage: GltfStage, picture: Picture) -> None:
-    """Write the sun, and a point light in each lamp of the first picture. Lamps move with their items; they do not shrink."""
+    """Write the sun, and a point light for each lamp of the first picture. Lamps move with their items, but do not shrink."""
     lights: dict[int, dict[str, Any]] = {}  # by node
     settings, up = picture.light, np.asarray(UP_VECTORS[stage.gallery.manifest.up], np.float64)
     if settings.sun > 0:
@@ -38,7 +38,7 @@ def add_lights(stage: GltfStage, picture: Picture) -> None:
     for index, item in enumerate(picture.items):
         for lamp in find_lamps([item], picture.up, settings.lamps):
             centre, _ = place_bulb(item.shape, np.zeros(3), 1.0, up)
-            candela = (UNIT_DISTANCE * item.drawn_radius * metres) ** 2
+            candela = (UNIT_DISTANCE_IN_RADII * item.drawn_radius * metres) ** 2
             lights[stage.add_child(index, f"{item.name} light", move=centre)] = {
                 "type": "point", **_make_strength(LAMP_COLOUR * lamp.strength, candela)
             }  # fmt: skip
@@ -49,6 +49,6 @@ def add_lights(stage: GltfStage, picture: Picture) -> None:
 
 
 def _make_strength(colour: NDArray[np.floating], factor: float) -> dict[str, Any]:
-    """Return colour and intensity of a light; the greatest part of its colour is 1."""
+    """Return the colour and the intensity of a light, as glTF entries. The largest component of the colour is 1."""
     greatest = float(np.max(colour))
     return {"color": [round(float(part) / greatest, 6) for part in colour], "intensity": _LUX_PER_LIGHT * greatest * factor}

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(slots=True, eq=False)
 class _MovingNode:
-    """The node of a mesh or an item, and its animation."""
+    """The node of a mesh or an item, and its transforms in all frames."""
 
     node: int
     frames: list[int] = field(default_factory=list)
@@ -44,7 +44,7 @@ class _MovingNode:
 class GltfStage:
     """The scene of a glTF file. Its methods count frames from 0 in the order of `frames`.
 
-    A frame missing in `frames` still takes its time in the animation."""
+    A frame number missing in `frames` still takes its time in the animation."""
 
     def __init__(self, gallery: Gallery, frames: list[int]) -> None:
         self.gallery, self.frames = gallery, frames
@@ -76,6 +76,7 @@ class GltfStage:
     # ---- nodes
 
     def _add_node(self, parent: int | None, entry: dict[str, Any]) -> int:
+        """Add a node and return its number. `parent`: the node above it, None for a root."""
         number = self.writer.add_part("nodes", entry)
         if parent is None:
             self.scene["nodes"].append(number)
@@ -92,12 +93,13 @@ class GltfStage:
         return self._add_node(parent, {"name": name})
 
     def add_body(self, parent: int | None, name: str, mesh: int, skin: int | None) -> int:
-        """Add a node with a mesh and return its number. `parent`: the parent, None for a root. Nodes with a skin must be
-        roots."""
+        """Add a node with a mesh and return its number.
+
+        `parent`: the node above it, None for a root. Nodes with a skin must be roots."""
         return self._add_node(parent, {"name": name, "mesh": mesh} | ({} if skin is None else {"skin": skin}))
 
     def add_child(self, item: int | None, name: str, move: NDArray[Any] | None = None, turn: NDArray[Any] | None = None) -> int:
-        """Add a node below the node of a drawn item, or below the world for None, and return its number.
+        """Add a node and return its number. It is below the node of the drawn item `item`, or below the world for None.
 
         `move` (3,): its position, relative to the item in radii. `turn` (x y z w): its rotation."""
         entry: dict[str, Any] = {"name": name}
@@ -106,20 +108,22 @@ class GltfStage:
         return self._add_node(self._world_node if item is None else self._items[item].node, entry)
 
     def write_presence(self, node: int, frames: NDArray[np.int64], scales: Floats | None = None) -> None:
-        """Write the scale of a node that exists in some `frames` only. In others it is 0. `scales` (n, 3): by default 1."""
+        """Write keys for the scale of a node that exists only in `frames`. In all other frames the scale is 0.
+
+        `scales` (n, 3): the scales in `frames`, by default 1."""
         track = np.zeros((len(self.frames), 3))
         track[frames] = 1.0 if scales is None else scales
         keys = np.flatnonzero(np.append(True, (track[1:] != track[:-1]).any(axis=1)))
         self.write_keys(node, "scale", keys, track[keys], "STEP")
 
     def write_weights(self, node: int, frames: NDArray[np.int64], values: NDArray[np.float32]) -> None:
-        """Write the weights (n, targets) of a node's morph targets over frames."""
+        """Write the weights (n, targets) of a node's morph targets in `frames`."""
         mesh = self.writer.get_part("nodes", node)["mesh"]
         self.writer.get_part("meshes", mesh).setdefault("weights", [0.0] * values.shape[1])
         self.write_keys(node, "weights", frames, values)
 
     def write_value(self, node: int, path: str, value: NDArray[Any]) -> None:
-        """Write a constant property of a node, `path`. The default value is left out."""
+        """Write the constant value of a node's property `path`. The default value is left out."""
         single = np.asarray(value, np.float32)
         if path == "weights" or (single != np.array(_DEFAULT_BY_PATH[path], np.float32)).any():
             digits = 7 if path == "rotation" else 9  # components of rotations are at most 1, so these are float32 too
@@ -129,8 +133,9 @@ class GltfStage:
         self, node: int, path: str, frames: NDArray[np.int64], values: NDArray[Any], interpolation: str = "LINEAR",
         is_short: bool = False,
     ) -> None:  # fmt: skip
-        """Write keys (n, k) of one property of a node, and its first value as that of the node. `is_short`: as int16, of values
-        up to 1."""
+        """Write keys (n, k) of a node's property `path`, and the first key as the value of the node.
+
+        `is_short`: write int16, for values up to 1."""
         values = align_signs(values) if path == "rotation" else values
         self.write_value(node, path, values[0])
         keys = np.rint(values * 32767).astype(np.int16) if is_short else np.asarray(values, np.float32)
@@ -174,6 +179,7 @@ class GltfStage:
             self._add_item(frame, number, item)
 
     def _add_solid(self, frame: int, solid: Solid) -> None:
+        """Add the node of a mesh at its first frame, and record its motion in later frames."""
         vertices = np.asarray(solid.vertices, np.float64)
         if solid.name not in self._solids:
             node = self.add_body(
@@ -190,6 +196,7 @@ class GltfStage:
         moving.rotations.append(turn)
 
     def _add_item(self, frame: int, number: int, item: Item) -> None:
+        """Add the node of an item at its first frame, and record its motion in later frames."""
         if item.shape == "none" or item.radius <= 0:
             return
         if number not in self._items:
@@ -211,7 +218,9 @@ class GltfStage:
     def _write_mesh(
         self, name: str, points: Floats, faces: NDArray[Any], kind: str | None, colours: NDArray[Any] | None = None
     ) -> int:
-        """Write a mesh and return its number. `kind`: a kind of surface; None for one in the colours of its points."""
+        """Write a mesh and return its number.
+
+        `kind`: the kind of surface that selects its material; None for a mesh in the colours of its points."""
         attributes = {
             "POSITION": self.writer.add_accessor(points, "f4", VERTEX_BUFFER_TARGET, bounds=True),
             "NORMAL": self.writer.add_accessor(
@@ -248,11 +257,13 @@ class GltfStage:
             self.writer.add_part("animations", {"name": "shot", "samplers": self._samplers, "channels": self._channels})
 
     def _write_cameras(self) -> None:
+        """Write the cameras of the scene."""
         cameras = SceneCameras(self.gallery)
         for name, written_name in cameras.list_exported(self.frames[0]).items():
             self._write_camera(cameras, name, written_name)
 
     def _write_camera(self, cameras: SceneCameras, name: str, written_name: str) -> None:
+        """Write the camera `name` under the name `written_name`, with its motion."""
         first = cameras.make_camera(self.frames[0], name)
         assert first is not None
         angle = 2 * np.arctan(_SENSOR_WIDTH_MM / _DEFAULT_ASPECT / 2 / first.focal)

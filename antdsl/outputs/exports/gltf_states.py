@@ -15,13 +15,15 @@ _STATE_ARRAYS = IDENTITY_ARRAYS | {"state"}
 
 @dataclass(slots=True, eq=False)
 class StateChanges:
-    """By species and agent, the frames in which states begin, and their names. Empty if the cache has no states."""
+    """The state changes of agents: by species and agent id, the frames in which states begin and the names of these states.
+
+    Empty if the cache has no states."""
 
     changes: dict[tuple[str, int], list[dict[str, Any]]] = field(default_factory=dict)
 
     @staticmethod
     def gather(gallery: Gallery, frames: list[int]) -> StateChanges:
-        """Return the states of all agents in some frames."""
+        """Return the state changes of all agents in `frames`."""
         output = StateChanges()
         last: dict[str, dict[int, int]] = {}
         for frame in frames:

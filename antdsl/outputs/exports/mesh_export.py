@@ -51,10 +51,9 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
 
 
 def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the posed bodies of agents as USD, one mesh per agent, with points and normals over time. Return messages as
-    `export_meshes`.
+    """Write the posed bodies of agents as USD, one mesh per agent, with points and normals over time.
 
-    The meshes are `/World/SPECIES/agent_ID`. Raises UsdError without usd-core."""
+    Returns the messages of `export_meshes`. The meshes are `/World/SPECIES/agent_ID`. Raises UsdError without usd-core."""
     frames = list(frames)
     common_ids, notes = _find_common_agents(gallery, frames)
     usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
@@ -82,6 +81,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 
 def _add_usd_mesh(stage_output: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
+    """Add the mesh of an agent, and return its values over time: points, extent and normals."""
     species, _, number = part.name.rpartition("_")
     import_pxr_module("UsdGeom").Xform.Define(stage_output.stage, f"{ROOT_PATH}/{to_identifier(species)}")
     usd_mesh = add_mesh(
@@ -96,8 +96,8 @@ def _add_usd_mesh(stage_output: StageOutput, part: MeshPart) -> tuple[ValueSampl
 
 
 def _find_common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, set[int]], list[str]]:
-    """Return, by species and layers, the ids of agents that are in all frames with the same layers; and messages about the
-    others."""
+    """Return the ids of agents that are in all frames with the same layers, by species and layers, and messages about other
+    agents."""
     common_ids: dict[BodyKey, set[int]] = {}
     all_ids: dict[BodyKey, set[int]] = {}
     for k, frame in enumerate(frames):
@@ -132,6 +132,7 @@ def _pose_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int
 
 
 def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, MeshPart]]:
+    """Return the posed meshes of the agents in `rows`, each with its species and id."""
     worn = crowd.body
     assert crowd.ids is not None
     points, normals = crowd.pose_vertices(worn, rows)

@@ -18,11 +18,10 @@ _LINES_PER_BLOCK = 1 << 16  # lines that are made at once
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshPart:
-    """A mesh of a file.
+    """One of the meshes in a file.
 
-    `points` (n, 3), `faces` (m, 3).
-    `normals` (n, 3): unit vectors, or None.
-    `colours` (n, 3): sRGB display values from 0 to 1, or None."""
+    `points` (n, 3), `faces` (m, 3). `normals` (n, 3): unit vectors, or None. `colours` (n, 3): sRGB display values from 0 to 1,
+    or None."""
 
     name: str
     points: NDArray[np.floating]
@@ -52,6 +51,7 @@ def write_mesh(path: Path, parts: Sequence[MeshPart], origin: NDArray[np.float64
 def _write_ply(
     file: IO[bytes], parts: Sequence[MeshPart], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
+    """Write a binary PLY file with all meshes. `starts`: the number of the first point of each mesh."""
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(part.faces + s for part, s in zip(parts, starts, strict=False))])
     all_colours = [part.colours for part in parts if part.colours is not None]
     colours = (
@@ -75,7 +75,9 @@ def _write_ply(
 def _write_obj(
     file: IO[bytes], parts: Sequence[MeshPart], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
-    """Write an OBJ file. Point numbers continue from one object to the next, as the format requires."""
+    """Write an OBJ file with one object per mesh. `starts`: the number of the first point of each mesh.
+
+    Point numbers continue from one object to the next, as the format requires."""
     vertex = "v %.15g %.15g %.15g\n" if points.dtype == np.float64 else "v %.9g %.9g %.9g\n"
     for part, start in zip(parts, starts, strict=False):
         rows = slice(start, start + len(part.points))

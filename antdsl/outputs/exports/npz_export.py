@@ -51,6 +51,7 @@ def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
 
 def _compute_row_starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the first row of each frame and the total number of rows, int64[F + 1], from the rows per frame."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
@@ -62,6 +63,7 @@ def _iterate_parts(cache: Cache, frames: list[int], name: str, counts: NDArray[n
 
 
 def _describe_arrays(gallery: Gallery, agents: list[str]) -> dict[str, Any]:
+    """Return the JSON values of `about`. `agents`: the names of the arrays with one row per agent."""
     manifest = gallery.manifest
     species = [each.model_dump(mode="json", include={"name", "machines", "clips", "playing"}) for each in manifest.species]
     return {

@@ -42,7 +42,8 @@ FEWER_AGENTS_ADVICE = "choose fewer with `--ids 0..20` or `--frames A..B`"
 
 @dataclass(slots=True)
 class _PoseRows:
-    """The collected data of one body. `counts`: the number of rows by frame."""
+    """The rows of all agents with one body. `counts`: the number of rows in each frame. `arrays`: by name, the arrays of each
+    frame."""
 
     body: Definition
     counts: list[int] = field(default_factory=list)
@@ -95,7 +96,7 @@ BodyKey = tuple[str, str, tuple[str, ...]]
 
 
 def list_crowds_by_body(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBody]]:
-    """Return the crowds of a picture that have agents, each with its key (species, body and layers) and its body."""
+    """Return the crowds of a picture that have agents: the key of a crowd (species, body and layers), the crowd, and its body."""
     return [
         ((crowd.species, crowd.body_key or crowd.species, crowd.body.layers), crowd, crowd.body)
         for crowd in picture.crowds
@@ -104,7 +105,8 @@ def list_crowds_by_body(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBod
 
 
 def compute_placements(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
-    """Return matrices float64[n, 4, 4] from the space of the body to the scene (relative to its origin), one per agent."""
+    """Return matrices float64[n, 4, 4], one per agent, from the space of the body to the scene, relative to the scene's
+    origin."""
     matrices = np.tile(np.eye(4), (len(crowd.position), 1, 1))
     matrices[:, :3, :3] = build_rotation_matrices(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
     matrices[:, :3] = matrices[:, :3] @ body.compute_base_matrix()
@@ -113,8 +115,7 @@ def compute_placements(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
 
 
 def make_pose_arrays(crowd: Crowd) -> dict[str, NDArray[Any]]:
-    """Return, by name, the ids of a crowd's agents, their placement matrices, the transforms of their joints, and their
-    channels."""
+    """Return the arrays of a crowd by name: ids, placement matrices, joint transforms, and channels of the agents."""
     poses = crowd.compute_poses(needs_local=True)
     assert poses.local_transforms is not None and crowd.ids is not None
     return {

@@ -20,8 +20,9 @@ class CameraView:
 
     `eye` (3,): its position.
     `right_axis`, `up_axis`, `forward_axis`: unit axes.
-    `half_extent`: the tangents of half the angle of view across width and height. With `is_parallel` rays: half the width and
-    height in world units."""
+    `half_extent`: the tangents of half the angle of view across width and height. If `is_parallel`, half the width and height in
+        world units.
+    `is_parallel`: whether rays are parallel."""
 
     eye: Array
     right_axis: Array
@@ -64,13 +65,13 @@ class CameraView:
         return np.asarray(offset @ self.forward_axis if self.is_parallel else np.linalg.norm(offset, axis=1))
 
     def compute_pixel_size(self, depth: Any) -> Any:
-        """Return the edge length of a pixel, in world units, at a distance ahead or an array of distances."""
+        """Return the edge length of a pixel, in world units, at the distance `depth` ahead, a number or an array."""
         return (0.0 * depth + 1.0 if self.is_parallel else depth) * (2 * self.half_extent[0] / self.width)
 
 
 def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> CameraView:
     """Return `camera` prepared for a picture of `width` × `height` pixels. If it is aimed at its own position, it looks along
-    x."""
+    +x."""
     eye = np.asarray(camera.at, np.float64)
     right, top, ahead = compute_view_axes(eye, np.asarray(camera.look_at, np.float64), np.asarray(camera.up or up, np.float64))
     if camera.parallel_width is not None:

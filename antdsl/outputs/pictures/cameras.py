@@ -64,6 +64,7 @@ def make_fitted_camera(points: Array, up: Array, *, aspect: float = 16 / 9, foca
 
 
 def _collect_points(picture: Picture, up: Array) -> Array:
+    """Return points (n, 3) of all solids, agents and items of a picture."""
     parts = [np.asarray(solid.vertices, np.float64) for solid in picture.solids]
     parts += [np.asarray(crowd.position, np.float64) for crowd in picture.crowds]
     parts += [np.asarray(item.position, np.float64)[None] for item in picture.items]
@@ -118,7 +119,7 @@ def make_eye_level_camera(
 
 
 class AgentView(NamedTuple):
-    """A camera beside an agent: the agent's crowd and its row there."""
+    """A camera beside an agent. `crowd`, `row`: the crowd of the agent, and the agent's row in it."""
 
     crowd: Crowd
     row: int
@@ -165,7 +166,7 @@ def make_ray_scene(picture: Picture) -> RayScene:
 
 
 def _find_crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
-    """Return the rows of agents with many others within twelve body lengths. The rows are spread over several positions."""
+    """Return the rows of agents that have many others within twelve body lengths. The rows are spread over several positions."""
     from scipy.spatial import cKDTree
 
     points = np.where(np.isfinite(crowd.position), crowd.position, 1e12)
@@ -177,7 +178,7 @@ def _find_crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
 
 
 def score_camera(crowd: Crowd, row: int, scale: float, camera: Camera, rays: RayScene) -> float:
-    """Return a score for how much of the crowd a camera shows. It is far below zero where ground or stone blocks the view.
+    """Return a score of how much of the crowd a camera shows. It is far below zero if ground or stone blocks the view.
 
     `scale`: the longest side of the agent's body."""
     camera_view = make_view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))

@@ -1,7 +1,7 @@
 """Cameras that move with one agent. They depend on its positions in a range of frames, never on frames drawn before.
 
-The motion of the agent is averaged over some time before and after each frame, so the camera does not tremble. It does not turn
-with the agent: its direction is carried along the agent's path over the ground."""
+The motion of the agent is averaged over some time before and after each frame, so that the camera does not tremble. The camera
+does not turn with the agent: its direction is carried along the agent's path over the ground."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _LEVEL_COSINES = 0.2, 0.8  # of the agent's up: the horizon is level above the s
 
 
 class AgentTrack(NamedTuple):
-    """One agent in some frames: `frames` int64[n], ascending, `position` (n, 3) and `orient` (n, 4)."""
+    """The track of one agent: `frames` int64[n], ascending, and in each frame the `position` (n, 3) and the `orient` (n, 4)."""
 
     frames: NDArray[np.int64]
     position: Array
@@ -36,7 +36,7 @@ class AgentTrack(NamedTuple):
 
 
 class BodySize(NamedTuple):
-    """The space that a body takes, in world units: its reach to the sides, its height, and the longest side of its box."""
+    """The size of a posed body in world units: its radius to the sides, its height, and the longest side of its box."""
 
     radius: float
     height: float
@@ -59,10 +59,11 @@ def take_track(crowd: Crowd, row: int, frame: int) -> AgentTrack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StableTrack:
-    """The motion of an agent: `place` (n, 3) with smoothing, `position` (n, 3) without, and unit vectors (n, 3).
+    """The smoothed motion of an agent in n frames.
 
-    `ahead`: its heading in the first frame, carried along. `level`: where the top of a picture points.
-    `reach`: the number of frames before and after a frame over which it is averaged."""
+    `reach`: the number of frames before and after a frame over which the motion is averaged. `position`, `place` (n, 3): the
+    position without and with smoothing. `up` (n, 3): the smoothed unit vector up of the agent. `ahead` (n, 3): the agent's
+    heading in the first frame, carried along the ground. `level` (n, 3): the unit vector to which the top of a picture points."""
 
     frames: NDArray[np.int64]
     reach: float
@@ -74,7 +75,7 @@ class StableTrack:
 
     @classmethod
     def of(cls, track: AgentTrack, reach: float, upright: Array) -> StableTrack:
-        """Return the smoothed motion."""
+        """Return the smoothed motion of a track. `upright`: the world's unit vector up."""
         up = normalise(
             _smooth_values(rotate_vectors(track.orient, np.tile([0.0, 1.0, 0.0], (len(track.frames), 1))), track.frames, reach)
         )
@@ -99,8 +100,9 @@ class StableTrack:
 
 
 def _smooth_values(values: Array, frames: NDArray[np.int64], reach: float, has_trend: bool = False) -> Array:
-    """Return values (n, 3) averaged over `reach` frames before and after each. With `has_trend`, ends do not lag behind a steady
-    motion."""
+    """Return values (n, 3) averaged over `reach` frames before and after each frame.
+
+    `has_trend`: the ends do not lag behind a steady motion."""
     smooth = np.empty_like(values)
     for row, frame in enumerate(frames.tolist()):
         near = slice(*np.searchsorted(frames, [frame - reach, frame + reach + 1]).tolist())
@@ -121,10 +123,11 @@ class FollowingCamera:
     """A camera that moves with an agent.
 
     `centre` (n, 3): the points of the smoothed track that the camera follows, never far from the agent.
-    `angle`: the direction of the camera from the agent, to the right of its heading in the first frame, in radians.
-    `is_close`: the body fills the picture; else the camera is at eye level, with other agents in view.
-    `offset`: from the agent to the camera instead, along the axes of the world.
-    `rise` (n, 1): how far the camera is above that, along the top of the picture. `nearness` (n, 1): of its distance."""
+    `angle`: the direction from the agent to the camera, to the right of its heading in the first frame, in radians.
+    `is_close`: whether the body fills the picture; otherwise the camera is at eye level, with other agents in view. `offset`
+        (3,): if set, the vector from the agent to the camera, along the axes of the world, in place of `angle`. `rise` (n, 1):
+        how much the camera is raised, along the top of the picture. `nearness` (n, 1): the share of its distance at which the
+        camera is."""
 
     track: StableTrack
     body: BodySize
@@ -146,7 +149,8 @@ class FollowingCamera:
         is_close: bool = True,
         offset: Array | None = None,
     ) -> FollowingCamera:
-        """Return the camera. Where smoothing moves the track too far from the agent, the camera moves closer to it."""
+        """Return the camera that follows a track. Where smoothing moves the track too far from the agent, the camera moves closer
+        to it."""
         camera = cls(track, body, focal, track.place, angle, is_close, offset)
         first = camera.make_camera(int(track.frames[0]))
         most = _MAX_OFF_CENTRE * float(np.linalg.norm(np.subtract(first.at, first.look_at)))
@@ -155,7 +159,7 @@ class FollowingCamera:
         return replace(camera, centre=_smooth_values(track.place + shift, track.frames, track.reach / 2, has_trend=True))
 
     def make_camera(self, frame: int) -> Camera:
-        """Return the camera at a frame. Before and after the track, its first and last camera hold."""
+        """Return the camera at a frame. Before and after the track, it is the camera of the first and of the last frame."""
         track = self.track
         row = min(max(int(np.searchsorted(track.frames, frame, "right")) - 1, 0), len(track.frames) - 1)
         place, up, ahead = self.centre[row], track.up[row], track.ahead[row]
@@ -174,8 +178,9 @@ class FollowingCamera:
         return Camera(to_tuple(eye), to_tuple(aim), focal=self.focal, up=to_tuple(top))
 
     def raise_eye(self, heights: Array, shares: Array) -> FollowingCamera:
-        """Return a camera that is at least so much higher (n, 1), and at most at this share (n, 1) of its distance. Both change
-        smoothly."""
+        """Return a camera that is raised by at least `heights` (n, 1), and at most at the shares `shares` (n, 1) of its distance.
+
+        Both change smoothly from frame to frame."""
         frames, reach = self.track.frames, max(self.track.reach, 1.0)
         if not heights.any() and (shares == 1).all():
             return self
@@ -186,7 +191,7 @@ class FollowingCamera:
         return replace(self, rise=_smooth_values(highest, frames, reach), nearness=_smooth_values(nearest, frames, reach))
 
     def _find_close_distance(self) -> float:
-        """Return the distance at which the body fills the picture, however it turns."""
+        """Return the distance at which the body fills the picture in all its orientations."""
         wide, high = (share * 36.0 / self.focal for share in _FILLED_SHARES)
         rise = self.body.height / 2 * np.cos(_CLOSE_ELEVATION) + self.body.radius * np.sin(_CLOSE_ELEVATION)
         return float(max(self.body.radius / wide, rise / high))

@@ -1,4 +1,4 @@
-"""Output of pictures: PNG stills, and films if the extra `[video]` is installed."""
+"""Writes pictures: PNG stills, and films if the extra `[video]` is installed."""
 
 import errno
 import io
@@ -26,7 +26,8 @@ def write_still(image: Image, path: Path) -> None:
 
 
 def check_film_support() -> Report:
-    """Return an empty report if films can be written, else one error that names the extra. Call it before drawing frames."""
+    """Return an empty report if films can be written, else a report with an error that names the extra. Call it before
+    drawing."""
     report = Report()
     try:
         import imageio_ffmpeg
@@ -41,7 +42,7 @@ def check_film_support() -> Report:
 def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
     """Write pictures (h, w, 3) of one size as an H.264 film. An odd last row or column is left out, as the format requires.
 
-    The report has an error without the extra `[video]`, without pictures, or if the file cannot be written."""
+    The report has an error if the extra `[video]` is missing, if there are no pictures, or if the file cannot be written."""
     report = check_film_support()
     if not report.ok:
         return report
@@ -103,5 +104,6 @@ def _is_complete(path: Path) -> bool:
 
 
 def _prepend_image(first: Image, others: Iterable[Image]) -> Iterable[Image]:
+    """Yield `first`, then the other pictures."""
     yield first
     yield from others

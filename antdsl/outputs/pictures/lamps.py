@@ -17,12 +17,12 @@ LAMP_COLOUR = np.array([2.65, 2.20, 1.62], np.float32)  # of the light 1, about 
 
 
 class Lamp(LightSphere):
-    """A lamp of a picture. Its light 1 is LAMP_COLOUR."""
+    """A lamp of a picture. An intensity of 1 is the light LAMP_COLOUR."""
 
     __slots__ = ()
 
     def compute_light(self, points: Floats, normal: Floats, flat_normal: Floats | None = None) -> Floats:
-        """Return the light (n, 3) at points with a normal (n, 3) that nothing hides, as `compute_intensity` does."""
+        """Return the light (n, 3) of the lamp at points with normals (n, 3), without occlusion, as `compute_intensity` does."""
         return np.asarray(self.compute_intensity(points, normal, flat_normal)[:, None] * LAMP_COLOUR, np.float32)
 
     def find_hidden(
@@ -35,7 +35,7 @@ class Lamp(LightSphere):
         count: int,
         threads: int,
     ) -> NDArray[np.bool_]:
-        """Return whether something hides one of `count` points of the lamp from each point (n,)."""
+        """Return for each point (n,) whether something hides the lamp's point with number `number` of `count` from it."""
         start = points + normal * np.float32(offset)
         aim = self.aim_rays(start, np.full(len(start), number), count)
         hidden = np.zeros(len(start), np.bool_)
@@ -46,7 +46,7 @@ class Lamp(LightSphere):
 
 
 def find_lamps(items: Sequence[Item], up: tuple[float, float, float], strength: float) -> tuple[Lamp, ...]:
-    """Return the lamps among items: those that emit light and have something left."""
+    """Return the lamps among items: items that emit light and have a remaining amount. `strength`: the intensity of each lamp."""
     lamps = []
     for item in items:
         size = item.drawn_radius
@@ -67,8 +67,10 @@ def compute_lamp_light(
     threads: int,
     flat_normal: Floats | None = None,
 ) -> Floats:
-    """Return the light (n, 3) of all lamps at points with a normal (n, 3), with hard shadows of one of `count` points of each
-    lamp. The mean over the points has soft shadows."""
+    """Return the light (n, 3) of all lamps at points with normals (n, 3), with hard shadows.
+
+    The shadows are those of the point with number `number` of `count` points of each lamp. The mean over these points has soft
+    shadows."""
     light = np.zeros(points.shape, np.float32)
     for lamp in lamps:
         own = lamp.compute_light(points, normal, flat_normal)

@@ -68,7 +68,7 @@ def add_legend(image: Image, picture: Picture, legend_width: int, show: tuple[st
 
 
 def _choose_font_size(draw: ImageDraw.ImageDraw, picture: Picture, available_width: int, size: int) -> int:
-    """Return the font size at which every state name fits next to its count, but at least 70 % of `size`."""
+    """Return the font size for which every state name fits next to its count, but at least 70 % of `size`."""
     small = size
     while small > max(8, round(0.7 * size)) and any(
         draw.textlength(row.name, font=load_font(small)) + draw.textlength(f"{row.count:,}", font=load_font(small))

@@ -1,4 +1,4 @@
-"""Sun, sky, haze and the tone curve from light to display values. Everything is linear light in float32 until
+"""Sun, sky, haze, and the tone curve from light to display values. All values are linear light in float32 until
 `apply_tone_curve`."""
 
 from dataclasses import dataclass
@@ -24,8 +24,9 @@ SUN_HALF_ANGLE_TANGENT = 0.03  # wider than the real sun, for soft edges
 class SunLight:
     """The sun and the sky.
 
-    `direction`: unit direction to the sun; `first_axis`, `second_axis`: unit axes perpendicular to it; `up`: the world's up.
-    `settings`: how strong they are."""
+    `direction`: the unit vector to the sun. `first_axis`, `second_axis`: unit axes perpendicular to it.
+    `up`: the world's unit vector up.
+    `settings`: the strengths of sun, sky and haze."""
 
     direction: Floats
     first_axis: Floats
@@ -39,7 +40,7 @@ class SunLight:
         return SUN_LIGHT * np.float32(self.settings.sun)
 
     def aim_rays(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
-        """Return directions (n, 3) to points of the sun's disc, those with `numbers` (n,) of `count`."""
+        """Return directions (n, 3) to points of the sun's disc: those with the numbers `numbers` (n,) of `count` points."""
         return np.asarray(self.sample_disc(count)[numbers])
 
     def sample_disc(self, count: int) -> Floats:
@@ -70,7 +71,8 @@ def make_sun(up: NDArray[np.float64], settings: LightSettings = DEFAULT_LIGHT) -
 
 
 def compute_ambient_light(upness: Floats, sun: SunLight) -> Floats:
-    """Return ambient light (n, 3) from sky and ground for normals with the vertical component `upness` (−1..1)."""
+    """Return the ambient light (n, 3) of sky and ground for surfaces. `upness` (n,): the vertical component of their normals,
+    −1..1."""
     share = (0.5 + 0.5 * upness)[:, None]
     return (SKY_LIGHT * share + BOUNCE_LIGHT * (1 - share)) * np.float32(sun.settings.sky)
 
@@ -95,7 +97,7 @@ def compute_environment_light(direction: Floats, sun: SunLight) -> Floats:
 
 
 def apply_haze(colour: Floats, distances: Floats, direction: Floats, sun: SunLight, reach: float) -> Floats:
-    """Return `colour` (n, 3) seen through the distance `distances` (n,) of haze. There is little haze in downward directions.
+    """Return the colours (n, 3) as seen through haze of the thickness `distances` (n,). Haze is thin in downward directions.
 
     Haze hides half of the colour at about 0.7 `reach`."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
@@ -119,6 +121,7 @@ def encode_srgb(linear: Floats) -> NDArray[np.uint8]:
 
 @cache
 def _make_srgb_table() -> NDArray[np.uint8]:
+    """Return the sRGB bytes of evenly spaced linear values from 0 to 1."""
     return np.asarray(encode_srgb_values(np.arange(_SRGB_TABLE_STEPS + 1) / _SRGB_TABLE_STEPS) * 255 + 0.5, np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""The content of a picture: solids, crowds, items, trails, flows, a camera. They are plain values; nothing is drawn here."""
+"""The content of a picture: solids, crowds, items, trails, flows and a camera. These are plain values; nothing is drawn here."""
 
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A mesh that is static between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
+    """A mesh that does not move between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
 
     `kind`: a key of SURFACE_KINDS. A `ground` that is not a floor is drawn as a clay figure.
     `colour`: sRGB display values 0..1, one colour (3,) or one per vertex (n, 3). None, or NaN for a vertex, selects the look of
-    the solid's `kind`."""
+        the solid's `kind`."""
 
     name: str
     vertices: Array
@@ -36,7 +36,7 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentPathLines:
-    """Positions of n agents over consecutive frames.
+    """The positions of n agents in consecutive frames.
 
     `positions` (n, frames, 3): NaN where an agent is missing.
     `current_index`: the index of the picture's own frame."""
@@ -47,6 +47,7 @@ class AgentPathLines:
 
 @cache
 def _load_default_body() -> PosedBody:
+    """Return the body of an ant."""
     return PosedBody(load_library_body("ant"), ())
 
 
@@ -54,17 +55,16 @@ def _load_default_body() -> PosedBody:
 class Crowd:
     """Agents of one species. A species with several bodies, or with agents in different layers, is several crowds.
 
-    `position` (n, 3): in world units.
-    `orient` (n, 4): quaternions x, y, z, w that rotate +x to the heading and +y to up.
-    `scale` (n,): body lengths in world units.
-    `colour` (n, 3): display values 0..1, of vertices without a material or with the material `state`.
-    `is_marked` (n,): whether small bodies show `colour` on all parts, since it means something. None: all do.
-    `body`: the body (by default an ant). `body_key`: its key among the bodies of all species; empty means the species' name.
+    `position` (n, 3): in world units. `orient` (n, 4): quaternions x, y, z, w that rotate +x to the heading and +y to up. `scale`
+    (n,): body lengths in world units. `colour` (n, 3): display values 0..1, of vertices without a material or with the material
+    `state`. `is_marked` (n,): whether small bodies show `colour` on all parts, because it has a meaning. None: all do.
+    `body`: the body, by default that of an ant.
+    `body_key`: the body's key among the bodies of all species; empty means the species' name.
     `machine_clips`: the clips that each machine plays.
     `driven_pose`: channels and looks that states set.
     `feet`: positions of the feet; None if unknown.
-    `next_crowd`: the same agents, row by row, in the next frame, for motion blur.
-    `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends), `paths`: needed only if they are displayed."""
+    `next_crowd`: the same agents, row by row, in the next frame, for motion blur. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3:
+        starts and ends), `paths`: needed only if they are displayed."""
 
     species: str
     position: Array
@@ -91,31 +91,33 @@ class Crowd:
         )
 
     def pose_vertices(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return vertices and unit normals float32[n, v, 3] of some agents, in body lengths along the axes of their body.
+        """Return vertices and unit normals float32[n, v, 3] of the agents in `rows`, in body lengths along the axes of their
+        body.
 
-        `body`: the crowd's body, or its `fine` or `coarse` form."""
+        `body`: the crowd's body, or its `fine_body` or `coarse_body`."""
         return body.pose_vertices(
             take_rows(self.machine_clips, rows), len(rows), self.select_feet(rows), driven_pose=take_rows(self.driven_pose, rows)
         )
 
     def select_feet(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
-        """Return the feet of some agents as `PosedBody.pose_vertices` expects them. Return None if the feet are unknown."""
+        """Return the feet of the agents in `rows`, as `PosedBody.pose_vertices` takes them. Return None if the feet are
+        unknown."""
         if self.feet is None:
             return None
-        return take_rows(self.feet, rows).relative_to(
+        return take_rows(self.feet, rows).convert_to_body_space(
             *(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale))
         )
 
     def select_rows(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
-        """Return the crowd with only the chosen agents. Feelers are dropped, since their rows are not agents."""
+        """Return the crowd with only the agents in `rows`. It has no feelers, since their rows are not agents."""
         return take_rows(replace(self, feelers=None), rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Item:
-    """Food, a nest or another placed object.
+    """A placed object, such as food or a nest.
 
-    `remaining_share`: the remaining share, 0..1; the drawn body shrinks with it.
+    `remaining_share`: the remaining share of its amount, 0..1; the drawn body shrinks with it.
     `look`: replaces the material of the item's shape."""
 
     name: str
@@ -127,7 +129,7 @@ class Item:
 
     @property
     def drawn_radius(self) -> float:
-        """Return the radius at which the volume is the remaining share of the full one."""
+        """Return the radius at which the item's volume is the remaining share of its full volume."""
         return compute_drawn_radius(self.radius, self.remaining_share)
 
 
@@ -135,10 +137,10 @@ class Item:
 class Trail:
     """A field on the ground, with all its cells.
 
-    `position` (n, 3): the cells' positions on the surface; `cell`: their edge.
-    `strength` (n,): 0 for cells without scent, so that scent fades towards them.
-    `full_strength`: the strength drawn strongest. None chooses a strength: cells of at least this strength contain 70 % of the
-    scent."""
+    `position` (n, 3): the cells' positions on the surface. `cell`: the edge of a cell. `strength` (n,): 0 for cells without
+    scent, so that scent fades towards them.
+    `full_strength`: the strength that is drawn strongest. None chooses a strength: cells of at least this strength contain 70 %
+        of the scent."""
 
     name: str
     position: Array
@@ -187,11 +189,11 @@ class LegendRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """One frame, ready to draw.
+    """The content of one frame, ready to draw.
 
     `up`: the world's up.
     `legend`, `frame`: written next to the picture, with the scales of the trails.
-    `light`: sun, sky, haze and lamps.
+    `light`: the settings of sun, sky, haze and lamps.
     `grain`: the reference length of the ground's grain and pebbles; None means the body length of the first crowd."""
 
     solids: tuple[Solid, ...] = ()

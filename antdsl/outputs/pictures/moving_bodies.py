@@ -1,4 +1,4 @@
-"""Everything that moves in a frame, as one ray scene: the posed body of each agent, and each item at its size."""
+"""Everything that moves in a frame, as a ray scene: the posed body of each agent, and each item at its size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,11 +34,10 @@ _STEEP_SLOPE_SHARE = 0.8  # share of a pile's slope; steeper neighbouring ground
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActorMesh:
-    """One or more bodies at one time, as one mesh.
+    """One or more bodies at one time, as a single mesh.
 
-    `vertices` (n, 3), `faces` (m, 3).
-    `normal` (n, 3), `colour` (n, 3) in linear values.
-    `gloss` (n,): 0 (dull) to 1. METAL_GLOSS, above 1, means metal. LIGHT_GLOSS, below 0, means a light source."""
+    `vertices` (n, 3), `faces` (m, 3). `normal` (n, 3): unit normals. `colour` (n, 3): linear colours. `gloss` (n,): 0 (dull) to
+    1. METAL_GLOSS, above 1, means metal. LIGHT_GLOSS, below 0, means a light source."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -51,10 +50,10 @@ class ActorMesh:
 class BodyMesh:
     """A number b of bodies of one shape with v vertices each.
 
-    `local_vertices` float32 (b, v, 3): rotated vertices, relative to the position, at the picture's frame.
-    `positions` (b, 3): positions.
+    `local_vertices` float32 (b, v, 3): rotated vertices, relative to the position, at the picture's frame. `positions` (b, 3):
+    the positions of the bodies.
     `next_frame`: `local_vertices` and `positions` at the next frame; None for static bodies.
-    `faces`: those of all bodies; `normal`, `colour`, `gloss`: per vertex."""
+    `faces`: the faces of all bodies. `normal`, `colour`, `gloss`: values of all vertices."""
 
     local_vertices: Floats
     positions: Array
@@ -65,7 +64,8 @@ class BodyMesh:
     gloss: Floats
 
     def compute_vertices(self, time_offset: float) -> Array:
-        """Return vertices (b, v, 3) at `time_offset` frames later. Each vertex moves in a straight line."""
+        """Return the vertices (b, v, 3) at `time_offset` frames after the picture's frame. Each vertex moves in a straight
+        line."""
         if self.next_frame is None or time_offset == 0:
             return self.local_vertices + self.positions[:, None]
         local = self.local_vertices + (self.next_frame[0] - self.local_vertices) * np.float32(time_offset)
@@ -76,11 +76,10 @@ class BodyMesh:
 class SceneActors:
     """Everything that moves in a frame.
 
-    `rays`: the ray scenes at one or more times while the shutter is open. `lamp_occluders`: the same without items that emit
-    light, for a lamp's own post hides none of its light.
-    `mesh`: the bodies at the middle of these times.
-    `near_pixels` bool (h · w,): pixels in which a body may be visible.
-    `tiny_body_pixels` bool (h · w,): pixels with a body so small that rays through pixel centres may miss it.
+    `rays`: a ray scene for each shutter time.
+    `lamp_occluders`: the same ray scenes without items that emit light, because a lamp's post does not hide its light.
+    `mesh`: the bodies at the middle of the shutter times. `near_pixels` bool (h · w,): pixels in which a body may be visible.
+        `tiny_body_pixels` bool (h · w,): pixels with a body so small that rays through pixel centres may miss it.
     `shadow_reach`: the greatest distance in world units at which shadows are searched.
     `contact_reach`: the distance in world units within which a body darkens the ground.
     `soft_edge_reach`: the greatest distance in world units for which the softness of shadow edges is computed.
@@ -134,11 +133,11 @@ def make_actors(
     blur: float = 0.0,
     max_enlargement: float = 3.0,
 ) -> SceneActors:
-    """Return the moving part of `picture`, without invisible agents.
+    """Return everything in `picture` that moves, without invisible agents.
 
     Large agents in `view` use close-up bodies, and agents of a few pixels use few triangles.
     `min_body_pixels`: shorter bodies are enlarged to this length in pixels, by a factor of at most `max_enlargement`.
-    `ground`: loose soil is fitted to it.
+    `ground`: the static surfaces to which loose soil is fitted.
     `blur`: the share of a frame for which the shutter is open."""
     parts: list[BodyMesh] = []
     lamps: list[BodyMesh] = []
@@ -187,6 +186,7 @@ def _choose_shutter_times(parts: list[BodyMesh], view: CameraView, blur: float) 
 
 
 def _join_parts(parts: list[BodyMesh], time_offset: float) -> ActorMesh:
+    """Return all bodies as one mesh, at `time_offset` frames after the picture's frame."""
     if not parts:
         none = np.zeros((0, 3), np.float32)
         return ActorMesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
@@ -215,9 +215,9 @@ def _compute_boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
 
 
 def _find_covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the pixels (h · w,) in which a box may be visible.
+    """Return the pixels (h · w,) in which a box may be visible, and those in which a box of only a few pixels may be visible.
 
-    The second result has only the boxes of a few pixels, which rays through pixel centres may miss."""
+    Rays through pixel centres may miss such small boxes."""
     high, wide = view.height, view.width
     corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # shape (8, 3, b)
     pixels, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
@@ -248,7 +248,7 @@ def _fill_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], column_c
 
 
 def _pose_crowd(crowd: Crowd, view: CameraView, min_body_pixels: float, max_enlargement: float) -> list[BodyMesh]:
-    """Return the posed bodies of a crowd: close-up, normal and distant bodies by their size in the picture."""
+    """Return the posed bodies of a crowd, with more or fewer triangles by their size in the picture."""
     scale = np.asarray(crowd.scale, np.float64)
     finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
     position = np.where(finite[:, None], crowd.position, 0.0)
@@ -259,7 +259,7 @@ def _pose_crowd(crowd: Crowd, view: CameraView, min_body_pixels: float, max_enla
     near = np.maximum(view.compute_distances(position), 1e-9)
     pixels = scale / view.compute_pixel_size(near)
     large = np.flatnonzero(is_visible & (pixels >= CLOSE_BODY_PIXELS))
-    most = min(MAX_CLOSE_BODIES, MAX_CLOSE_TRIANGLES // max(1, len(crowd.body.fine.faces))) if len(large) else 0
+    most = min(MAX_CLOSE_BODIES, MAX_CLOSE_TRIANGLES // max(1, len(crowd.body.fine_body.faces))) if len(large) else 0
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     sizes = np.minimum(np.maximum(scale, min_body_pixels * view.compute_pixel_size(near)), max_enlargement * scale)
     tiny = is_visible & (sizes < DISTANT_BODY_PIXELS * view.compute_pixel_size(near))
@@ -267,16 +267,16 @@ def _pose_crowd(crowd: Crowd, view: CameraView, min_body_pixels: float, max_enla
     # On a body a few pixels long, parts with their own colours would hide the agent's colour.
     is_plain = (pixels < CLOSE_BODY_PIXELS) & (crowd.is_marked if crowd.is_marked is not None else True)
     plain = np.where(is_plain, np.clip(1 - pixels / CLOSE_BODY_PIXELS, 0.0, 1.0) ** 2, 0.0)
-    levels = (("fine", close), ("coarse", far), ("distant", np.setdiff1d(np.flatnonzero(tiny), close)))
+    levels = (("fine_body", close), ("coarse_body", far), ("distant_body", np.setdiff1d(np.flatnonzero(tiny), close)))
     bodies = [(getattr(crowd.body, level), rows) for level, rows in levels if len(rows)]
     return [_pose_bodies(crowd, body, rows, sizes, plain) for body, rows in bodies if len(body.faces)]
 
 
 def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> BodyMesh:
-    """Return the bodies of some agents (`rows`), posed by the clips that they play.
+    """Return the bodies of the agents in `rows`, posed by the clips that they play.
 
-    `size` (n,): the drawn length of each agent of the crowd.
-    `plain` (n,): the share by which coloured parts also take the agent's colour."""
+    `size` (n,): the drawn length of each agent of the crowd. `plain` (n,): the share by which coloured parts also take the
+    agent's colour."""
     turn, long = _make_rotations(crowd, rows), size[rows].astype(np.float32)[:, None, None]
     local, normal = crowd.pose_vertices(body, rows)
     then = None
@@ -329,7 +329,7 @@ def _is_in_sight(points: Array, depth: Array, margin: Array, view: CameraView) -
 
 
 def make_item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSetting | None = None) -> ActorMesh:
-    """Return an item's body at its position and remaining size. `ground`: loose soil is fitted to it."""
+    """Return an item's body at its position and remaining size. `ground`: the static surfaces to which loose soil is fitted."""
     vertices, faces, colour = build_item_mesh(item.shape)
     size = item.drawn_radius
     upward = np.array([up]) / np.linalg.norm(up)
@@ -352,10 +352,10 @@ def _find_item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
 
 
 def _find_ground_heights(points: Array, base_point: Array, up: Array, size: float, ground: StaticSetting) -> Array:
-    """Return the height (n,) of the ground below each point, relative to `base_point`, limited in slope. So a mound follows
-    uneven ground.
+    """Return the height (n,) of the ground below each point, relative to `base_point`, limited in slope.
 
-    Ground on which no soil can lie counts as height 0, and so does ground further below than `size`."""
+    It lets a mound follow uneven ground. Ground on which no soil can lie counts as height 0, and so does ground further below
+    than `size`."""
     away = points - base_point
     level = points - (away @ up)[:, None] * up
     start = level + size * up

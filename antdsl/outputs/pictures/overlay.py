@@ -1,4 +1,4 @@
-"""Overlays on a drawn picture: agents as marks; paths, velocity and feelers as lines; ids as text."""
+"""Overlays on a drawn picture: agents as discs; paths, velocities and feelers as lines; ids as text."""
 
 from functools import cache
 
@@ -73,11 +73,13 @@ def _compute_lifted_positions(crowd: Crowd) -> Array:
 
 
 def _find_visible_agents(crowd: Crowd, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return whether each agent of a crowd is in the picture and not hidden by a static surface. `depth`: as `_is_unhidden`."""
     return _is_unhidden(_compute_lifted_positions(crowd), view, depth) if len(crowd.position) else np.zeros(0, np.bool_)
 
 
 def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return whether each point is in the picture and not hidden by a static surface."""
+    """Return whether each point is in the picture and not hidden by a static surface. `depth` (h, w): distances of these
+    surfaces."""
     pixels, ahead = view.project(points)
     inside = (ahead > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
     column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
@@ -99,7 +101,7 @@ def _draw_lines(draw: ImageDraw.ImageDraw, view: CameraView, end_points: Array, 
 
 
 def _draw_paths(draw: ImageDraw.ImageDraw, view: CameraView, paths: AgentPathLines, depth: NDArray[np.float32]) -> None:
-    """Draw past paths dark and future paths bright, fainter towards their ends.
+    """Draw past positions dark and future positions bright, fainter towards the ends of a path.
 
     Segments with a hidden or missing end are left out. The segments nearest to the current frame are drawn last."""
     count, frames = paths.positions.shape[:2]
@@ -145,6 +147,7 @@ def _draw_arrows(draw: ImageDraw.ImageDraw, view: CameraView, flow: FlowArrows, 
 
 
 def _draw_ids(draw: ImageDraw.ImageDraw, view: CameraView, crowd: Crowd, rows: NDArray[np.int64]) -> None:
+    """Write the ids of the agents in `rows` next to their bodies."""
     if crowd.ids is None:
         return
     size = max(9, view.height // 54)

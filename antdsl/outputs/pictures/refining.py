@@ -1,4 +1,4 @@
-"""One sample per pixel, then more samples for pixels with an edge or a moving thing (Mitchell, SIGGRAPH 1987)."""
+"""The samples of a picture: one per pixel, then more for pixels with an edge or a moving body (Mitchell, SIGGRAPH 1987)."""
 
 from dataclasses import dataclass, fields
 
@@ -24,12 +24,10 @@ _MIN_REFINED_SAMPLES, _MEAN_SAMPLES_PER_PIXEL = 4, 1.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstPass:
-    """Samples at pixel centres.
+    """The results of one sample at the centre of each pixel.
 
-    `light` (h · w, 3): display-linear light.
-    `background_light` (h · w, 3): the same without moving bodies.
-    `open_share` (h · w,): the unoccluded share of the hemisphere above the surface.
-    `covered_pixels` (h · w,): whether a moving body is in front.
+    `light` (h · w, 3): display-linear light. `background_light` (h · w, 3): the light without moving bodies. `open_share` (h ·
+    w,): the unoccluded share of the hemisphere above the surface. `covered_pixels` (h · w,): whether a moving body is in front.
     `moving_pixels` (h · w,): whether a moving body is in front at any shutter time, or a tiny one may be there."""
 
     light: Floats
@@ -120,7 +118,7 @@ def find_moving_hits(
 ) -> tuple[Rows, PictureHits]:
     """Return the rows of the rays that hit a moving body nearer than `max_distances` at one shutter time, and these hits.
 
-    `position_in_pixel`: the position of the rays in their pixels."""
+    `position_in_pixel`: the position of a ray in its pixel, as shares from the upper left corner."""
     start, direction = static_stage.view.make_rays(pixels, *position_in_pixel)
     hits = lighting.actors.rays[time_index].find_first_hits(start, direction, lighting.threads)
     rows = np.flatnonzero(hits.t < max_distances)
@@ -128,13 +126,17 @@ def find_moving_hits(
 
 
 def _select_hits(hits: PictureHits, rows: Rows | slice) -> PictureHits:
+    """Return the hits in `rows`."""
     return PictureHits(*(getattr(hits, each.name)[rows] for each in fields(PictureHits)))
 
 
 def refine_pixels(
     static_stage: StaticStage, lighting: PictureLighting, dyes: FieldColours, first: FirstPass, max_samples: int
 ) -> Floats:
-    """Return display-linear light (h · w, 3). Pixels with edges or motion are means of several samples, at most `max_samples`."""
+    """Return the display-linear light (h · w, 3) of all pixels.
+
+    Pixels with edges or motion have the mean of several samples, at most `max_samples`. Other pixels have the light of
+    `first`."""
     light = first.light.copy()
     pixels = _find_unsettled_pixels(static_stage, first)
     if max_samples == 1 or not len(pixels):
@@ -163,8 +165,10 @@ def refine_pixels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _EdgeSample:
-    """One sample of several pixels, with its `number` of `count`: its position in the pixel, its shutter time, and its point on
-    the sun's disc."""
+    """Sample `number` of `count` of all pixels that need several samples.
+
+    `position_in_pixel`: the position of its rays in their pixels. `time_index`: its shutter time.
+    `sun_point`: its point on the sun's disc."""
 
     stage: StaticStage
     lighting: PictureLighting
@@ -189,7 +193,8 @@ class _EdgeSample:
         return self.add_moving_light(samples.pixel, samples.distance, apply_tone_curve(light))
 
     def add_moving_light(self, pixels: Rows, max_distances: Floats, light: Floats) -> Floats:
-        """Return `light` of pixels, replaced where a moving body is nearer than the static distance `max_distances`."""
+        """Return `light` (n, 3) of pixels, replaced where a moving body is nearer than the static surface at `max_distances`
+        (n,)."""
         near = np.flatnonzero(self.lighting.actors.near_pixels[pixels])
         rows, hits = find_moving_hits(
             self.stage, self.lighting, pixels[near], max_distances[near], self.position_in_pixel, self.time_index
@@ -205,8 +210,9 @@ class _EdgeSample:
 
 
 def _find_unsettled_pixels(static_stage: StaticStage, first: FirstPass) -> Rows:
-    """Return the pixels that need more samples: where surfaces meet or a body moves, and where a body differs from its
-    neighbours."""
+    """Return the pixels that need more samples.
+
+    These are pixels in which surfaces meet or a body moves, and pixels of a body that differ from their neighbours."""
     high, wide = static_stage.view.height, static_stage.view.width
     unsettled = first.moving_pixels.copy().reshape(high, wide)
     front = first.covered_pixels.reshape(high, wide)

@@ -1,4 +1,4 @@
-"""Rendering of a `Picture` from a `Camera`. Rays determine visibility, sunlight and light from the open sky.
+"""Renders a `Picture` from a `Camera`. Rays determine visibility, sunlight and light from the open sky.
 
 Samples of static surfaces are cached. Use one `Renderer` for a film, `render_frame` for a single picture."""
 
@@ -31,7 +31,7 @@ DISPLAY_OPTIONS = ("trail", "flow", "feelers", "velocity", "paths", "ids", "stat
 
 @dataclass(slots=True)
 class _CameraCache:
-    """Samples of static surfaces for one camera, and the colours of fields on them."""
+    """The cached samples of static surfaces for one camera, and the colours of fields on them."""
 
     stage: StaticStage
     field_colours: FieldColours
@@ -103,9 +103,9 @@ class Renderer:
         )
 
     def _get_setting(self, picture: Picture, up: Array) -> StaticSetting:
-        """Return the ray scene of the solids.
+        """Return the ray scene of the solids, from the cache if they are the same.
 
-        The cache holds the solids as well. So their ids, which are its keys, cannot be reused."""
+        The cache also holds the solids, so that their ids, which are its keys, cannot be reused."""
         key = tuple(id(solid.vertices) for solid in picture.solids) + tuple(hash(float(v)) for v in up)
         for known, still_setting, _ in self._cached_settings:
             if known == key:
@@ -123,7 +123,7 @@ class Renderer:
         sun: SunLight,
         scales: PictureScales,
     ) -> _CameraCache:
-        """Return the cached samples for a camera, or compute and cache them."""
+        """Return the cached samples for a camera, which are computed at its first use."""
         key = (id(setting), camera, picture.up, picture.light, scales)
         if key not in self._cached_stages:
             new_stage = make_stage(setting, camera_view, sun, scales, self.threads)
@@ -160,8 +160,8 @@ def render_frame(
 def _choose_grain(picture: Picture, extent: float) -> float:
     """Return the reference length of grain and shade, in world units, limited to values that suit the extent.
 
-    It is the picture's own, else the body length of the first crowd. This length is rounded, so that growth does not invalidate
-    the stage."""
+    It is the grain of the picture, else the body length of the first crowd. This length is rounded, so that growth does not
+    invalidate the stage."""
     if picture.grain is not None and picture.grain > 0:
         return float(min(max(picture.grain, extent / 2000), extent / 20))
     lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]

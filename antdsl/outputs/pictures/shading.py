@@ -1,4 +1,4 @@
-"""The light of samples: static surfaces with the shadows of moving bodies, moving bodies, sky and haze."""
+"""The light of samples: of static surfaces with the shadows of moving bodies, of moving bodies, of sky and haze."""
 
 from dataclasses import dataclass
 
@@ -24,8 +24,9 @@ _RAY_OFFSET_EXTENTS = 2e-5  # extents; distance of ray origins from a surface
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLighting:
-    """The inputs for the light of a frame. `actors`: the moving bodies; `ground`: the static surfaces; `lamps`: items that emit
-    light."""
+    """The inputs for the light of a frame.
+
+    `actors`: the moving bodies. `ground`: the rays to static surfaces. `lamps`: items that emit light."""
 
     actors: SceneActors
     ground: PictureRays
@@ -52,8 +53,8 @@ def compute_static_light(
 ) -> Floats:
     """Return the light (n, 3) of the samples `rows` of static surfaces.
 
-    `sun_share` (n,): the share of the sun that reaches the samples; `open_share` (n,): the share of the sky. `lamp_light` (n, 3):
-    the light of lamps at the samples; None for no lamps."""
+    `albedo` (n, 3): their colours. `sun_share`, `open_share` (n,): the share of the sun and of the sky that reaches the samples.
+    `lamp_light` (n, 3): the light of lamps at the samples; None for no lamps."""
     sun, extent = lighting.sun, lighting.scales.extent
     far, direction = samples.distance[rows], samples.direction[rows]
     direct = samples.sun_cosine[rows] * sun_share
@@ -83,9 +84,9 @@ def compute_headlamp_light(facing: Floats, direct_light: Floats, open_share: Flo
 
 
 def compute_sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, sun_point: Floats) -> Floats:
-    """Return 1 for each sample (n,) that sunlight reaches, and 0 where a moving body hides the sun.
+    """Return 1 for each sample (n,) that sunlight reaches, and 0 for samples from which a moving body hides the sun.
 
-    `sun_point`: the point of the sun's disc; `time_index`: the shutter time."""
+    `sun_point`: the point of the sun's disc. `time_index`: the shutter time."""
     visible = np.ones(len(samples), np.float32)
     if lighting.actors.contact_reach > 0:
         lit = np.flatnonzero(samples.sun_cosine > 0)
@@ -101,7 +102,7 @@ def compute_moving_light(
 ) -> Floats:
     """Return the light (n, 3) along rays from `start` in `direction` (n, 3) that hit a moving body, at one shutter time.
 
-    Materials are: a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
+    A material is a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
     mesh, sun = lighting.actors.mesh, lighting.sun
     corners = mesh.faces[hits.face]
     normal = normalise_rows(interpolate_vertices(mesh.normal, corners, hits.u, hits.v))
@@ -149,7 +150,7 @@ def compute_moving_light(
 
 
 def _apply_shadow(lighting: PictureLighting, facing: Floats, points: Floats, time_index: int, sun_point: Floats) -> None:
-    """Set the sunlight `facing` to 0 at points (n, 3) that a body or surface hides from the sun."""
+    """Set the sunlight `facing` (n,) to 0 at points (n, 3) from which a body or surface hides the sun."""
     cast, threads = lighting.actors, lighting.threads
     lit = np.flatnonzero(facing > 0)
     aim = np.broadcast_to(sun_point, (len(lit), 3))

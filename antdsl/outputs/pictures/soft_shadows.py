@@ -23,11 +23,10 @@ _WIDE_TAPS, _NARROW_TAPS = np.array([1, 2, 2, 2, 1], np.float32) / 8, np.array([
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelGrid:
-    """Static samples at pixel centres.
+    """The samples of static surfaces at pixel centres.
 
-    `point`, `normal` float32 (h · w, 3).
-    `hits_surface` bool (h · w,): whether the ray hits a surface.
-    `is_edge` bool (h · w,): whether the surface ends at a neighbour pixel.
+    `point`, `normal` float32 (h · w, 3). `hits_surface` bool (h · w,): whether the ray hits a surface. `is_edge` bool (h · w,):
+    whether the surface ends at a neighbour pixel.
     `ray_offset`: the offset of ray origins from the surface, in world units."""
 
     view: CameraView
@@ -59,15 +58,17 @@ class PixelGrid:
 
 
 def _make_half_view(view: CameraView) -> CameraView:
+    """Return the same camera for a picture of half the width and half the height in pixels."""
     high, wide = (view.height + 1) // 2, (view.width + 1) // 2
     return CameraView(view.eye, view.right_axis, view.up_axis, view.forward_axis, view.half_extent, wide, high, view.is_parallel)
 
 
 class LightSource(Protocol):
-    """A light with an extent, so that its shadows have soft edges."""
+    """A light with an extent, so that the edges of its shadows are soft."""
 
     def aim_rays(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
-        """Return vectors (n, 3) from `points` towards points of the light, those with `numbers` (n,) of `count`."""
+        """Return vectors (n, 3) from `points` towards points of the light: those with the numbers `numbers` (n,) of `count`
+        points."""
         ...
 
 
@@ -118,6 +119,7 @@ def compute_visible_share(
 def _find_occluded(
     grid: PixelGrid, pixels: NDArray[np.int64], directions: Floats, occluder: PictureRays, max_distance: float, threads: int
 ) -> NDArray[np.bool_]:
+    """Return whether something hides the light from each of `pixels`, for rays in `directions`."""
     occluded = np.zeros(len(pixels), np.bool_)
 
     def fill_pixels(chunk: slice) -> None:
@@ -141,9 +143,9 @@ def _find_partly_hidden(is_hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _filter_values(
     values: Floats, pixels: NDArray[np.int64], grid: PixelGrid, taps: Floats, is_counted: NDArray[np.bool_] | None = None
 ) -> Floats:
-    """Return weighted means (n,) of `values` (h, w) around `pixels` (n,), where the surface continues.
+    """Return weighted means (n,) of `values` (h, w) around `pixels` (n,), over neighbours on the same surface.
 
-    `is_counted`: the pixels that count in the means; None for all."""
+    `taps`: the weights of a row or column of neighbours. `is_counted`: the pixels that count in the means; None for all."""
     from scipy.ndimage import convolve1d
 
     even = convolve1d(convolve1d(values, taps, axis=0, mode="nearest"), taps, axis=1, mode="nearest")
@@ -179,7 +181,7 @@ def _filter_at_edges(
 
 
 def _compute_plane_tolerance(grid: PixelGrid, point: Floats) -> Floats:
-    """Return how far neighbours of each point may be from the plane through it: the width of some pixels, in world units."""
+    """Return how far a neighbour may be from the plane through each point: the width of some pixels, in world units."""
     depth = np.maximum((point - grid.view.eye.astype(np.float32)) @ grid.view.forward_axis.astype(np.float32), 0)
     return np.asarray(6 * grid.view.compute_pixel_size(depth), np.float32)
 
@@ -187,6 +189,7 @@ def _compute_plane_tolerance(grid: PixelGrid, point: Floats) -> Floats:
 def _is_same_surface(
     grid: PixelGrid, neighbour: NDArray[np.int64], point: Floats, normal: Floats, tolerance: Floats
 ) -> NDArray[np.bool_]:
+    """Return whether the surface at each `neighbour` pixel continues the surface at `point` with `normal`."""
     alike = compute_dot_products(normal, grid.normal[neighbour]) > _SAME_SURFACE_COSINE
     alike &= np.abs(compute_dot_products(grid.point[neighbour] - point, normal)) < tolerance
     return np.asarray(alike)
@@ -221,6 +224,7 @@ def _sample_open_share(
     count: int,
     threads: int,
 ) -> Floats:
+    """Return the unoccluded share of the hemisphere above each of `pixels`, by `count` rays in the directions `ray_picks`."""
     directions = _make_hemisphere_directions(count)
     opened = np.empty(len(pixels), np.float32)
 
@@ -250,8 +254,9 @@ def _fill_open_share(
     threads: int,
     candidates: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Return the shade of all pixels from that of every second pixel. Where no neighbour is on the same surface, rays are
-    cast."""
+    """Return the unoccluded share for all pixels from `shade`, the share for every second pixel of every second row.
+
+    Where no neighbour is on the same surface, rays are cast."""
     high, wide = grid.view.height, grid.view.width
     full = _upsample_values(shade.reshape(half_grid.view.height, half_grid.view.width), high, wide)
     full[~grid.hits_surface] = 1
@@ -286,7 +291,7 @@ def _fill_open_share(
 
 
 def _upsample_values(coarse_values: Floats, row_count: int, column_count: int) -> Floats:
-    """Return values (h · w,), interpolated linearly from those of every second pixel."""
+    """Return values (h · w,) of all pixels, interpolated linearly from `coarse_values` of every second pixel."""
     rows = np.empty((2 * coarse_values.shape[0], coarse_values.shape[1]), np.float32)
     rows[::2] = coarse_values
     rows[1::2] = (coarse_values + np.concatenate([coarse_values[1:], coarse_values[-1:]])) / 2

@@ -1,7 +1,7 @@
 """All static surfaces as one ray scene: the solids, the cut edge below open ground, and the table under them.
 
-Near a close camera there are grains and pebbles in the ground, for a sense of scale. They exist in pictures only, and are sunk so
-far that agents walk over them."""
+Near a close camera, the ground has grains and pebbles, for a sense of scale. They exist in pictures only, and are sunk so far
+that agents walk over them."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -37,7 +37,9 @@ _TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same without a floor: things are
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettingPart:
-    """A mesh of one `kind` (an index in KIND_NAMES). `vertex_colours` (n, 4): its own colours, if it has any."""
+    """A mesh of one `kind` (an index in KIND_NAMES).
+
+    `vertex_colours` (n, 4): the linear colour of each vertex and its weight, None for a mesh without such colours."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -49,10 +51,8 @@ class SettingPart:
 class StaticSetting:
     """The ray scene of all static surfaces.
 
-    `rays`: the ray scene of `faces` (m, 3).
-    `normal` (n, 3): smooth normals per vertex.
-    `vertex_colours` (n, 4): linear colour per vertex, and its weight (0 or 1).
-    `kind` (m,): per face.
+    `rays`: the ray scene of `faces` (m, 3). `normal` (n, 3): smooth normals of vertices. `vertex_colours` (n, 4): the linear
+        colour of each vertex, and its weight (0 or 1). `kind` (m,): the kind of each face, an index in KIND_NAMES.
     `centre`, `extent`: centre and diagonal of the solids.
     `table_height`: the height of the table along `up`."""
 
@@ -111,6 +111,7 @@ def add_pebbles(setting: StaticSetting, view: CameraView, scales: PictureScales)
 
 
 def _assemble_setting(parts: tuple[SettingPart, ...], middle: Array, extent: float, base: float, up: Array) -> StaticSetting:
+    """Return the ray scene of the given parts and the table. `base`: the height of the table along `up`."""
     counts = np.cumsum([0] + [len(part.vertices) for part in parts])
     vertices = np.concatenate([part.vertices for part in parts])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, counts[:-1], strict=True)]).astype(np.int32)
@@ -132,7 +133,7 @@ def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:
 
 
 def _make_edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[SettingPart]:
-    """Return walls from the open border of a floor down to the table."""
+    """Return walls from the open border of a floor down to the table at the height `base`."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     key = np.minimum(pairs[:, 0], pairs[:, 1]) * len(vertices) + np.maximum(pairs[:, 0], pairs[:, 1])
     _, first, count = np.unique(key, return_index=True, return_counts=True)
@@ -149,6 +150,7 @@ def _make_edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base:
 
 
 def _make_table(middle: Array, up: Array, base: float, reach: float) -> SettingPart:
+    """Return the table: a square at the height `base` along `up`, with the half edge `reach`."""
     centre = middle - up * (float(middle @ up) - base)
     first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
     first = first / np.linalg.norm(first)
@@ -198,9 +200,9 @@ def scatter_pebbles(
 
 
 def _draw_pebbles(area: Array, camera_distances: Array, size_class: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the triangles of the pebbles of a size class near the camera, and five random numbers for each pebble.
+    """Return the triangle of each pebble of a size class near the camera, and five random numbers for each pebble.
 
-    `area`: of each triangle, 0 if it has no pebbles. `camera_distances`: distances of the triangles from the camera."""
+    `area`: the area of each triangle, 0 if it has no pebbles. `camera_distances`: distances of the triangles from the camera."""
     radius, own = 2.0**size_class, np.arange(len(area))
     patch, rest = _draw_random_numbers(own, np.full(len(area), _MAX_PEBBLES_PER_FACE), size_class)[:, :2].T
     mean = area * (_PEBBLES_PER_SQUARE_RADIUS / radius**2) * (0.35 + 1.3 * patch**2)
@@ -214,7 +216,8 @@ def _draw_pebbles(area: Array, camera_distances: Array, size_class: int) -> tupl
 
 
 def _draw_random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64], size_class: int) -> Array:
-    """Return five random numbers within 0..1 for each pebble. They depend only on its triangle, its rank there and its class."""
+    """Return five random numbers within 0..1 for each pebble. They depend only on its triangle, its rank on it and its size
+    class."""
     own = (face * (_MAX_PEBBLES_PER_FACE + 1) + rank).astype(np.uint64)[:, None]
     key: NDArray[np.uint64] = np.add(own * np.uint64(5), np.arange(5, dtype=np.uint64), dtype=np.uint64)
     key ^= np.uint64((size_class + 1024) << 48)
@@ -226,6 +229,7 @@ def _draw_random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64], size_
 
 
 def _place_pebbles(positions: Array, normal: Array, size: Array, chance: Array, detail: int) -> tuple[Array, NDArray[np.int32]]:
+    """Return the mesh of pebbles at `positions`, sunk into the ground along `normal`. `chance`: five random numbers for each."""
     shapes, faces = _make_pebble_shapes(detail)
     side = np.cross(normal, np.array([0.31, 0.72, 0.62]))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)

@@ -33,13 +33,11 @@ _EDGE_STEP_PIXELS = 4.0  # pixel widths; a neighbour farther off the plane is on
 class SurfaceSamples:
     """n samples of static surfaces, one per ray.
 
-    `pixel` int64: the pixel of the ray.
-    `direction` (n, 3), `distance`: unit direction and length of the ray (inf: sky).
-    `point`, `normal`, `albedo` (n, 3): position, smooth normal and colour.
+    `pixel` int64: the pixel of the ray. `direction` (n, 3), `distance`: unit direction and length of the ray (inf: sky). `point`,
+    `normal`, `albedo` (n, 3): position, smooth normal and colour.
     `sun_cosine`: cosine of the angle between the sun and the normal; 0 in shadow.
     `up_cosine`, `view_cosine`: cosines of the normal with up, and with the direction back to the camera.
-    `kind`: index in KIND_NAMES.
-    `extra_light` (n, 3): emitted and reflected light."""
+    `kind`: an index in KIND_NAMES. `extra_light` (n, 3): emitted and reflected light."""
 
     pixel: NDArray[np.int64]
     direction: Floats
@@ -58,18 +56,17 @@ class SurfaceSamples:
 
     @property
     def colourable_rows(self) -> NDArray[np.int64]:
-        """Return the samples on which a field's colour may lie."""
+        """Return the rows of the samples on kinds of surfaces that show the colours of fields."""
         return np.flatnonzero(np.isfinite(self.distance) & np.isin(self.kind, surface_materials.TRAIL_KINDS))
 
 
 @dataclass(slots=True, eq=False)
 class StaticStage:
-    """Samples of static surfaces for one camera.
+    """The samples of static surfaces for one camera.
 
-    `centre_samples`: one sample per pixel.
-    `edge_pixels` (e,): pixels with several surfaces.
-    `edge_sample_cache`: by sample number and count, the samples of all edges.
-    `open_share` (h · w,): the unoccluded share of each pixel's surroundings.
+    `centre_samples`: one sample per pixel. `edge_pixels` (e,): pixels with several surfaces.
+    `edge_sample_cache`: by sample number and count, the samples of all edges. `open_share` (h · w,): the unoccluded share of each
+        pixel's surroundings.
     `is_reused`: whether the stage is used for several frames; then samples are cached."""
 
     setting: StaticSetting
@@ -94,7 +91,7 @@ class StaticStage:
         return sample_set
 
     def sample_pixels(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> SurfaceSamples:
-        """Return sample `number` of `count` of some pixels, each with its own ray to the sun."""
+        """Return sample `number` of `count` of the given pixels, each with its own ray to the sun."""
         across, down = compute_pixel_offset(number, count)
         samples = _sample_position(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
         lit = np.flatnonzero(samples.sun_cosine > 0)
@@ -105,14 +102,14 @@ class StaticStage:
 
 
 def compute_pixel_offset(number: int, count: int) -> tuple[float, float]:
-    """Return the position of sample `number` of `count` in a pixel.
+    """Return the position of sample `number` of `count` in its pixel, as shares from the upper left corner.
 
     The positions are the lattice of Roberts' sequence R2, which is even for any count."""
     return (0.5 + (number + 1) * 0.7548776662466927) % 1.0, (0.5 + (number + 1) * 0.5698402909980532) % 1.0
 
 
 def make_stage(setting: StaticSetting, view: CameraView, sun: SunLight, scales: PictureScales, threads: int) -> StaticStage:
-    """Return the samples of everything static, with colours."""
+    """Return the samples of all static surfaces for a camera, with their colours."""
     setting = add_pebbles(setting, view, scales)
     middle = _sample_position(setting, view, np.arange(view.width * view.height), (0.5, 0.5), sun, scales, threads)
     solid = np.isfinite(middle.distance)
@@ -132,7 +129,7 @@ def _sample_position(
     scales: PictureScales,
     threads: int,
 ) -> SurfaceSamples:
-    """Return samples of `pixels` at the position `pixel_position` in each, before shadows."""
+    """Return samples of `pixels` at the position `pixel_position` in each pixel, before shadows."""
     n = len(pixels)
     three = [np.zeros((n, 3), np.float32) for _ in range(5)]
     direction, point, normal, albedo, glow = three
@@ -169,7 +166,7 @@ def _make_surface_materials(
     hit_rows: NDArray[np.int64],
     scales: PictureScales,
 ) -> tuple[surface_materials.SurfaceMaterial, Floats]:
-    """Return the material of the samples that hit a surface, and the smooth normals without grain."""
+    """Return the materials of the samples that hit a surface, and their smooth normals (n, 3) without grain."""
     face = hits.face[hit_rows]
     corners = setting.faces[face]
     flat, u, v = hits.normal[hit_rows], hits.u[hit_rows], hits.v[hit_rows]

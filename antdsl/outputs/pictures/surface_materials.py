@@ -50,7 +50,8 @@ LIGHT_BRIGHTNESS = 2.6  # brightness of a light source; several times that of a 
 
 @dataclass(frozen=True, slots=True)
 class PictureScales:
-    """Reference lengths in world units. `extent`: the diagonal of the complete set; `grain`: about one body length."""
+    """Reference lengths of a picture, in world units. `extent`: the diagonal of the complete set. `grain`: about one body
+    length."""
 
     extent: float
     grain: float
@@ -75,10 +76,9 @@ def make_surface_material(
 ) -> SurfaceMaterial:
     """Return the material of n samples.
 
-    `kind` (n,): index in KIND_NAMES.
-    `points`, `normal` (n, 3): positions and smooth normals.
-    `pixel_width` (n,): width of a pixel at the sample, in world units.
-    `vertex_colours` (n, 4): the mesh's own colour, and its weight (0 or 1)."""
+    `kind` (n,): an index in KIND_NAMES. `points`, `normal` (n, 3): positions and smooth normals. `pixel_width` (n,): width of a
+    pixel at the sample, in world units. `vertex_colours` (n, 4): the colour of the mesh at the sample, and its weight (0 or
+    1)."""
     upness = normal @ up
     large, _ = compute_value_noise(points, scales.extent / 9, 1)
     patch, _ = compute_value_noise(points, scales.extent / 34, 2)
@@ -101,7 +101,8 @@ def make_soil_material(
 def _add_grain(
     albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
 ) -> SurfaceMaterial:
-    """Add bumps and specks to a surface. Each size is added only where pixels are small enough to show it."""
+    """Return the material of a surface with bumps and specks. Each size is added only where pixels are small enough to show
+    it."""
     rough = _BUMPS[kind]
     for wavelength, height, speck, seed in (
         (2.4, 0.30, 0.10, 5),
@@ -127,7 +128,9 @@ def _add_grain(
 def _add_sand(
     albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
 ) -> None:
-    """Add grains of sand to soil, coarse ones in patches. Each size is added only where pixels resolve single grains."""
+    """Add grains of sand to soil, in place, with coarse grains in patches.
+
+    Each size is added only where pixels resolve single grains."""
     loose = np.flatnonzero(np.isin(kind, _GRAINY_KINDS))
     for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
         length = size * scales.grain
@@ -154,6 +157,7 @@ def _add_sand(
 
 
 def _mix_colours(first_colour: Floats, second_colour: Floats, share: Floats) -> Floats:
+    """Return the mix of two colours; `share` is that of the second colour."""
     mixed: Floats = first_colour + (second_colour - first_colour) * np.clip(share, 0.0, 1.0)[:, None]
     return mixed
 
@@ -270,7 +274,7 @@ _COLOUR_FUNCTIONS = tuple(_COLOUR_FUNCTION_BY_KIND[name] for name in KIND_NAMES)
 
 
 def compute_glow(kind: NDArray[np.uint8], look: SurfaceMaterial, direction: Floats, sun: SunLight) -> Floats:
-    """Return the light (n, 3) that samples send to the eye in addition to scattered light, for rays along `direction`.
+    """Return the light (n, 3) that samples send along rays in addition to scattered light. `direction`: the rays from the camera.
 
     It consists of reflections of metal and leaves, and of emission."""
     light = np.zeros((len(kind), 3), np.float32)
@@ -309,6 +313,7 @@ def _rotate_rows(rows: Floats, matrix: Floats) -> Floats:
 
 @lru_cache(maxsize=4)
 def _make_noise_table(seed: int) -> Floats:
+    """Return random values within −1..1 for the points of a periodic lattice."""
     values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _PATTERN_PERIOD**3).astype(np.float32)
     values.setflags(write=False)
     return values
@@ -352,10 +357,10 @@ def _make_grain_table(seed: int) -> Floats:
 def compute_grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats, Floats]:
     """Return packed grains at `points` (n, 3), about one per `size` (Worley, SIGGRAPH 1996).
 
-    The results are, for the grain nearest to each point:
-    the distance from its centre (n,), within 0..1;
-    the vector from its centre (n, 3), of length about 1 at the rim;
-    its tone (n,), within −1..1."""
+    The results describe the grain nearest to each point:
+    - the point's distance from the grain's centre (n,), within 0..1
+    - the vector from the grain's centre to the point (n, 3), of length about 1 at the rim
+    - the tone of the grain (n,), within −1..1"""
     table = _make_grain_table(seed)
     scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / size))
     low = np.floor(scaled - np.float32(0.5))

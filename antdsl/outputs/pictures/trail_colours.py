@@ -1,4 +1,4 @@
-"""Ground colours from fields. The values of cells are smoothed along the surface."""
+"""Colours of the ground from fields. The values of cells are smoothed along the surface."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ _GRAIN_BRIGHTNESS_RANGE = (0.5, 1.6)  # factors of the light of soil
 class TrailVoxels:
     """The voxels that contain a trail, between the corners `low` and `high` (3,).
 
-    They are created once per camera and filled in each frame."""
+    They are created once per camera and filled for each frame."""
 
     def __init__(self, low: Array, high: Array, cell: float) -> None:
         self.cell = cell
@@ -40,7 +40,9 @@ class TrailVoxels:
         self._cover_sums = self._spread.spread_values(compute_ground_cover(trail))
 
     def interpolate_cover(self, points: Floats) -> Floats:
-        """Return the share of the ground (n,), 0..1, that the trail covers at points (n, 3). Near cells have more weight."""
+        """Return the share of the ground (n,), 0..1, that the trail covers at points (n, 3).
+
+        It is a mean of cells, in which near cells have more weight."""
         scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
         corner = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
         part = np.clip(scaled - corner, 0, 1)
@@ -52,8 +54,9 @@ class TrailVoxels:
         )
 
     def _interpolate_voxels(self, voxels: Floats, lowest_voxels: NDArray[np.int32], fractions: Floats) -> Floats:
-        """Return trilinear values of voxels. `lowest_voxels`: the lowest voxel around each point; `fractions` (n, 3): the
-        position between voxels."""
+        """Return values that are interpolated between the eight voxels around each point.
+
+        `lowest_voxels`: the lowest of these voxels. `fractions` (n, 3): the point's position between the voxels."""
         _, b, c = self.shape
         x, y, z = fractions.T
         rows = []
@@ -85,7 +88,7 @@ class FieldColours:
             cloth.add_trail(trail)
 
     def colour_samples(self, samples: SurfaceSamples) -> Floats:
-        """Return the colours (n, 3) of samples with the trails on them."""
+        """Return the colours (n, 3) of samples, with the trails on them."""
         if not self._trails:
             return samples.albedo
         rows = self._colourable_rows if samples is self._centre_samples else samples.colourable_rows
@@ -100,7 +103,7 @@ class FieldColours:
 
 
 class _TrilinearSpread:
-    """The positions of cells at `position` (n, 3) in the voxel grid, and the weights of the eight voxels around each cell."""
+    """The voxels around the cells at `position` (n, 3), eight for each cell, and the weights of these voxels."""
 
     def __init__(self, position: Array, low: Array, cell: float, shape: tuple[int, ...]) -> None:
         scaled = (np.asarray(position, np.float64) - low) / cell - 0.5
@@ -115,7 +118,7 @@ class _TrilinearSpread:
         self.weights = [(sides[0][i] * sides[1][j] * sides[2][k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 
     def spread_values(self, values: Floats) -> Floats:
-        """Return the voxels, each the weighted sum of the `values` (n,) of the cells near it."""
+        """Return a value for each voxel: the weighted sum of the `values` (n,) of the cells near it."""
         voxels = np.zeros(self.size, np.float32)
         for step, weight in zip(self.steps, self.weights, strict=True):
             np.add.at(voxels, self.first + step, (weight * values[self.inner_rows]).astype(np.float32))
@@ -123,9 +126,9 @@ class _TrilinearSpread:
 
 
 def estimate_full_strength(strength: Array) -> float:
-    """Return the strength to draw strongest; 0 without scent. Cells of at least this strength contain 70 % of all scent.
+    """Return the strength that should be drawn strongest; 0 without scent.
 
-    So the extent of faint scent has little effect on it."""
+    Cells of at least this strength contain 70 % of all scent, so that the extent of faint scent has little effect."""
     held = np.sort(np.asarray(strength, np.float64)[np.asarray(strength) > 0])
     return float(held[np.searchsorted(np.cumsum(held), 0.3 * held.sum())]) if len(held) else 0.0
 
@@ -141,7 +144,7 @@ def compute_ground_cover(trail: Trail) -> Floats:
 
 
 def compute_cover(strength: Array, max_strength: float) -> Floats:
-    """Return the shares (n,) of the ground that strengths (n,) cover. `max_strength`: the strength drawn strongest.
+    """Return the shares (n,) of the ground that strengths (n,) cover. `max_strength`: the strength that is drawn strongest.
 
     Scent spans many powers of ten, and agents also follow faint scent. With the exponent 0.4, a thousandth of the strongest
     covers a sixteenth."""
@@ -150,7 +153,7 @@ def compute_cover(strength: Array, max_strength: float) -> Floats:
 
 
 def colour_ground(albedo: Floats, share: Floats, trail: Trail) -> Floats:
-    """Return linear ground colours (n, 3) with the trail on them. `share` (n,): the share of the ground that the trail covers.
+    """Return linear ground colours (n, 3) with a trail on them. `share` (n,): the share of the ground that the trail covers.
 
     The strongest part replaces two thirds of the ground's colour. The trail follows the brightness of the grains below it."""
     light = np.clip((albedo @ _LUMINANCE_WEIGHTS) / np.float32(SOIL_COLOUR @ _LUMINANCE_WEIGHTS), *_GRAIN_BRIGHTNESS_RANGE)

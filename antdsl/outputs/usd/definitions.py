@@ -32,7 +32,7 @@ _SAME_POSE_TOLERANCE = 1e-5  # body lengths; bind poses that differ less are mer
 
 @dataclass(slots=True)
 class SkelDefinition:
-    """A written body.
+    """A body that was written to the stage.
 
     `path`: the prim that agents are instances of.
     `joints`: paths of the joints, in the rig's order.
@@ -52,12 +52,12 @@ class SkelDefinition:
 def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBinder, close: bool = False) -> SkelDefinition:
     """Write a body as a SkelRoot at `path`, in the space of agents: length 1 along +x, up +y.
 
-    `looks`: the body's materials. A body with a close-up form has a variant set `detail` with the variants `crowd` and `close`.
-    `close`: selects the variant `close`."""
+    `looks`: the body's materials. A body with a `fine_body` has a variant set `detail` with the variants `crowd` and `close`.
+    `close`: select the variant `close`."""
     skel, definition = import_pxr_module("UsdSkel"), body.drawn_definition
     root = skel.Root.Define(stage, path)
     joints = make_joint_paths(definition)
-    details = {"crowd": body} | ({"close": body.fine} if body.fine is not body else {})
+    details = {"crowd": body} | ({"close": body.fine_body} if body.fine_body is not body else {})
     drawn = {
         name: [b for b in each.bindings if len(each.drawn_definition.shapes[b.shape].faces)] for name, each in details.items()
     }
@@ -87,7 +87,7 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBind
 
 
 def _add_variants(prim: Any, names: list[str], selected_variant: str) -> None:
-    """Add a variant set `detail`. Each variant hides the others."""
+    """Add a variant set `detail`, in which each variant hides the prims of the others."""
     variants = prim.GetVariantSets().AddVariantSet("detail")
     for name in names:
         variants.AddVariant(name)
@@ -126,12 +126,11 @@ class _SkeletonTable:
         self._rest_matrices, self._skeletons = compute_rest_matrices(definition), list[tuple[str, Array, Array, Any]]()
 
     def find_or_add(self, shape: Shape) -> str:
-        """Return the path of a skeleton with the bind pose of a shape.
+        """Return the path of a skeleton with the bind pose of a shape. It is added if no existing skeleton fits.
 
-        If no existing skeleton fits, add one. Joints of an existing skeleton that had no bind pose yet get the pose of this
-        shape."""
+        Joints of an existing skeleton that had no bind pose yet get the pose of this shape."""
         capture = shape.capture
-        numbers = [self._definition.rig.joint(name) for name in capture.names] if capture else []
+        numbers = [self._definition.rig.find_joint(name) for name in capture.names] if capture else []
         target = np.linalg.inv(capture.inverse_matrices) if capture else np.zeros((0, 4, 4))
         for path, bind, known, attribute in self._skeletons:
             deviation = np.abs(bind[numbers] - target)[known[numbers]]
@@ -151,7 +150,7 @@ class _SkeletonTable:
         return path
 
     def find_bind_pose(self, path: str, joint: int) -> Array:
-        """Return the bind pose of a joint. It does not change afterwards."""
+        """Return the bind pose of a joint. It must not change afterwards."""
         _, bind, known, _ = next(each for each in self._skeletons if each[0] == path)
         known[joint] = True
         pose: Array = bind[joint]
@@ -167,6 +166,7 @@ def _write_shape(
     looks: MaterialBinder,
     skel_definition: SkelDefinition,
 ) -> None:
+    """Write the shape of a binding as a mesh below `path`, bound to its skeleton."""
     shape = definition.shapes[binding.shape]
     drawn = add_mesh(stage, path, shape.points, shape.faces, shape.normals, shape.uvs)
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material
@@ -183,7 +183,7 @@ def _write_shape(
         api.CreateSkinningMethodAttr("classicLinear" if skinned[0] == "linearskinning" else "dualQuaternion")
         api.CreateGeomBindTransformAttr(import_pxr_module("Gf").Matrix4d(1))
     else:
-        joint = definition.rig.joint(binding.transform) if binding.transform else 0
+        joint = definition.rig.find_joint(binding.transform) if binding.transform else 0
         api.CreateJointIndicesPrimvar(True, 1).Set(to_integer_array(np.array([joint])))
         api.CreateJointWeightsPrimvar(True, 1).Set(import_pxr_module("Vt").FloatArray([1.0]))
         api.CreateGeomBindTransformAttr(
@@ -194,7 +194,7 @@ def _write_shape(
 
 
 def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
-    """Add notes on the differences between a binding and its form in UsdSkel."""
+    """Add notes about the differences between a binding and its form in UsdSkel."""
     if "dualquatblendskinning" in steps:
         skel_definition.notes.append(
             f"`{shape.name}` blends linear and dual quaternion skinning, but UsdSkel has no blend: it gets dual quaternions"
@@ -210,9 +210,10 @@ def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, sha
 
 
 def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
+    """Write the joints that the points of a shape follow, and their weights."""
     capture = shape.capture
     assert capture is not None
-    numbers = np.array([definition.rig.joint(name) for name in capture.names], np.int32)
+    numbers = np.array([definition.rig.find_joint(name) for name in capture.names], np.int32)
     used = int(np.flatnonzero((capture.weights != 0).any(axis=0)).max(initial=0)) + 1
     api.CreateJointIndicesPrimvar(False, used).Set(to_integer_array(numbers[capture.joints[:, :used]].ravel()))
     weights = np.ascontiguousarray(capture.weights[:, :used], np.float32).ravel()
@@ -249,7 +250,7 @@ def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition,
 def _compute_blend_offsets(
     base: Shape, target: Shape, name: str, rows: Array, other: Array, blended_attributes: tuple[str, ...]
 ) -> Array:
-    """Return the differences float32[P, 3] of an attribute (`name`) between the points of `base` and those of `target`."""
+    """Return the differences float32[P, 3] of the attribute `name` between the points of `base` and those of `target`."""
     offsets = np.zeros((len(base.points), 3), np.float32)
     if (
         name in blended_attributes

@@ -30,7 +30,7 @@ from antdsl.scene.geometry.usd import import_pxr_module
 
 
 class InstancerWriter:
-    """Writer of one species: its agents are instances from a bank of poses."""
+    """Writer of the agents of one species as instances from a bank of poses."""
 
     notes: tuple[str, ...] = ()
 
@@ -56,7 +56,7 @@ class InstancerWriter:
         }
 
     def sample(self, time_sample: TimeSample) -> None:
-        """Write the agents at a time, by their ids."""
+        """Write the agents at a time, with their ids."""
         agents, time = time_sample.agents(self._number), time_sample.time
         prototypes = self._choose_prototypes(agents, time_sample.shutter_agents[self._number])
         self._write_attribute(time, "positions", agents.position)
@@ -90,7 +90,7 @@ class InstancerWriter:
         return prototypes
 
     def _align_signs(self, agents: SpeciesSample) -> NDArray[np.float64]:
-        """Return orientations as quaternions, with the signs of the previous sample."""
+        """Return orientations as quaternions, each with the sign nearer to the agent's previous sample."""
         turn = agents.orient.copy()
         at, is_matched = match_ids(agents.ids, self._previous_quaternions[0])
         if is_matched.any():
@@ -100,6 +100,7 @@ class InstancerWriter:
         return turn
 
     def _compute_extent(self, agents: SpeciesSample) -> NDArray[np.float64]:
+        """Return the lowest and the highest corner (2, 3) of a box around all agents."""
         place, size = agents.position[agents.is_visible], agents.scale[agents.is_visible]
         if not len(place):
             return np.zeros((2, 3))
@@ -107,6 +108,7 @@ class InstancerWriter:
         return np.stack([(place - reach).min(axis=0), (place + reach).max(axis=0)])
 
     def _write_attribute(self, time: float, name: str, values: Any) -> None:
+        """Write the values of an attribute of the instancer at a time."""
         if name not in self._samples:
             convert, kind = self._conversion_by_attribute.get(name, (to_vector_array, np.float32))
             attribute = getattr(self.instancer, f"Create{name[0].upper()}{name[1:]}Attr")()

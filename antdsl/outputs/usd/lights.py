@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.casting.lamps import UNIT_DISTANCE
+from antdsl.casting.lamps import UNIT_DISTANCE_IN_RADII
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.lamps import LAMP_COLOUR, Lamp, find_lamps
 from antdsl.outputs.pictures.light import SKY_LIGHT, SUN_LIGHT, make_sun
@@ -42,7 +42,7 @@ class LightWriter:
             _set_colour(lux.DomeLight.Define(stage, f"{ROOT_PATH}/lights/sky"), SKY_LIGHT * (self._settings.sky / np.pi))
 
     def frame(self, frame: int, picture: Picture) -> None:
-        """Write the lamps of a frame. Lamps that are gone have the radius 0."""
+        """Write the lamps of a frame. Lamps that no longer exist have the radius 0."""
         lamps = find_lamps(picture.items, picture.up, picture.light.lamps)
         while len(self._lamps) < len(lamps):
             self._lamps.append(self._add_lamp(len(self._lamps), lamps[len(self._lamps)]))
@@ -52,15 +52,16 @@ class LightWriter:
             radius.set(frame, [lamps[number].radius if number < len(lamps) else 0.0])
 
     def _add_lamp(self, number: int, lamp: Lamp) -> tuple[ValueSamples, ValueSamples]:
+        """Add the light of a lamp, and return its positions and its radii over time."""
         sphere = import_pxr_module("UsdLux").SphereLight.Define(self._out.stage, f"{ROOT_PATH}/lights/lamp_{number}")
-        _set_colour(sphere, LAMP_COLOUR * (lamp.strength * UNIT_DISTANCE**2 / np.pi))
+        _set_colour(sphere, LAMP_COLOUR * (lamp.strength * UNIT_DISTANCE_IN_RADII**2 / np.pi))
         vector = import_pxr_module("Gf").Vec3d
         move = self._out.add_samples(sphere.AddTranslateOp(), lambda v: vector(*v.tolist()))
         return move, self._out.add_samples(sphere.CreateRadiusAttr(), lambda v: float(v[0]))
 
 
 def _set_colour(light: Any, colour: Any) -> None:
-    """Set colour and intensity of a light. The greatest part of its colour is 1."""
+    """Set the colour and the intensity of a light. The largest component of the colour is 1."""
     strength = float(np.max(colour))
     light.CreateIntensityAttr(strength)
     light.CreateColorAttr(import_pxr_module("Gf").Vec3f(*(np.asarray(colour, np.float64) / max(strength, 1e-12)).tolist()))

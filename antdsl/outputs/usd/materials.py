@@ -1,6 +1,4 @@
-"""Materials as UsdPreviewSurface. Each has one colour, or takes the colour of the prim that it is bound to.
-
-`MaterialBodyMesh` is the mesh of a posed body with its materials by triangle, normals and texture coordinates."""
+"""Materials as UsdPreviewSurface. Each has one colour, or takes the colour of the prim that it is bound to."""
 
 from __future__ import annotations
 
@@ -27,7 +25,8 @@ _DEFAULT_COLOUR = (0.35, 0.35, 0.35)  # for surfaces without a colour
 class MaterialBinder:
     """The materials below one prim. Each is created at its first use.
 
-    `colours`: linear colours by name. `finishes`: roughness and metalness by name, where they differ from those of bodies."""
+    `colours`: linear colours by name.
+    `finishes`: roughness and metalness by name, where they differ from those of bodies."""
 
     def __init__(
         self,
@@ -42,8 +41,8 @@ class MaterialBinder:
         self._materials: dict[str, Any] = {}
 
     def bind_material(self, prim: Any, name: str) -> bool:
-        """Bind the material `name` to a prim. Return whether it takes the primvar displayColor, as materials without a colour
-        do."""
+        """Bind the material `name` to a prim. Return whether the material takes the primvar displayColor, because it has no
+        colour."""
         own = name in self._colour_by_material and name != STATE_MATERIAL
         known = name if own else STATE_MATERIAL
         if known not in self._materials:
@@ -91,11 +90,11 @@ def _make_material(stage: Any, path: str, colour: tuple[float, float, float] | N
 
 
 class MaterialBodyMesh:
-    """The mesh of a body with materials.
+    """The mesh of a posed body, with its materials by triangle, normals and texture coordinates.
 
-    `faces` int32[m, 3].
-    `material` int64[m]: indices of `names`.
-    `uvs` float32[v, 2]: texture coordinates; None if no shape has any."""
+    `faces`: int32[m, 3].
+    `material`: int64[m], indices of `names`.
+    `uvs`: float32[v, 2], texture coordinates; None if no shape has any."""
 
     def __init__(self, body: PosedBody) -> None:
         self.body = body
@@ -127,13 +126,14 @@ class MaterialBodyMesh:
         return np.stack([middle - half, middle + half])
 
     def _iterate_clips(self) -> Iterator[tuple[MachineClips, ...]]:
+        """Yield no clips, which means the rest pose, then each clip of the body at evenly spaced times."""
         yield ()
         for number in range(len(self.body.clips)):
             yield (make_single_clips(np.full(_EXTENT_SAMPLES, number), np.arange(_EXTENT_SAMPLES) / _EXTENT_SAMPLES),)
 
 
 def make_single_clips(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
-    """Return the clips of agents that play one clip each (-1 for none), with full weight and no fade."""
+    """Return the clips of agents that play one clip each (-1 for none), with full weight and no fade. `turns`: played cycles."""
     chosen = np.asarray(clip, np.int16)
     none, one = np.zeros(len(clip), np.float32), np.ones(len(clip), np.float32)
     return MachineClips(chosen, np.asarray(turns, np.float32), one, np.full(len(clip), -1, np.int16), none, none, none)

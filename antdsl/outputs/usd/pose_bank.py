@@ -1,8 +1,9 @@
 """A bank of poses: for each species, the prototypes of its agents' instances, created at first use.
 
 A pose consists of the topmost clip on the complete body and the clip on each transform group. Each clip is at the nearest of a
-few moments. A clip counts if it has most of its machine's weight. An agent that walks on its feet but plays no walking clip gets
-one. This clip is chosen by the agent's speed, at the phase of its gait. A prototype is a pose in the colour of a state."""
+few times in its cycle. A clip counts if it has most of its machine's weight. An agent that walks on its feet but plays no walking
+clip gets one. This clip is chosen by the agent's speed, at the phase of its gait. A prototype is a pose in the colour of a
+state."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ _MAX_FINE_TRIANGLES = 1500  # the coarse body is used if the fine one has more t
 
 
 class PrototypeBank:
-    """The poses of one species (as class prims), and its prototypes below the path of its instancer."""
+    """The poses of one species, as class prims, and its prototypes below the path of its instancer."""
 
     def __init__(self, stage_output: StageOutput, species: SpeciesEntry, close: bool = False) -> None:
         self._stage, self._name, self._uses_close_bodies = stage_output.stage, stage_output.name("species", species.name), close
@@ -75,7 +76,7 @@ class PrototypeBank:
     def _make_pose_keys(
         self, agents: SpeciesSample
     ) -> Iterator[tuple[NDArray[np.intp], list[tuple[int, ...]], NDArray[np.intp]]]:
-        """Yield, for each worn body: the rows of its agents, the distinct keys, and the index of each agent's key.
+        """Yield, for each worn body: the rows of its agents, the distinct keys, and the index of each agent's key among them.
 
         A key consists of the body, the state, and the codes of the played clips."""
         state = np.full(len(agents.ids), -1) if agents.state is None else agents.state
@@ -90,6 +91,7 @@ class PrototypeBank:
             yield rows, [(body, *kind) for kind in kinds.tolist()], which
 
     def _find_or_add_body(self, body: PosedBody) -> int:
+        """Return the number of a body in the bank, which is added at its first use."""
         for number, (known, _) in enumerate(self._bodies):
             if known is body:
                 return number
@@ -98,7 +100,7 @@ class PrototypeBank:
         return len(self._bodies) - 1
 
     def _find_or_write_pose(self, body: int, *played: int) -> str:
-        """Return the path of the mesh for a body with these clip codes. It is written at its first use."""
+        """Return the path of the mesh for a body with the clip codes `played`. It is written at its first use."""
         key = (body, *played)
         if key not in self._path_by_pose:
             self._path_by_pose[key], reach = self._bodies[body][1].write_pose(len(self._path_by_pose), list(played))
@@ -138,13 +140,19 @@ class _PoseBody:
 
     def __init__(self, stage: Any, name: str, posed_body: PosedBody, close: bool) -> None:
         self._stage, self._path = stage, f"{BODIES_PATH}/{name}"
-        body = posed_body.fine if close else posed_body.coarse if len(posed_body.faces) > _MAX_FINE_TRIANGLES else posed_body
+        body = (
+            posed_body.fine_body
+            if close
+            else posed_body.coarse_body
+            if len(posed_body.faces) > _MAX_FINE_TRIANGLES
+            else posed_body
+        )
         self._body_mesh = MaterialBodyMesh(body.with_clips(list_bank_clips(posed_body)))
         stage.CreateClassPrim(self._path)
         self._materials = MaterialBinder(stage, f"{MATERIALS_PATH}/{name}", posed_body.definition.materials)
 
     def write_pose(self, number: int, clip_codes: list[int]) -> tuple[str, float]:
-        """Write the mesh of a pose. Return its path and its reach in body lengths."""
+        """Write the mesh of a pose. Return its path, and the distance of its farthest point from the origin in body lengths."""
         machines = [
             make_single_clips(np.array([p // (POSES_PER_CLIP + 1) - 1]), np.array([p % (POSES_PER_CLIP + 1) / POSES_PER_CLIP]))
             for p in clip_codes
@@ -165,10 +173,11 @@ def list_bank_clips(body: PosedBody) -> list[PlayedClip]:
 
 
 def compute_clip_codes(body: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
-    """Return codes int64[n] of the clips that the bodies of a crowd play.
+    """Return codes int64[n] of the clips that the bodies of a crowd play, as a list of arrays.
 
-    The first array is the topmost clip on the complete body. The others are, by machine, the clip on a transform group.
-    A code is 0 for no clip, else (clip + 1) · (POSES_PER_CLIP + 1) + the nearest moment. `clip` is an index of `list_bank_clips`.
+    The first array is the topmost clip on the complete body. The others are, by machine, the clip on a transform group. A code is
+    0 for no clip, else (clip + 1) · (POSES_PER_CLIP + 1) + the nearest step of the cycle. `clip` is an index of
+    `list_bank_clips`.
 
     `speed` [n]: body lengths per second, or None. An agent that moves, but plays no walking clip, gets the walking clip nearest
     to its speed. The phase is that of its feet."""
@@ -197,7 +206,9 @@ def compute_clip_codes(body: PosedBody, crowd: Crowd, speed: NDArray[np.float64]
 
 
 def _encode_clip(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, steps: Array) -> NDArray[np.int64]:
-    """Return one number for each clip and the nearest of its moments."""
+    """Return one number for each clip and the nearest step of its cycle.
+
+    `turns`: played cycles. `loops`: whether the clip loops. `steps`: the number of steps of its cycle."""
     part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
     step = np.rint(part * steps[clip]).astype(np.int64)
     step = np.where(loops[clip], step % steps[clip], step) * (POSES_PER_CLIP // steps[clip])
@@ -212,7 +223,7 @@ def _add_walking_clips(
     phase: NDArray[np.float64],
     speed: NDArray[np.float64],
 ) -> NDArray[np.int64]:
-    """Return the codes of the bodies, with a walking clip for bodies that move but play none."""
+    """Return the clip codes `body_codes`, with a walking clip for bodies that move but play none."""
     first = len(body.clips) + 1
     speeds = np.array([clip.stride / clip.duration / body.definition.length for clip in clips[first:] if clip is not None])
     clip = body_codes // (POSES_PER_CLIP + 1) - 1

@@ -32,7 +32,7 @@ _MAX_IGNORED_SHEAR = 1e-4  # shear of a joint; larger values are reported, becau
 
 
 class SkeletonWriter:
-    """Writer of one species: an instance for each agent, with its animation as a sibling.
+    """Writer of the agents of one species as instances, each with its animation as a sibling.
 
     With `copies`, agents are full copies, and their meshes have the state colours. Some programs need this, because they do not
     pose instances or inherit primvars."""
@@ -86,7 +86,7 @@ class SkeletonWriter:
         self._hideable_agents = visible_keys
 
     def _find_or_add_agent(self, name: int, body: SkelDefinition, time: float) -> _AgentPrim:
-        """Return the instance of a body for an agent. If the agent's layers change later, it gets another instance."""
+        """Return the prims of an agent with a body. If the agent's layers change later, it gets another instance."""
         if (name, body.number) not in self._agents:
             assert self._first is not None
             path = f"agent_{name}" if name not in self._named_agents else f"agent_{name}_{body.number}"
@@ -96,6 +96,7 @@ class SkeletonWriter:
         return self._agents[name, body.number]
 
     def _find_or_write_body(self, body: PosedBody) -> tuple[PosedBody, SkelDefinition]:
+        """Return a body and its written definition. It is written at its first use."""
         if id(body) not in self._bodies:
             number = len(self._bodies) + 1
             name = self._out.name("species", self._species.name) + (f"_{number}" if self._bodies else "")
@@ -107,10 +108,10 @@ class SkeletonWriter:
 
 
 class _JointSamples:
-    """Local transforms of the joints of n agents.
+    """The local transforms of the joints of n agents.
 
     `values`: translations, rotations (x y z w) and scales, float32[n, J, 3 or 4].
-    `channels` float32[n, C]."""
+    `channels`: float32[n, C]."""
 
     def __init__(self, poses: Poses) -> None:
         assert poses.local_transforms is not None
@@ -124,9 +125,9 @@ class _JointSamples:
         self.channels = np.asarray(poses.channels, np.float32)
 
     def interpolate_rows(self, rows: NDArray[np.bool_], other: _JointSamples, other_rows: NDArray[np.intp], share: float) -> None:
-        """Interpolate or extrapolate the joints in some rows towards those of `other` by `share`, linearly.
+        """Interpolate or extrapolate the joints in `rows` towards those of `other` by `share`, linearly.
 
-        `other_rows`: the row of each agent in `other`. Rotations go by the smaller angle."""
+        `other_rows`: the row of each agent in `other`. Rotations take the smaller angle."""
         for k, (mine, theirs) in enumerate(zip(self.values, other.values, strict=True)):
             towards = theirs[other_rows[rows]]
             if k == 1:
@@ -138,7 +139,9 @@ class _JointSamples:
 
 
 def _sample_joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _JointSamples:
-    """Return the joints of the agents with a body, at a time. After the last frame, the last motion continues."""
+    """Return the joints of the agents with one body at a time. After the last frame, the last motion continues.
+
+    `number`: the species. `part`: the index of the crowd in its `parts`."""
     agents = time_sample.species[number]
     crowd, rows = agents.parts[part]
     joints = _JointSamples(crowd.compute_poses(needs_local=True))
@@ -241,6 +244,7 @@ class _AgentPrim:
             self._weights.set(time, weights)
 
     def _write_number(self, name: str, value: Any, time: float) -> None:
+        """Write the value of a numeric attribute at a time."""
         if name not in self._numbers:
             types, names = import_pxr_module("Sdf").ValueTypeNames, self._names
             is_integer = np.asarray(value).dtype.kind in "iu"

@@ -45,7 +45,7 @@ class XformOptions:
     `shutter`: the interval around each frame, in frames, over which agents have samples; None for samples at frames only.
     `samples`: the number of samples in this interval.
     `chunk`: the number of frames per file of values; 0 writes all values into the stage itself.
-    `close`: use the close-up bodies."""
+    `close`: whether agents have their close-up bodies."""
 
     shutter: tuple[float, float] | None = None
     samples: int = 3
@@ -55,10 +55,11 @@ class XformOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsdOptions(XformOptions):
-    """Options of an export with instances.
+    """Options of an export to USD with instances.
 
-    `skeletons`: up to this number of agents of a species, each agent has its own skeleton. More agents are instances from a bank
-    of poses. `copies`: agents with skeletons are full copies, not instances."""
+    `skeletons`: the largest number of agents of a species for which each agent has its own skeleton. More agents are instances
+        from a bank of poses.
+    `copies`: whether agents with skeletons are full copies, not instances."""
 
     skeletons: int = MAX_SKELETON_AGENTS
     copies: bool = False
@@ -115,6 +116,9 @@ def _export_stage(
     options: XformOptions,
     choose_writer: Callable[[int], Callable[..., CrowdWriter]],
 ) -> list[str]:
+    """Write these frames as a stage, and return messages about features that USD cannot represent.
+
+    `choose_writer`: returns the class of the writer for a species, by its largest number of agents."""
     with raise_disk_errors(path), atomic_path(path, path.suffix) as part:
         try:
             stage = import_pxr_module("Usd").Stage.CreateNew(str(part))
@@ -150,6 +154,7 @@ class _FrameWriters:
 
 
 def _write_frames(shot: _FrameWriters, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
+    """Write the samples of all frames, in files of values if these are requested."""
     written = -np.inf
     for number, frame in enumerate(frames):
         for time in compute_sample_times(frame, options):
@@ -169,6 +174,7 @@ def _write_frames(shot: _FrameWriters, files: ValueFiles, frames: list[int], opt
 
 
 def _write_metadata(stage: Any, gallery: Gallery, frames: list[int]) -> None:
+    """Write the units, the up axis and the times of the stage."""
     geom, manifest = import_pxr_module("UsdGeom"), gallery.manifest
     geom.SetStageMetersPerUnit(stage, UNIT_MM[manifest.units] / 1000)
     geom.SetStageUpAxis(stage, manifest.up.upper())
@@ -184,7 +190,7 @@ def _write_metadata(stage: Any, gallery: Gallery, frames: list[int]) -> None:
 
 
 class ValueFiles:
-    """The files with the values of a stage that is written to `path`."""
+    """The files of values of a stage that is written to `path`."""
 
     def __init__(self, stage_output: StageOutput, path: Path, frames: list[int], chunk: int) -> None:
         self._out, self._path, self._frames = stage_output, path, frames
@@ -200,7 +206,7 @@ class ValueFiles:
         return frame in self._first_frames[1:]
 
     def begin(self, frame: int) -> None:
-        """Begin the file of the values from this frame on. Raises OSError if that fails."""
+        """Begin the file of values for this frame and the next ones. Raises OSError if that fails."""
         if not self._first_frames:
             return
         self._save_file()
@@ -210,6 +216,7 @@ class ValueFiles:
         self._out.begin(self._layer)
 
     def _save_file(self) -> None:
+        """Save the current file of values."""
         if self._layer is not None:
             self._layer.Save()
         self._layer = None
@@ -228,7 +235,7 @@ class ValueFiles:
         self._unfinished_files.__exit__(kind, problem, trace)
 
     def link_files(self) -> None:
-        """Name all files of values in the stage."""
+        """Write the names of all files of values into the stage."""
         self._save_file()
         if not self._first_frames:
             return
@@ -250,4 +257,5 @@ class ValueFiles:
         clips.SetClipTimes(vt.Vec2dArray([gf.Vec2d(end, end) for end in ends]), _DEFAULT_CLIP_SET)
 
     def _make_file_path(self, extension: str) -> Path:
+        """Return the path of the file of values that is numbered by `extension`."""
         return self._path.with_name(f"{self._path.stem}.values.{extension}")

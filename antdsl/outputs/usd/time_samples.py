@@ -24,18 +24,17 @@ _CACHED_FRAMES = 3  # frames in memory: the previous, the current and the next
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesSample:
-    """Agents of a species, by ascending id.
+    """The agents of a species at one time, by ascending id.
 
-    `ids` int64[n].
-    `position` [n, 3], `orient` [n, 4] (unit quaternions x y z w), `scale` [n].
-    `colour` float64[n, 3]: display values.
-    `velocity` [n, 3]: units per second.
-    `angular_velocity` [n, 3]: degrees per second about world axes.
-    `own_velocity` [n, 3]: velocity relative to the ground, as in the cache.
-    `state` int64[n], or None.
+    `ids`: int64[n]. `position` [n, 3], `orient` [n, 4] (unit quaternions x y z w), `scale` [n].
+    `colour`: float64[n, 3], display values.
+    `velocity`: [n, 3], units per second.
+    `angular_velocity`: [n, 3], degrees per second about world axes.
+    `own_velocity`: [n, 3], velocity relative to the ground, as in the cache.
+    `state`: int64[n], or None.
     `numbers`: further values, by name.
     `parts`: crowds with one body each, and the rows of their agents.
-    `is_visible` bool[n]: whether the agent has a position that can be drawn."""
+    `is_visible`: bool[n], whether the agent has a position that can be drawn."""
 
     ids: NDArray[np.int64]
     position: Floats
@@ -53,12 +52,13 @@ class SpeciesSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeSample:
-    """The agents at one time.
+    """The agents of all species at one time.
 
-    `time`: in frames.
-    `share`: the position of the time between its frame and the next one.
+    `time`: the time in frames.
+    `share`: the fraction of the time from its frame to the next frame, 0 to 1.
     `dt`: seconds between frames.
-    `picture`, `species`: the frame at or before the time, and its agents by species.
+    `picture`: the frame at or before the time.
+    `species`: the agents in this frame, by species.
     `next_agents`: the agents of the next frame, if the cache has it.
     `previous_agents`: the agents of the previous frame, if the cache has no next frame.
     `shutter_agents`: the agents of the frame for which the shutter is open."""
@@ -105,9 +105,8 @@ class TimeSamples:
         )
 
     def _read_adjacent_frames(self, frame: int) -> tuple[tuple[SpeciesSample, ...] | None, tuple[SpeciesSample, ...] | None]:
-        """Return the agents of the next and of the previous frame; None for a frame that does not exist.
-
-        The second result is also None if there is a next frame."""
+        """Return the agents of the next frame, or None, and the agents of the previous frame if there is no next frame, else
+        None."""
         next_agents = self._read_frame(frame + 1)[1] if frame + 1 in self._frame_numbers else None
         return next_agents, self._read_frame(frame - 1)[1] if next_agents is None and frame - 1 in self._frame_numbers else None
 
@@ -123,6 +122,7 @@ class TimeSamples:
         return self._samples_with_velocities[frame]
 
     def _read_frame(self, frame: int) -> tuple[Picture, tuple[SpeciesSample, ...]]:
+        """Return the picture of a frame, and its agents by species with the velocities of the cache."""
         if frame not in self._frames:
             self._frames = dict(list(self._frames.items())[1 - _CACHED_FRAMES :])
             arrays = self.gallery.cache.frame(frame)
@@ -170,7 +170,7 @@ def _read_agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int
 
 
 def _find_part_rows(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]]:
-    """Return a crowd, and the rows of its agents among all agents (`ids`) of the species."""
+    """Return a crowd, and the row of each of its agents among all agents `ids` of the species."""
     if crowd.ids is None or len(crowd.position) == len(ids):
         return crowd, np.arange(len(crowd.position))
     return crowd, np.searchsorted(ids, crowd.ids)
@@ -179,7 +179,8 @@ def _find_part_rows(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArra
 def _compute_velocities(
     agents: SpeciesSample, dt: float, next_agents: SpeciesSample | None, previous_agents: SpeciesSample | None
 ) -> SpeciesSample:
-    """Return agents with velocities that lead to the next frame. In the last frame, they are the velocities that led to it."""
+    """Return the agents with velocities that lead to the next frame. In the last frame, these are the velocities from the
+    previous frame."""
     other = next_agents or previous_agents
     if other is None or not len(agents.ids):
         return agents
@@ -199,8 +200,9 @@ def _compute_velocities(
 
 
 def compute_rotation_vectors(first: Floats, second: Floats) -> Floats:
-    """Return the rotations between orientations (n, 4: x y z w, unit), by the smaller angle. The results (n, 3) are world axes
-    times radians."""
+    """Return the rotations from the orientations `first` to `second` (n, 4: x y z w, unit), by the smaller angle.
+
+    The results (n, 3) are world axes times radians."""
     a, b = first, second * np.where((first * second).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     real = (a * b).sum(axis=1)
     axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])

@@ -38,9 +38,10 @@ def add_root(stage: Any, origin: NDArray[np.float64]) -> Any:
 
 
 class ValueSamples:
-    """The values of one attribute over time. A constant value is written at its start and end, since USD interpolates linearly.
+    """The values of one attribute over time.
 
-    `always`: write a value at every time. Some readers use the attribute only at the times of other attributes."""
+    A constant value is written at its start and end, since USD interpolates linearly. `always`: write a value at every time,
+    because some readers use the attribute only at the times of other attributes."""
 
     def __init__(
         self, stage_output: StageOutput, attribute: Any, convert: Callable[[Array], Any], array_type: Any, always: bool
@@ -53,7 +54,7 @@ class ValueSamples:
         self._file_number = -1
 
     def set(self, time: float, values: Any) -> None:
-        """Set the value from a time on. Times must ascend."""
+        """Set the value that applies from a time on. Times must ascend."""
         value = np.ascontiguousarray(values, self._array_type)
         new = self._file_number != self._out.file_number
         if new or self._writes_always or self._value is None or not np.array_equal(self._value, value):
@@ -64,6 +65,7 @@ class ValueSamples:
         self._last_time = time
 
     def _write_value(self, value: Array, time: float) -> None:
+        """Write the value at a time into the current layer."""
         layer = self._out.clip
         if layer is None:
             self._attribute.Set(self._convert(value), time)
@@ -74,6 +76,7 @@ class ValueSamples:
         layer.SetTimeSample(self._path, time, self._convert(value))
 
     def _declare_attribute(self, layer: Any) -> None:
+        """Add the attribute to a layer that lacks it."""
         kind = self._attribute.GetTypeName()
         import_pxr_module("Sdf").JustCreatePrimAttributeInLayer(
             layer, self._path, kind, import_pxr_module("Sdf").VariabilityVarying
@@ -83,9 +86,9 @@ class ValueSamples:
 
 
 class StageOutput:
-    """The written stage, and the layer that receives values over time.
+    """The stage, and the layer that receives values over time.
 
-    `shows_states`: agents have the colours of their states, not natural ones.
+    `shows_states`: whether agents have the colours of their states, not natural colours.
     `clip`: the layer that receives values; None for the stage itself.
     `manifest_layer`: a layer that lists all attributes with values in clips."""
 
@@ -99,7 +102,7 @@ class StageOutput:
         self._name_by_thing: dict[tuple[str, str], str] = {}
 
     def name(self, kind: str, name: str) -> str:
-        """Return the name of a thing below the root, with a number if the name is taken by another thing."""
+        """Return the name of a prim below the root for a thing, with a number if another thing has this name."""
         if (kind, name) not in self._name_by_thing:
             self._name_by_thing[kind, name] = make_unique(to_identifier(name), self._used_names)
         return self._name_by_thing[kind, name]
@@ -107,7 +110,7 @@ class StageOutput:
     def add_samples(
         self, attribute: Any, convert: Callable[[Array], Any], array_type: Any = np.float64, *, always: bool = False
     ) -> ValueSamples:
-        """Return the values over time of an attribute. `convert` converts arrays of the type `array_type` to USD's type."""
+        """Return the values over time of an attribute. `convert`: converts arrays of the type `array_type` to USD's type."""
         return ValueSamples(self, attribute, convert, array_type, always)
 
     def begin(self, layer: Any) -> None:
@@ -184,7 +187,7 @@ def write_state_names(prim: Any, species: SpeciesEntry) -> None:
 
 
 def make_unique(name: str, used_names: set[str]) -> str:
-    """Return the name, with a number if it is taken. The result is added to `used_names`."""
+    """Return the name, or the name with a number if it is in `used_names`. The result is added to `used_names`."""
     unique_name, number = name, 1
     while unique_name in used_names:
         number += 1
@@ -194,17 +197,16 @@ def make_unique(name: str, used_names: set[str]) -> str:
 
 
 def to_identifier(name: str) -> str:
-    """Return a name changed to a valid USD identifier."""
+    """Return a valid USD identifier for a name."""
     word = re.sub("[^A-Za-z0-9_]", "_", name)
     return word if re.match("[A-Za-z_]", word) else f"_{word}"
 
 
 @contextmanager
 def raise_disk_errors(path: Path) -> Iterator[None]:
-    """Raise an OSError that names `path` if the disk fails while USD writes. USD reports the system's message only in its own
-    errors.
+    """Raise an OSError that names `path` if the disk fails while USD writes. All other errors pass unchanged.
 
-    All other errors pass unchanged."""
+    USD reports the system's message only in its own errors."""
     try:
         yield
     except import_pxr_module("Tf").ErrorException as problem:

@@ -1,4 +1,4 @@
-"""The world of a shot in USD: static, moving and dug meshes, items, fields, and the camera."""
+"""Writes the world of a shot as USD: static, moving and dug meshes, items, fields, and the camera."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _list_surfaces() -> tuple[dict[str, tuple[float, float, float]], dict[str, t
 
 
 class _CameraWriter:
-    """Writer of a camera of the scene. `name`: in the scene. `path`: of its prim."""
+    """Writer of a camera of the scene. `name`: its name in the scene. `path`: the path of its prim."""
 
     def __init__(self, stage_output: StageOutput, gallery: Gallery, cameras: SceneCameras, name: str, path: str) -> None:
         self._gallery, self._cameras, self._name, self._has_clipping_range = gallery, cameras, name, False
@@ -200,7 +200,7 @@ class _FieldWriter:
         usd_points.CreateDisplayColorPrimvar("constant").Set(to_vector_array(decode_srgb(np.array([trail.colour]))))
 
     def write_empty_frame(self, frame: int) -> None:
-        """Write that the field has no points in a frame."""
+        """Write a frame in which the field has no points."""
         self._points.set(frame, np.zeros((0, 3)))
         self._widths.set(frame, np.zeros(0))
         self._strength.set(frame, np.zeros(0))
@@ -232,7 +232,7 @@ def compute_creased_normals(points: Array, faces: Array) -> Array:
 
 
 def _map_from_above(points: Array, up: int) -> Array:
-    """Return texture coordinates (n, 2) as seen from above. The longer side has the range 0 to 1."""
+    """Return texture coordinates (n, 2) for a view from above. Along the longer side, they range from 0 to 1."""
     flat = np.delete(np.asarray(points, np.float64), up, axis=1)
     if not len(flat):
         return np.zeros((0, 2), np.float32)
@@ -242,7 +242,7 @@ def _map_from_above(points: Array, up: int) -> Array:
 
 
 def _map_around_centre(points: Array) -> Array:
-    """Return texture coordinates (n, 2) by direction from the centre of a body: longitude and latitude."""
+    """Return texture coordinates (n, 2) by the direction from the centre of a body: longitude and latitude."""
     low, high = compute_box(points)
     offset = points - (low + high) / 2
     size = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
@@ -251,9 +251,10 @@ def _map_around_centre(points: Array) -> Array:
 
 
 def _rotate_to_z_up(directions: Array) -> Array:
-    """Convert vectors (n, 3) from a world with y up to one with z up."""
+    """Return vectors (n, 3) of a world with y up in the axes of a world with z up."""
     return np.stack([directions[:, 0], -directions[:, 2], directions[:, 1]], axis=1)
 
 
 def _to_usd_vector(values: Array) -> Any:
+    """Return a point (3,) as USD's vector."""
     return import_pxr_module("Gf").Vec3d(*values.tolist())

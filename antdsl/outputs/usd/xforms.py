@@ -18,7 +18,7 @@ from antdsl.scene.geometry.usd import import_pxr_module
 
 
 class XformWriter:
-    """Writer of one species: an Xform for each agent, with the body in the agent's first pose below it.
+    """Writer of the agents of one species, each as an Xform above the body in the agent's first pose.
 
     Agents in the same pose share this body."""
 
@@ -55,7 +55,7 @@ class XformWriter:
 
 
 class _AgentPrim:
-    """The Xform of one agent."""
+    """Writer of the Xform of one agent."""
 
     def __init__(self, stage_output: StageOutput, path: str, shape: str, name: int, first: float, time: float) -> None:
         geom, types, gf, vt = (

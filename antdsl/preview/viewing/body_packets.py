@@ -129,7 +129,7 @@ def find_traits(body_outfit: BodyOutfit) -> BodyTraits:
 
 def _make_detail_levels(body_outfit: BodyOutfit) -> dict[str, PosedBody]:
     body = build_posed_body(body_outfit)
-    return {"low": body.coarse, "fine": body.fine}
+    return {"low": body.coarse_body, "fine": body.fine_body}
 
 
 def _find_blend_targets(level: PosedBody) -> dict[BlendTarget, NDArray[np.float32]]:
@@ -201,7 +201,7 @@ def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tu
     place = _find_depth_order(table)
     parents = np.asarray(table.rig.parents)[table.joint_order]
     ones = np.ones(joints, np.float32)
-    weights = [ones if not name else table.weights(definition.groups[name])[0] for name in groups]
+    weights = [ones if not name else table.compute_group_weights(definition.groups[name])[0] for name in groups]
     return {
         "sample": sample,
         "parent": np.where(parents >= 0, place[parents], -1).astype(np.int32),

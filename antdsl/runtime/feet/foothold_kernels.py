@@ -10,7 +10,7 @@ import numpy as np
 
 from antdsl.casting.grid_rays import GridTables, find_first_hit, prefetch_rays
 from antdsl.casting.nearest_faces import find_nearest_face
-from antdsl.casting.ray_walks import Rings, find_hit_by_walk, prefetch_first_face
+from antdsl.casting.ray_walks import RingTables, find_hit_by_walk, prefetch_first_face
 from antdsl.casting.tolerances import FACE_BEYOND_GRID, MAX_SEARCH_RINGS, NEAREST_UNKNOWN
 from antdsl.machine_code.kernels import allocate_scratch, inlined, kernel, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I16, I32, I64, U8, Array1, Array2, Array3
@@ -94,7 +94,7 @@ def aim_first_rays(
 @kernel
 def cast_on_mesh(
     grid: GridTables,
-    rings: Rings,
+    rings: RingTables,
     box: tuple[Array1[F64], Array1[F64]],
     number: I64,
     origins: Array2[F64],

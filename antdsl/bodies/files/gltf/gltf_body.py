@@ -17,7 +17,7 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Layer, Rig
 from antdsl.bodies.agents.transforms import compose_matrix, normalise_quaternion
 from antdsl.bodies.files.gltf.gltf_clips import read_clips
-from antdsl.bodies.files.gltf.gltf_settings import with_extras
+from antdsl.bodies.files.gltf.gltf_settings import apply_body_extras
 from antdsl.bodies.files.gltf.gltf_shapes import GltfBody, build_rigid_capture, make_unused_name, read_shape
 from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError, find_node_parents, find_nodes_below, find_scene_roots
 
@@ -31,10 +31,9 @@ def read_gltf(
 ) -> tuple[Definition, list[str]]:
     """Return the definition in a file's bytes, and sentences about the parts that are not read. Raises BodyError.
 
-    `beside(path, cap)`: reads a file relative to this one.
+    `read_sibling(path, cap)`: reads at most `cap` bytes of a file relative to this one.
     `rate`: approximate samples per second of animations; it is adjusted so that each animation ends on a sample.
-    `pose`: its joints' rest pose applies where an animation has no keys; other joints have the rest pose of the file.
-    """
+    `pose`: a rig with the rest pose for joints without keys in an animation. Other joints have the rest pose of the file."""
     with np.errstate(all="ignore"):  # values that are not finite are reported where they are used
         try:
             return _read_definition(data, name, read_sibling, rate, pose)
@@ -45,6 +44,7 @@ def read_gltf(
 def _read_definition(
     data: bytes, name: str, read_sibling: Callable[[str, int], bytes], rate: float, pose: Rig | None
 ) -> tuple[Definition, list[str]]:
+    """Return the results of `read_gltf`. Raises GltfError or BodyError."""
     body = GltfBody(GltfDocument(data, read_sibling))
     parents = find_node_parents(body.file)
     joint_nodes = _find_joint_nodes(body.file, parents)
@@ -57,7 +57,7 @@ def _read_definition(
         name, rig, body.shapes, {BASE_LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
         materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
     )  # fmt: skip
-    return with_extras(definition, body.file.tree.get("extras")), list(body.omissions)
+    return apply_body_extras(definition, body.file.tree.get("extras")), list(body.omissions)
 
 
 # ---- rig
@@ -96,7 +96,7 @@ def _find_joint_nodes(file: GltfDocument, parents: list[int]) -> list[int]:
 
 
 def _assign_unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int, str]:
-    """Return a different name for each joint node, by node number."""
+    """Return a unique name for each joint node, by node number."""
     names: dict[int, str] = {}
     taken: set[str] = set()
     for number in joint_nodes:
@@ -120,7 +120,7 @@ def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Ri
 
 
 def _replace_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
-    """Return a rig with another rest pose: that of `pose` for joints with the same names."""
+    """Return a rig in which joints that `pose` has too, by name, have the rest pose of `pose`."""
     if pose is None:
         return rig
     rest, known = rig.rest.copy(), {name: number for number, name in enumerate(pose.names)}
@@ -131,7 +131,7 @@ def _replace_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
 
 
 def read_local_matrix(file: GltfDocument, node: dict[str, Any]) -> Floats:
-    """Return the matrix float64[4, 4] of a node."""
+    """Return the local matrix float64[4, 4] of a node."""
     if "matrix" in node:
         matrix = file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
         return np.concatenate([matrix[:3], [[0.0, 0.0, 0.0, 1.0]]])

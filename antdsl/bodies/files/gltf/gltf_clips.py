@@ -50,7 +50,7 @@ def read_clips(
 
 
 def compute_even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
-    """Return times from 0 to `seconds`, both included, about `rate` per second, and their exact rate."""
+    """Return evenly spaced times from 0 to `seconds`, both included, and their exact rate, which is about `rate` per second."""
     steps = max(1, round(seconds * rate))
     if seconds <= 0:
         return np.zeros(1), rate
@@ -61,7 +61,9 @@ def _read_clip(
     file: GltfDocument, animation: dict[str, Any], name: str, joint_names: Mapping[int, str],
     weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float, remaining_bytes: int,
 ) -> tuple[Clip | None, int]:  # fmt: skip
-    """Return a clip, and the number of bytes of its samples. Raises BodyError if these exceed `remaining_bytes` bytes."""
+    """Return an animation as a clip, None if it moves nothing, and the number of bytes of its samples.
+
+    Raises BodyError if the samples need more than `remaining_bytes` bytes."""
     moved: dict[str, dict[str, _SamplerKeys]] = {}
     shares: dict[str, tuple[_SamplerKeys, int]] = {}
     samplers = file.get_objects(animation, "samplers")
@@ -126,14 +128,14 @@ def build_settings_extras(clip: Clip) -> dict[str, Any]:
 
 
 def apply_settings(clip: Clip, settings: AnimationSettings) -> Clip:
-    """Return a clip with the settings of its animation."""
+    """Return the clip with the settings of its animation."""
     return replace(clip, loop=settings.loop, stride=settings.stride, marks=settings.marks, feet=settings.feet)
 
 
 def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
-    """Return the settings of a clip called `name`. Raises BodyError for wrong values.
+    """Return the settings of the clip `name`. Raises BodyError for wrong values.
 
-    `holder`: the location of the settings, `extras` in glTF or `customData` in USD."""
+    `settings`: the values in the file. `holder`: the key that has them, `extras` in glTF or `customData` in USD."""
     from pydantic import ValidationError  # imported late, because most files have no such settings
 
     from antdsl.bodies.files.document_model import AnimationSettings

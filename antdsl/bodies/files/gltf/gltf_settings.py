@@ -11,8 +11,8 @@ from antdsl.bodies.files.gltf.gltf_clips import EXTRAS_KEY
 CAPSULE_KEYS = ("length", "width", "height", "ahead")
 
 
-def body_extras(body: Definition) -> dict[str, Any]:
-    """Return the extras of a glTF file for a body in metres."""
+def build_body_extras(body: Definition) -> dict[str, Any]:
+    """Return the extras of a glTF file that store the settings of a body. The body is in metres."""
     settings: dict[str, Any] = {"length": body.length}
     if body.legs:
         settings["legs"] = [asdict(leg) for leg in body.legs]
@@ -25,8 +25,8 @@ def body_extras(body: Definition) -> dict[str, Any]:
     return {EXTRAS_KEY: settings}
 
 
-def with_extras(body: Definition, extras: Any) -> Definition:
-    """Return a body with the settings in the extras of its file. Raises BodyError for wrong values.
+def apply_body_extras(body: Definition, extras: Any) -> Definition:
+    """Return the body with the settings that the extras of its glTF file contain. Raises BodyError for wrong values.
 
     Without a length, the length is 0 and must be measured."""
     settings = extras.get(EXTRAS_KEY) if isinstance(extras, dict) else None

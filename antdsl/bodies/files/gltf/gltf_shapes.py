@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import STATE_MATERIAL, BlendTargets, BodyError, Capture, Channel, Shape
 from antdsl.bodies.body import normalise_normals
-from antdsl.bodies.files.gltf.gltf_textures import COLOUR, TextureError, Textures
+from antdsl.bodies.files.gltf.gltf_textures import COLOUR_ATTRIBUTE, TextureError, Textures
 from antdsl.scene.geometry.gltf_file import (
     FAN_MODE,
     STRIP_MODE,
@@ -30,8 +30,10 @@ _EXPORT_HELP = "export it again, as glTF 2.0"
 
 @dataclass(slots=True)
 class GltfBody:
-    """The state of a glTF import. `joint_by_node`: the joint's name of each node, by the node's number. `omissions`: reports of
-    parts that are not read."""
+    """The parts of a glTF import that were read so far.
+
+    `joint_by_node`: the name of each node's joint, by node number.
+    `omissions`: sentences about parts that are not read."""
 
     file: GltfDocument
     joint_by_node: dict[int, str] = field(default_factory=dict)
@@ -48,7 +50,7 @@ class GltfBody:
 
 
 def make_unused_name(name: str, used_names: Iterable[str]) -> str:
-    """Return a name that is not in `used_names`: the name itself, or the name with the first free number appended."""
+    """Return a name that is not in `used_names`: `name`, or `name` with the first free number appended."""
     used_names = used_names if isinstance(used_names, set | dict) else set(used_names)
     candidate, count = name, 2
     while candidate in used_names:
@@ -58,9 +60,10 @@ def make_unused_name(name: str, used_names: Iterable[str]) -> str:
 
 @dataclass(slots=True)
 class _MeshPieces:
-    """The primitives of a mesh in sequence. Primitives with identical points store them once.
+    """The values of a mesh's primitives in sequence. Primitives with identical points store these points once.
 
-    `point_indices`: for each primitive, the index of its points."""
+    `point_sets`: the distinct arrays of points. `index_by_points`: their indices by hash.
+    `point_indices`: for each primitive, the index of its points in `point_sets`."""
 
     index_by_points: dict[str, int] = field(default_factory=dict)
     point_indices: list[int] = field(default_factory=list)
@@ -99,9 +102,9 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     materials, material = _read_materials(body, pieces)
     common = set.intersection(*(set(each) for each in pieces.extra_attributes))
     further = {key: np.concatenate([each[key] for each in pieces.extra_attributes]) for key in sorted(common)}
-    colours = _point_colours(body, pieces, counts)
+    colours = _compute_point_colours(body, pieces, counts)
     if colours is not None:
-        further[COLOUR] = colours
+        further[COLOUR_ATTRIBUTE] = colours
     shape = Shape(name, points, faces, normals, uvs, materials, material, further)
     if skin is not None:
         shape = replace(shape, capture=_read_capture(body, pieces, skin, name))
@@ -115,7 +118,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
 
 
 def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], skinned: bool) -> None:
-    """Append a primitive's points, faces, normals, materials and morph targets to `pieces`."""
+    """Append the points, faces, normals, materials and morph targets of a primitive to `pieces`."""
     file = body.file
     if primitive.get("mode", TRIANGLES_MODE) not in (TRIANGLES_MODE, STRIP_MODE, FAN_MODE):
         body.omissions["points and lines of meshes are not read"] = None
@@ -158,7 +161,7 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
     pieces.point_sets.append(points)
     pieces.normals.append(of_points("NORMAL", 3))
     pieces.uvs.append(of_points("TEXCOORD_0", 2))
-    pieces.colours.append(_vertex_colours(file, attributes, len(points)))
+    pieces.colours.append(_read_vertex_colours(file, attributes, len(points)))
     pieces.targets.append([])
     for target in file.get_objects(primitive, "targets"):
         moved = [_read_target(file, target, key, len(points)) for key in ("POSITION", "NORMAL")]
@@ -174,8 +177,8 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
         _read_joint_weights(pieces, of_points, len(points))
 
 
-def _vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: int) -> Floats | None:
-    """Return the linear colours [count, 3] of points, or None. Values that are not usable are ignored."""
+def _read_vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: int) -> Floats | None:
+    """Return the linear colours [count, 3] of a primitive's points, or None. Values that are not usable are ignored."""
     if "COLOR_0" not in attributes:
         return None
     values = file.read_accessor(attributes["COLOR_0"]).astype(np.float64)
@@ -184,10 +187,11 @@ def _vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: int) 
     return np.clip(values[:, :3], 0.0, 1.0)
 
 
-def _point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> NDArray[np.float32] | None:
-    """Return the linear colours of all points, float32[P, 3], without the base colours of materials.
+def _compute_point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> NDArray[np.float32] | None:
+    """Return the linear colours of all points of a mesh, float32[P, 3], without the base colours of materials.
 
-    Return None if no piece has vertex colours or a texture. Points that several materials share have the texture of the first."""
+    Return None if no primitive has vertex colours or a texture. Points that several materials share have the texture of the
+    first."""
     file, known, is_coloured = body.file, body.file.get_top_list("materials"), False
     colours = []
     for number, count in enumerate(counts):
@@ -201,7 +205,7 @@ def _point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> ND
             try:
                 if uvs is None:
                     raise TextureError("its mesh has no texture coordinates")
-                own = own * body.textures.colours(file.get_object(pbr, "baseColorTexture"), uvs)
+                own = own * body.textures.sample_colours(file.get_object(pbr, "baseColorTexture"), uvs)
                 is_coloured = True
             except (TextureError, GltfError) as error:
                 body.omissions[f"the texture of `{name}` is not read, only its base colour: {error}"] = None
@@ -210,8 +214,9 @@ def _point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> ND
 
 
 def _read_faces(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], faces: NDArray[np.int64], point_set: int) -> bool:
-    """Append the triangles of a primitive; its points are those of the piece `point_set`. Return False if there are no
-    triangles."""
+    """Append the triangles of a primitive. Return False if it has no triangles.
+
+    `point_set`: the index of the primitive's points in `pieces.point_sets`."""
     if len(faces):
         pieces.faces.append(faces)
         pieces.point_indices.append(point_set)
@@ -232,7 +237,7 @@ def _read_target(file: GltfDocument, target: dict[str, Any], key: str, count: in
 
 
 def _read_joint_weights(pieces: _MeshPieces, read_point_values: Callable[[str, int], Floats | None], count: int) -> None:
-    """Append the joints of each point with their weights, in as many columns as the file has."""
+    """Append the joints that each point follows and their weights, in as many columns as the file has."""
     joints: list[NDArray[np.int64]] = []
     weights: list[Floats] = []
     while 4 * len(joints) < limits.MAX_JOINTS_PER_POINT:
@@ -271,8 +276,8 @@ def normalise_capture(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
     """Return joints int32[P, K], weights float32[P, K] that add up to 1, and the number of points that followed no joint.
 
-    Unused columns are removed. Points without a joint then follow joint 0. `count`: number of joints. Raises BodyError for a
-    joint number out of range."""
+    Unused columns are removed. A point without a joint follows joint 0. `count`: number of joints. Raises BodyError for a joint
+    number out of range."""
     used = weights > 0
     if len(joints) and used.any() and (joints[used].min() < 0 or joints[used].max() >= count):
         raise BodyError(f"has a point that follows a joint which is not among the {count} of its skin", _EXPORT_HELP)
@@ -285,9 +290,9 @@ def normalise_capture(
 
 
 def build_rigid_capture(joint: str, points: int) -> Capture:
-    """Return a capture in which all points follow one joint and are in the space of that joint.
+    """Return a capture in which all points follow one joint and have positions in the space of that joint.
 
-    With it, a blended shape moves with the joint."""
+    With it, a blended shape moves with the joint. `points`: number of points."""
     return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 

@@ -16,8 +16,8 @@ from antdsl.reader.image_request import ImageError, read_image_file
 from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError
 
 Floats = NDArray[np.float64]
-COLOUR = "Cd"  # the attribute of points with linear colours
-_FORMATS = ((b"\x89PNG", "PNG"), (b"\xff\xd8\xff", "JPEG"))
+COLOUR_ATTRIBUTE = "Cd"  # the attribute of points with linear colours
+_IMAGE_SIGNATURES = ((b"\x89PNG", "PNG"), (b"\xff\xd8\xff", "JPEG"))
 _CLAMP, _MIRROR = 33071, 33648
 
 
@@ -27,13 +27,13 @@ class TextureError(Exception):
 
 @dataclass(slots=True)
 class Textures:
-    """The decoded images of a file, uint8[rows, columns, 3], by their numbers."""
+    """The decoded images of a file, uint8[rows, columns, 3], by their numbers, within a limit of pixels."""
 
     file: GltfDocument
     _images: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
-    _left: int = field(default_factory=lambda: limits.MAX_TEXTURE_PIXELS)
+    _remaining_pixels: int = field(default_factory=lambda: limits.MAX_TEXTURE_PIXELS)
 
-    def colours(self, info: dict[str, Any], uvs: Floats) -> Floats:
+    def sample_colours(self, info: dict[str, Any], uvs: Floats) -> Floats:
         """Return linear colours [P, 3] of a base colour texture at texture coordinates [P, 2], interpolated between texels.
 
         `info`: the reference to the texture in a material. Raises TextureError if the texture cannot be read."""
@@ -54,7 +54,7 @@ class Textures:
         first = np.floor(at)
         share = at - first
         low, high = (np.clip(first + step, 0, size - 1).astype(np.intp) for step in (0, 1))
-        linear = _LINEAR[image]
+        linear = _LINEAR_BY_SRGB_BYTE[image]
         above = linear[low[:, 1], low[:, 0]] * (1 - share[:, :1]) + linear[low[:, 1], high[:, 0]] * share[:, :1]
         below = linear[high[:, 1], low[:, 0]] * (1 - share[:, :1]) + linear[high[:, 1], high[:, 0]] * share[:, :1]
         return np.asarray(above * (1 - share[:, 1:]) + below * share[:, 1:])
@@ -68,16 +68,16 @@ class Textures:
                 data = self.file.read_image_bytes(number)
             except GltfError as error:
                 raise TextureError(f"the file {error}") from None
-            format = next((name for magic, name in _FORMATS if data.startswith(magic)), "")
+            format = next((name for magic, name in _IMAGE_SIGNATURES if data.startswith(magic)), "")
             if not format:
                 raise TextureError("its image is neither PNG nor JPEG")
             try:
-                image = read_image_file(data, format, ("RGB",), self._left, convert="RGB")
+                image = read_image_file(data, format, ("RGB",), self._remaining_pixels, convert="RGB")
             except ImageError as error:
                 raise TextureError(f"its image {error}") from None
             if image.samples is None:
                 raise TextureError(f"its image has {image.rows * image.columns:,} pixels, more than the limit")
-            self._left -= image.rows * image.columns
+            self._remaining_pixels -= image.rows * image.columns
             self._images[number] = image.samples
         return self._images[number]
 
@@ -104,10 +104,10 @@ def _wrap_coordinates(values: Floats, mode: Any) -> Floats:
     return np.asarray(values - np.floor(values))
 
 
-def _linear_table() -> NDArray[np.float32]:
+def _build_linear_table() -> NDArray[np.float32]:
     """Return the linear value of each sRGB byte, float32[256]."""
     value = np.arange(256) / 255.0
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-_LINEAR = _linear_table()
+_LINEAR_BY_SRGB_BYTE = _build_linear_table()

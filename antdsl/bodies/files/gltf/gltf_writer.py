@@ -21,7 +21,7 @@ from antdsl.bodies.agents.blend_shapes import (
 )
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.body import normalise_normals
-from antdsl.bodies.files.gltf.gltf_textures import COLOUR
+from antdsl.bodies.files.gltf.gltf_textures import COLOUR_ATTRIBUTE
 
 VERTEX_BUFFER_TARGET, INDEX_BUFFER_TARGET = 34962, 34963  # `target` of a buffer view
 _COMPONENT_CODES = {"f4": 5126, "u2": 5123, "u4": 5125, "i2": 5122}
@@ -32,7 +32,7 @@ Entry = dict[str, Any]
 
 
 class GltfWriter:
-    """The lists of a file's parts, and its buffer."""
+    """The lists of a glTF file's parts, and its buffer."""
 
     def __init__(self, generator: str) -> None:
         self.data = bytearray()
@@ -52,17 +52,17 @@ class GltfWriter:
         return self._lists[key][number]
 
     def add_extension(self, name: str, entry: Entry) -> None:
-        """Add the file's own entry of an extension. Readers that do not know it may ignore it."""
+        """Add an entry for an extension at the top of the file. Readers that do not know the extension may ignore it."""
         self._extensions[name] = entry
 
     def add_accessor(
         self, values: NDArray[Any], kind: str = "f4", target: int = 0, bounds: bool = False, *, is_packed: bool = False
     ) -> int:
-        """Return the number of an accessor with values (n,) or (n, k) as `f4`, `u2`, `u4` or normalized `i2`, which is added
-        unless there is an equal one.
+        """Return the number of an accessor with values (n,) or (n, k). It is added unless there is an equal accessor.
 
-        `bounds`: write the least and greatest value of each column; positions and times must have these. `is_packed`: the buffer
-        view is that of the previous packed accessor, if nothing came in between."""
+        `kind`: the type in the file, `f4`, `u2`, `u4` or normalized `i2`. `bounds`: write the least and greatest value of each
+        column; positions and times must have these. `is_packed`: the buffer view is that of the previous packed accessor, if
+        nothing came in between."""
         rows = np.ascontiguousarray(values, f"<{kind}").reshape(len(values), -1)
         raw = rows.tobytes()
         key = kind, rows.shape[1], target, bounds, is_packed, blake2b(raw, digest_size=16).digest()
@@ -87,7 +87,8 @@ class GltfWriter:
         return self.add_part("accessors", entry)
 
     def _add_view(self, start: int, size: int, target: int, is_packed: bool) -> int:
-        """Return the number of a buffer view for `size` bytes from `start`, which was extended to them or added."""
+        """Return the number of a buffer view that contains `size` bytes from `start`: the last view, extended to them, or a new
+        view."""
         views = self._lists.get("bufferViews", [])
         if is_packed and self._packed_view is not None and self._packed_view == len(views) - 1:
             views[-1]["byteLength"] = start + size - views[-1]["byteOffset"]
@@ -119,7 +120,7 @@ class GltfWriter:
 
 
 class ShapeParts:
-    """The accessors of a shape. All meshes of the shape share them: their `primitives` differ only in materials."""
+    """The accessors of a shape. All meshes of the shape share them: the `primitives` of a mesh differ only in materials."""
 
     def __init__(self, writer: GltfWriter, body: Definition, shape: Shape, normals: NDArray[np.float32] | None) -> None:
         self.writer, self.shape = writer, shape
@@ -128,7 +129,7 @@ class ShapeParts:
             self.attributes["NORMAL"] = writer.add_accessor(normalise_normals(normals), "f4", VERTEX_BUFFER_TARGET)
         if shape.uvs is not None:
             self.attributes["TEXCOORD_0"] = writer.add_accessor(shape.uvs, "f4", VERTEX_BUFFER_TARGET)
-        colours = shape.attributes.get(COLOUR)
+        colours = shape.attributes.get(COLOUR_ATTRIBUTE)
         if colours is not None and colours.shape == (len(shape.points), 3):
             self.attributes["COLOR_0"] = writer.add_accessor(np.asarray(colours, np.float32), "f4", VERTEX_BUFFER_TARGET)
         for name, values in shape.attributes.items():
@@ -144,7 +145,7 @@ class ShapeParts:
         self._indices_by_material = self._add_material_triangles()
 
     def _add_capture(self) -> None:
-        """Write the joints that points follow, each once, in sets of four, sorted by descending weight."""
+        """Write the joints that points follow, each joint once, in sets of four, sorted by descending weight."""
         capture = self.shape.capture
         if capture is None:
             return
@@ -171,7 +172,7 @@ class ShapeParts:
         return entry
 
     def _add_material_triangles(self) -> list[tuple[str, int]]:
-        """Return the materials of the triangles by ascending number, each with the accessor of its triangles' corners."""
+        """Return the materials of the triangles by ascending number, each with an accessor of its triangles' corners."""
         shape = self.shape
         names = shape.materials or ("",)
         of = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
@@ -181,8 +182,9 @@ class ShapeParts:
             for number in sorted(set(of.tolist()))
         ]
 
-    def mesh(self, name: str, materials: dict[str, int]) -> int:
-        """Add a mesh and return its number. `materials`: numbers by name; a name that is not in it gets no material."""
+    def add_mesh(self, name: str, materials: dict[str, int]) -> int:
+        """Add a mesh of the shape and return its number. `materials`: numbers by name; a name that is not in it gets no
+        material."""
         primitives = []
         for material, indices in self._indices_by_material:
             primitive: Entry = {"attributes": self.attributes, "indices": indices}
@@ -197,7 +199,8 @@ class ShapeParts:
         return self.writer.add_part("meshes", entry)
 
     def measure_radii(self, joints: tuple[str, ...]) -> NDArray[np.float64]:
-        """Return the largest distance of the points that follow each of some `joints` from it, offsets of targets included."""
+        """Return, for each of `joints`, the largest distance from it of the points that follow it. Offsets of morph targets are
+        included."""
         capture, shape = self.shape.capture, self.shape
         assert capture is not None
         at = np.einsum("pkij,pj->pki", capture.inverse_matrices[capture.joints][..., :3, :3], shape.points.astype(np.float64))
@@ -209,12 +212,12 @@ class ShapeParts:
         return np.array([by_name.get(name, 0.0) for name in joints])
 
     def measure_radius(self) -> float:
-        """Return the largest distance of a point from the zero point, offsets of targets included."""
+        """Return the largest distance of a point from the origin. Offsets of morph targets are included."""
         distances = np.sqrt((self.shape.points.astype(np.float64) ** 2).sum(axis=1))
         return float(distances.max(initial=0.0)) + self._measure_offsets()
 
     def _measure_offsets(self) -> float:
-        """Return an upper bound for the distance by which targets with weights up to 1 move a point."""
+        """Return an upper bound of the distance by which morph targets with weights up to 1 move a point."""
         targets = [] if self.targets is None else self.targets.offsets
         return sum(float(np.sqrt((offsets**2).sum(axis=1)).max(initial=0.0)) for offsets, _ in targets)
 
@@ -226,8 +229,9 @@ class ShapeParts:
         return tuple(capture.names[k] for k in np.unique(capture.joints[capture.weights > 0]).tolist())
 
     def add_skin(self, nodes: dict[str, int], top: int) -> int:
-        """Add the skin with which the shape follows its joints, and return its number. `nodes`: node numbers of joints by
-        name."""
+        """Add the skin with which the shape follows its joints, and return its number.
+
+        `nodes`: node numbers of joints by name. `top`: the node above the joints."""
         capture = self.shape.capture
         assert capture is not None
         inverse = self.writer.add_accessor(capture.inverse_matrices.transpose(0, 2, 1).reshape(-1, 16))
@@ -259,7 +263,8 @@ class MorphTargets:
 
     @staticmethod
     def _compute_offset(shape: Shape, target: Shape, attribute: str, is_blended: bool) -> NDArray[np.float32] | None:
-        """Return the offsets (P, 3) of attribute `attribute`; zeros or None if it is not blended."""
+        """Return the offsets (P, 3) of `attribute` between a shape and a target; zeros or None if the attribute is not
+        blended."""
         if not is_blended or get_point_attribute(shape, attribute) is None or get_point_attribute(target, attribute) is None:
             return np.zeros((len(shape.points), 3), np.float32) if attribute == "P" else None
         assert shape.blend is not None
@@ -268,7 +273,7 @@ class MorphTargets:
         offsets[base_points] = compute_attribute_offsets(shape, target, attribute, base_points, target_points).T
         return offsets
 
-    def weights(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the weights (n, targets) at values `channels` (n, C) of the rig's channels."""
+    def compute_weights(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the weights (n, targets) of the morph targets at the values `channels` (n, C) of the rig's channels."""
         shares = [compute_knot_shares(channels[:, number], knots) for number, knots in self._inputs]
         return np.concatenate(shares).T if shares else np.zeros((len(channels), 0), np.float32)

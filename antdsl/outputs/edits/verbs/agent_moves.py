@@ -1,4 +1,4 @@
-"""Moves of agents in a frame: position, orientation and size, with all that belongs to them, and values between two frames."""
+"""Moves agents in a frame, with their feet, velocities and events, and interpolates agents between two frames."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ _AHEAD, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentMoves:
-    """Where agents go. `rows`: their rows in the frame. `position` [m, 3]: the new positions in scene units.
+    """New positions, orientations and sizes of m agents in a frame.
 
-    `rotation` [m, 4]: the rotation from the old to the new orientation, x y z w, in the scene's axes. `size` [m]: the factor of
-    body lengths. `speed` [m]: the factor of velocities."""
+    `rows`: the rows of the agents in the frame. `position` [m, 3]: the new positions in scene units. `rotation` [m, 4]: the
+    rotation from the old to the new orientation, x y z w, in the scene's axes. `size` [m]: the factor of body lengths. `speed`
+    [m]: the factor of velocities."""
 
     rows: NDArray[np.intp]
     position: Floats
@@ -38,7 +39,7 @@ class AgentMoves:
     speed: Floats
 
     def scale(self, share: float, position: Floats) -> AgentMoves:
-        """Return a share of the moves from the old positions [m, 3]."""
+        """Return the moves reduced to `share`. `position` [m, 3]: the old positions."""
         if share >= 1:
             return self
         one = np.broadcast_to(IDENTITY, self.rotation.shape)
@@ -54,7 +55,9 @@ class AgentMoves:
 def make_moves(
     rows: NDArray[np.intp], position: Floats, rotation: Floats | None = None, size: float = 1.0, speed: float = 1.0
 ) -> AgentMoves:
-    """Return moves to positions [m, 3], with one rotation [4] or one for each agent, and one factor of sizes and of speeds."""
+    """Return moves of the agents in `rows` to positions [m, 3].
+
+    `rotation`: one [4], or one for each agent [m, 4]. `size`, `speed`: one factor for all agents."""
     count = len(rows)
     turns = np.broadcast_to(IDENTITY if rotation is None else rotation, (count, 4))
     return AgentMoves(rows, position, turns, np.full(count, size), np.full(count, speed))
@@ -75,8 +78,9 @@ def make_rotation(axis: Floats, angle: float) -> Floats:
 
 
 def find_shortest_rotations(start: Floats, end: Floats) -> Floats:
-    """Return the quaternions [n, 4] of the shortest rotations from unit vectors [n, 3] to others. Opposite ones turn about any
-    axis across."""
+    """Return the quaternions [n, 4] of the shortest rotations from unit vectors `start` to `end`, [n, 3] each.
+
+    Opposite vectors rotate about any perpendicular axis."""
     cosine = (start * end).sum(axis=1, keepdims=True)
     across = np.cross(start, np.where(np.abs(start[:, :1]) < 0.9, _AHEAD, _UP))
     opposite = np.concatenate([across, np.zeros((len(start), 1))], axis=1)
@@ -124,13 +128,13 @@ def move_agents(arrays: Arrays, manifest: Manifest, moves: AgentMoves) -> dict[s
 
 
 def _set_rows(arrays: dict[str, NDArray[Any]], name: str, rows: NDArray[np.intp], values: Floats) -> None:
-    """Replace rows of an array by values, in a copy."""
+    """Replace the rows `rows` of an array by `values`, in a copy of the array."""
     arrays[name] = arrays[name].copy()
     arrays[name][rows] = values
 
 
 def blend_frames(arrays: Arrays, other: Arrays, share: float, manifest: Manifest) -> dict[str, NDArray[Any]]:
-    """Return a frame changed by `share` towards another one: a later one if it is above 0, else an earlier one.
+    """Return a frame interpolated by `share` towards another frame: a later frame if `share` is above 0, else an earlier frame.
 
     Agents that the other frame lacks stay as they are."""
     near, far = FrameRows(arrays, manifest), FrameRows(other, manifest)
@@ -154,8 +158,9 @@ def blend_frames(arrays: Arrays, other: Arrays, share: float, manifest: Manifest
 
 
 def _find_same_clips(one: Arrays, other: Arrays, group: str, other_rows: NDArray[np.intp], is_later: bool) -> NDArray[np.bool_]:
-    """Return which agents play the same clips in two frames, without a new start. `other_rows`: their rows in the other frame.
-    `is_later`: the other frame is the later one."""
+    """Return whether each agent plays the same clips in two frames, without a new start.
+
+    `other_rows`: the rows of the agents in the other frame. `is_later`: whether the other frame is the later one."""
     is_same = np.ones(len(other_rows), np.bool_)
     for field in ("clip", "before", "earlier"):
         name, turns = f"{group}.{field}", f"{group}.turns" if field == "clip" else f"{group}.{field}_turns"
@@ -170,6 +175,7 @@ def _find_same_clips(one: Arrays, other: Arrays, group: str, other_rows: NDArray
 
 
 def _interpolate_values(interpolation: str, one: NDArray[Any], other: NDArray[Any], share: float) -> Floats:
+    """Return values between `one` and `other` by the method `interpolation`."""
     a, b = np.asarray(one, np.float64), np.asarray(other, np.float64)
     if interpolation == "rotation":
         return slerp_quaternions(normalise_quaternion(a), normalise_quaternion(b), np.full(a.shape[:-1], share))

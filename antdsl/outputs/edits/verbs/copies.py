@@ -27,7 +27,8 @@ MAX_COPIES = 1000
 
 
 class DuplicateLine(GroundLine):
-    """Adds `count` copies of agents, each `by` a displacement from the one before and `later` by some frames.
+    """Adds `count` copies of agents. Each copy is displaced `by` a vector and delayed by `later` frames, relative to the copy
+    before.
 
     Copy k of agent i has the id i + k N, with N the first id of the species that no agent has."""
 
@@ -58,7 +59,7 @@ class DuplicateLayer(EditLayer):
         return manifest.model_copy(update={"species": tuple(entries)})
 
     def pass_inputs(self) -> EditInputs:
-        """Return the inputs of the next edit, with ids beyond those of the copies."""
+        """Return the inputs for the next edit, with next ids beyond those of the copies."""
         next_ids = {name: number * (self.line.count + 1) for name, number in self.inputs.next_ids.items()}
         return replace(self.inputs, next_ids=next_ids)
 
@@ -83,7 +84,7 @@ class DuplicateLayer(EditLayer):
         return joined
 
     def _assign_copy_ids(self, agents: Arrays, k: int) -> dict[str, NDArray[Any]]:
-        """Return agents with the ids of copy k."""
+        """Return the arrays of agents with the ids of copy k."""
         offsets = np.array([k * self.inputs.next_ids[entry.name] for entry in self.manifest.species], np.int64)
         number_by_species = {entry.name: number for number, entry in enumerate(self.manifest.species)}
         renamed = dict(agents)

@@ -22,7 +22,9 @@ MAX_POINTS = 1000
 
 
 class PinLine(PlacingLine):
-    """Puts agents on a curve: to its point nearest to them, or with `speed` from there along it. They face along it."""
+    """Puts agents on a curve, facing along it.
+
+    They are at its point nearest to them. With `speed`, they move along the curve from there."""
 
     verb = "pin"
     agents: Selector = Field(alias="pin")
@@ -36,10 +38,13 @@ class PinLayer(PlacingLayer):
 
     @cached_property
     def _points(self) -> Floats:
+        """Return the points of the curve, in scene units."""
         return np.array([convert_displacement(point, self.manifest) for point in self.line.to]) - self.manifest.origin
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return agents on the curve, facing along it in the direction nearer to theirs, or with a speed always forward."""
+        """Return the moves of agents onto the curve.
+
+        They face along it in the direction nearer to their heading, or always forward with a speed."""
         position, tangent, along = find_on_curve(self._points, agents.position)
         heading, up = find_axes(agents.orient)
         if self.line.speed is not None:
@@ -58,7 +63,8 @@ class PinLayer(PlacingLayer):
 
 
 def find_on_curve(points: Floats, positions: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the point of a polyline [k, 3] nearest to each position [n, 3], the unit tangent there, and its distance along."""
+    """Return the point of a polyline [k, 3] nearest to each position [n, 3], the unit tangent there, and its distance from the
+    start."""
     start, step = points[:-1], np.diff(points, axis=0)
     square = np.maximum((step * step).sum(axis=1), 1e-30)
     lengths = np.sqrt(square)
@@ -77,7 +83,9 @@ def find_on_curve(points: Floats, positions: Floats) -> tuple[Floats, Floats, Fl
 
 
 def walk_curve(points: Floats, distances: Floats) -> tuple[Floats, Floats]:
-    """Return the points of a polyline [k, 3] at distances along it [n], at most its length, and the unit tangents there."""
+    """Return the points of a polyline [k, 3] at `distances` [n] from its start, and the unit tangents there.
+
+    Distances beyond the end give the end."""
     step = np.diff(points, axis=0)
     lengths = np.sqrt(np.maximum((step * step).sum(axis=1), 1e-30))
     ends = np.cumsum(lengths)

@@ -25,7 +25,7 @@ from antdsl.scene.values import SceneWord
 
 
 class DropLine(AgentsLine):
-    """Puts agents on the first ground below them, or else above them, of a mesh of the cache or of a file."""
+    """Puts agents onto a mesh of the cache or of a file: on the first ground below them, or above them if there is none."""
 
     verb = "drop"
     agents: Selector = Field(alias="drop")
@@ -37,19 +37,20 @@ class DropLine(AgentsLine):
 
 
 def _find_mesh(line: DropLine, manifest: Manifest) -> MeshEntry | None:
+    """Return the manifest's entry of the mesh that the line names, or None if the line names a file."""
     return next((mesh for mesh in manifest.meshes if mesh.name == line.onto and not mesh.row.is_dug), None)
 
 
 @dataclass(frozen=True, eq=False)
 class DropLayer(EditLayer):
-    """A view of a cache in which some agents are on other ground. The mesh of a file becomes one of the cache."""
+    """A view of a cache in which some agents are on other ground. The mesh of a file becomes a mesh of the cache."""
 
     line: DropLine
     required_arrays = REQUIRED_ARRAYS
 
     @classmethod
     def change_manifest(cls, manifest: Manifest, line: Any, inputs: EditInputs) -> Manifest:
-        """Return the manifest with the mesh of a file."""
+        """Return the manifest with the mesh of the file, if the line names one."""
         if _find_mesh(line, manifest):
             return manifest
         entry = MeshEntry(name=_make_name(line.onto, manifest), kind=MESH_GROUND_KIND)
@@ -57,11 +58,12 @@ class DropLayer(EditLayer):
 
     @cached_property
     def _mesh_name(self) -> str:
+        """Return the name of the mesh in the cache."""
         known = _find_mesh(self.line, self.source.manifest)
         return known.name if known else self.manifest.meshes[-1].name
 
     def read_static(self) -> Arrays:
-        """Return the arrays that apply to all frames, with the mesh of a file."""
+        """Return the arrays that apply to all frames, with the mesh of the file."""
         arrays = self.source.read_static()
         if _find_mesh(self.line, self.source.manifest):
             return arrays
@@ -79,6 +81,7 @@ class DropLayer(EditLayer):
 
     @cached_property
     def _target_ground(self) -> Ground:
+        """Return the ground that the agents come to."""
         entry = next(mesh for mesh in self.manifest.meshes if mesh.name == self._mesh_name)
         return Ground(self, (entry,))
 

@@ -22,7 +22,9 @@ from antdsl.scene.values import Angle, PointValue, SceneWord, make_error
 
 
 class OffsetLine(EasedLine):
-    """Adds to the pose of a joint: a shift `by` ahead, up and right, and rotations about these axes, in this order."""
+    """Adds a shift and a rotation to the pose of a joint.
+
+    The shift `by` is ahead, up and right. The rotations `rotate` are about these axes, in this order."""
 
     verb = "offset"
     agents: Selector = Field(alias="offset")
@@ -39,7 +41,7 @@ class OffsetLine(EasedLine):
 
 @dataclass(frozen=True, eq=False)
 class OffsetLayer(EditLayer):
-    """A view of a cache in which a joint of some agents is elsewhere."""
+    """A view of a cache in which a joint of some agents is shifted and rotated."""
 
     line: OffsetLine
     required_arrays = ("id", "pscale")
@@ -65,7 +67,7 @@ class OffsetLayer(EditLayer):
         return compute_line_ease(self.line, number) > 0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame in which the joint of the selected agents is elsewhere."""
+        """Return a frame in which the joint of the selected agents is shifted and rotated."""
         angles = np.array([each.number for each in self.line.rotate or ()] or [0.0, 0.0, 0.0])
         share = compute_line_ease(self.line, number)
         turn = slerp_quaternions(IDENTITY[None], angles_to_quaternion(angles[None], "xyz"), np.array([share]))

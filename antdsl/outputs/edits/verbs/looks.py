@@ -31,14 +31,16 @@ _MAX_IDS = 50_000_000  # of a species, that are examined for a body
 
 
 def _parse_colour(value: Any) -> Any:
-    """Return the parts of a colour, display values from 0 to 1, as text. A word is a colour of programs."""
+    """Return the components of a colour as texts of display values from 0 to 1. A word is a colour of programs."""
     if not isinstance(value, str):
         return value
     return [str(part / 255) for part in COLOUR_BY_NAME[parse_one_of(*COLOUR_BY_NAME)(value)]]
 
 
 class ReplaceLine(AgentsLine):
-    """Gives agents another `body`, a word or the file of an agent definition; another `colour`; other layers to `wear`."""
+    """Gives agents another appearance.
+
+    `body`: a word or the file of an agent definition. `colour`: the agents' colour. `wear`: the layers that they wear."""
 
     verb = "replace"
     agents: Selector = Field(alias="replace")
@@ -61,7 +63,7 @@ class ReplaceLine(AgentsLine):
 
 @dataclass(frozen=True, eq=False)
 class ReplaceLayer(EditLayer):
-    """A view of a cache in which some agents look different."""
+    """A view of a cache in which some agents have another appearance."""
 
     line: ReplaceLine
     required_arrays = ("id",)
@@ -74,14 +76,14 @@ class ReplaceLayer(EditLayer):
         return replace(view, manifest=_add_body(view, manifest) if view.line.body else manifest)
 
     def read_static(self) -> Arrays:
-        """Return the arrays that apply to all frames, with the body of a file."""
+        """Return the arrays that apply to all frames, with the body of the file."""
         arrays, number = self.source.read_static(), len(self.source.manifest.bodies)
         if len(self.manifest.bodies) == number:
             return arrays
         return {**arrays, **{f"body.{number}.{part}": self.inputs.arrays[f"{self.line.body}.{part}"] for part in ARRAY_NAMES}}
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame in which the selected agents look different."""
+        """Return a frame in which the selected agents have another appearance."""
         changed, rows = dict(arrays), np.flatnonzero(self.selection.find(make_agent_keys(arrays)))
         if self.line.colour is not None and "Cd" in arrays:
             changed["Cd"] = arrays["Cd"].copy()
@@ -93,7 +95,7 @@ class ReplaceLayer(EditLayer):
         return changed
 
     def _replace_layers(self, arrays: dict[str, NDArray[Any]], rows: NDArray[np.intp]) -> None:
-        """Replace the layers that agents wear."""
+        """Replace the layers that the agents in `rows` wear."""
         table = FrameRows(arrays, self.manifest)
         for species in self.manifest.species:
             own = table.find_body_rows(species.name)
@@ -105,7 +107,7 @@ class ReplaceLayer(EditLayer):
                 arrays[name] = masks
 
     def _regroup_feet(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Move the feet of agents to the arrays of their bodies. Agents of a body with another number of legs get none."""
+        """Move the feet of agents to the arrays of their new bodies. Agents of a body with another number of legs get no feet."""
         old, new = FrameRows(arrays, self.source.manifest), FrameRows(arrays, self.manifest)
         for number, species in enumerate(self.manifest.species):
             keys = CacheBodies(self.source.manifest, {}).keys(number)
@@ -129,14 +131,14 @@ class ReplaceLayer(EditLayer):
 
 
 def _drop_incomplete_feet(arrays: dict[str, NDArray[Any]], species: str) -> None:
-    """Remove the feet of bodies without positions."""
+    """Remove the feet arrays of bodies that have no positions of feet."""
     for name in [each for each in arrays if each.startswith(("feet." + species + ".", "feet." + species + "#"))]:
         if f"{name.rpartition('.')[0]}.P" not in arrays:
             del arrays[name]
 
 
 def _add_layers(view: ReplaceLayer) -> Manifest:
-    """Return the manifest with layers that agents wear. Raises NotEditable for layers that no body of theirs has."""
+    """Return the manifest with the layers of the line. Raises NotEditable for a layer that no body of the selected agents has."""
     bodies, manifest = CacheBodies(view.manifest, view.source.read_static()), view.manifest
     entries, known = list(manifest.species), set[str]()
     for number, species in enumerate(manifest.species):
@@ -156,7 +158,7 @@ def _add_layers(view: ReplaceLayer) -> Manifest:
 
 
 def _find_selected_ids(view: ReplaceLayer, number: int) -> NDArray[np.bool_]:
-    """Return which ids of a species are selected. Raises NotEditable for too many ids."""
+    """Return whether each id of a species is selected. Raises NotEditable for too many ids."""
     count = view.inputs.next_ids[view.manifest.species[number].name]
     if count > _MAX_IDS:
         raise NotEditable(f"`{view.line.verb}` examines at most {_MAX_IDS:,} ids of a species: write it before `duplicate`")
@@ -187,7 +189,7 @@ def _add_body(view: ReplaceLayer, manifest: Manifest) -> Manifest:
 
 
 def _find_runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first index and length of each run of true values."""
+    """Return the first index and the length of each run of true values."""
     edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return list(zip(starts.tolist(), (ends - starts).tolist(), strict=True))

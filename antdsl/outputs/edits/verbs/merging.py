@@ -25,7 +25,8 @@ _COMPARED_FIELDS = ("units", "up", "fps", "seed")
 
 
 class MergeLine(EditLine):
-    """Adds the agents of another cache, displaced `by`, and `later` by some frames. Its own edits do not count.
+    """Adds the agents of another cache, displaced `by` a vector and delayed by `later` frames. Edits of the other cache do not
+    apply.
 
     The agent i of a species gets the id i + N, with N the first id of the species that no agent has, or 0 for a species that this
     cache lacks."""
@@ -42,7 +43,7 @@ class MergeLine(EditLine):
 
 @dataclass(frozen=True, eq=False)
 class MergeLayer(EditLayer):
-    """A view of a cache with the agents of another one. Species with equal descriptions become one; others are added."""
+    """A view of a cache with the agents of another cache. Species with equal descriptions become one; others are added."""
 
     line: MergeLine
 
@@ -70,7 +71,7 @@ class MergeLayer(EditLayer):
         return manifest.model_copy(update=update)
 
     def pass_inputs(self) -> EditInputs:
-        """Return the inputs of the next edit, with ids beyond those of the other cache."""
+        """Return the inputs for the next edit, with next ids beyond those of the other cache."""
         next_ids = {entry.name: self._id_offsets[k] + self._counts[k] for k, entry in enumerate(self.manifest.species)}
         return replace(self.inputs, next_ids=next_ids)
 
@@ -85,27 +86,29 @@ class MergeLayer(EditLayer):
         return {**self.source.read_static(), **bodies}
 
     def find_source_files(self) -> list[Path]:
-        """Return the files that the view was made from, with those of the other cache."""
+        """Return the files that the view was made from, including those of the other cache."""
         own = (self._other.folder / name for name in CACHE_ENTRY_NAMES)
         return [*super().find_source_files(), *self._other.find_source_files(), *own]
 
     @property
     def _other(self) -> Cache:
+        """Return the other cache."""
         return self.inputs.caches[self.line.path]
 
     @cached_property
     def _numbers(self) -> NDArray[np.int64]:
+        """Return, for each species of the other cache, its number in the merged cache."""
         return np.array(find_matching_species(self.source.manifest, self._other.manifest), np.int64)
 
     @cached_property
     def _id_offsets(self) -> list[int]:
-        """Return, by species of the merged cache, the offset that is added to ids of the other cache."""
+        """Return, for each species of the merged cache, the offset that is added to ids of the other cache."""
         own = [max(self.inputs.next_ids[entry.name], 1) for entry in self.source.manifest.species]
         return own + [0] * (len(self.manifest.species) - len(own))
 
     @cached_property
     def _counts(self) -> list[int]:
-        """Return by species of the merged cache a number above all ids of the other one."""
+        """Return, for each species of the merged cache, a number above all ids of the other cache."""
         counts = [1] * len(self.manifest.species)
         for frame in self._other.frames():
             arrays = self._other.frame(frame, frozenset(("id", "species")))
@@ -164,7 +167,7 @@ class MergeLayer(EditLayer):
 
 
 def find_matching_species(manifest: Manifest, other: Manifest) -> list[int]:
-    """Return for each species of another cache the index of the equal one, or of the one that is added.
+    """Return for each species of another cache the index of the equal species, or the index at which it is added.
 
     A species with copies or replaced bodies is added: its bodies depend on its ids in more than one way."""
     numbers, added = [], len(manifest.species)
@@ -178,7 +181,7 @@ def find_matching_species(manifest: Manifest, other: Manifest) -> list[int]:
 
 
 def _describe_species(species: SpeciesEntry, manifest: Manifest) -> Any:
-    """Return what two species have in common that are the same."""
+    """Return a description of a species that is equal for species that can be merged."""
     worn = species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)
     digests = [None if each.definition is None else manifest.bodies[each.definition].digest for each in worn]
     plain = species.model_dump(exclude={"definition", "bodies", "copies", "merged"})
@@ -186,7 +189,8 @@ def _describe_species(species: SpeciesEntry, manifest: Manifest) -> Any:
 
 
 def _renumber_bodies(species: SpeciesEntry, first: int, names: set[str]) -> SpeciesEntry:
-    """Return a species with another name, if it has one of `names`, and with the numbers of its bodies after `first` others."""
+    """Return a species in which the bodies have numbers after those of `first` others. It gets another name if `names` has its
+    name."""
     name = next(each for k in range(len(names) + 1) if (each := f"{species.name}_{k + 1}" if k else species.name) not in names)
     bodies = tuple(each.model_copy(update={"definition": _add_offset(each.definition, first)}) for each in species.bodies)
     change = {"name": name, "definition": _add_offset(species.definition, first), "bodies": bodies}
@@ -194,4 +198,5 @@ def _renumber_bodies(species: SpeciesEntry, first: int, names: set[str]) -> Spec
 
 
 def _add_offset(number: int | None, first: int) -> int | None:
+    """Return `number` plus `first`; None stays None."""
     return None if number is None else number + first

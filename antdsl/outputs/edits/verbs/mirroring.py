@@ -1,4 +1,4 @@
-"""The edit `mirror`, which reads the result of all others."""
+"""The edit `mirror`, which reads the result of all other edits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from antdsl.scene.values import Length, parse_one_of
 
 
 class MirrorLine(AgentsLine):
-    """Mirrors agents across a plane: the coordinate of `axis` is `at` on it."""
+    """Mirrors agents across a plane perpendicular to `axis`, at the coordinate `at`."""
 
     verb = "mirror"
     agents: Selector = Field(alias="mirror")
@@ -41,8 +41,9 @@ _ROTATION_SIGN = np.array([-1.0, -1.0, 1.0, 1.0])  # of rotations there, x y z w
 
 @dataclass(frozen=True, eq=False)
 class MirrorLayer(EditLayer):
-    """A view of a cache in which some agents are mirrored, each with its left and right. The ground is not mirrored: agents
-    stay at their height above it."""
+    """A view of a cache in which some agents are mirrored, so that their left and right sides are exchanged.
+
+    The ground is not mirrored: agents keep their height above it."""
 
     line: MirrorLine
     required_arrays = ("id", "P", "orient", "pscale")
@@ -63,7 +64,9 @@ class MirrorLayer(EditLayer):
         return move_on_ground(mirrored, self.manifest, moves, Grounds(MirroredTerrain(ground, sign, shift), ground))
 
     def _mirror_arrays(self, arrays: Arrays, rows: NDArray[np.intp], sign: Floats, shift: Floats) -> dict[str, NDArray[Any]]:
-        """Return a frame in which agents are mirrored without regard to the ground."""
+        """Return a frame in which the agents in `rows` are mirrored without regard to the ground.
+
+        `sign`, `shift` [3]: a mirrored position is the position times `sign`, plus `shift`."""
         mirrored, table = dict(arrays), FrameRows(arrays, self.manifest)
         heading, up = find_axes(np.asarray(arrays["orient"], np.float64)[rows])
         for name, keys in table.iterate_agent_arrays():
@@ -92,10 +95,10 @@ class MirrorLayer(EditLayer):
         return CacheBodies(self.manifest, self.read_static())
 
     def _pair_legs(self, key: str) -> NDArray[np.intp]:
-        """Return for each leg of a body the leg on the other side."""
+        """Return for each leg of a body the number of the leg on the other side."""
         number = next(k for k, entry in enumerate(self.manifest.species) if entry.name == find_species_of_key(key))
         body = self._bodies.body(number, body_index=find_number_of_key(key))
-        feet = [body.definition.rig.joint(leg.foot) for leg in body.definition.legs]
+        feet = [body.definition.rig.find_joint(leg.foot) for leg in body.definition.legs]
         poses = body.compute_poses((), 1)
         feet_rest = (
             np.asarray(poses.world_transforms[0, feet, :, 3], np.float64) @ body.definition.compute_base_matrix()[:3, :3].T

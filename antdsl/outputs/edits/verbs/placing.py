@@ -1,4 +1,4 @@
-"""Edits of places: `move`, `rotate`, `scale`, `expand` and `face`. Feet and velocities go with the agents."""
+"""Edits of positions: `move`, `rotate`, `scale`, `expand` and `face`. Feet and velocities follow the agents."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ REQUIRED_ARRAYS = ("id", "P", "orient", "pscale")
 
 
 class GroundLine(AgentsLine):
-    """A line that moves agents. `ground`: `follow` keeps them on the ground, at their height above it; `free` moves them
+    """A line that moves agents. `ground`: with `follow`, they keep their height above the ground; with `free`, they move
     rigidly."""
 
     ground: Annotated[str, BeforeValidator(parse_one_of("follow", "free"))] = "follow"
 
 
 class EasedLine(AgentsLine):
-    """A line for some `frames`. `ease`: the number of frames before and after these in which the change begins and ends."""
+    """A line for some `frames`. `ease`: the number of frames before and after these over which the change begins and ends."""
 
     ease: FrameCount = DEFAULT_EASE_FRAMES
 
@@ -52,7 +52,7 @@ class PlacingLine(GroundLine, EasedLine):
 
 
 class MoveLine(PlacingLine):
-    """Moves agents `by` a displacement, or their middle `to` a point or an item."""
+    """Moves agents `by` a displacement, or their centre `to` a point or an item."""
 
     verb = "move"
     agents: Selector = Field(alias="move")
@@ -67,7 +67,8 @@ class MoveLine(PlacingLine):
 
 
 class RotateLine(PlacingLine):
-    """Rotates agents about the scene's up, through their middle, a point or an item, or `each` through itself."""
+    """Rotates agents about the scene's up axis through their common centre, a point or an item. With `each`, each rotates in
+    place."""
 
     verb = "rotate"
     agents: Selector = Field(alias="rotate")
@@ -88,7 +89,7 @@ class ScaleLine(PlacingLine):
 
 
 class ExpandLine(PlacingLine):
-    """Changes the distances of agents from their middle, a point or an item."""
+    """Scales the distances of agents from their centre, a point or an item."""
 
     verb = "expand"
     agents: Selector = Field(alias="expand")
@@ -97,7 +98,7 @@ class ExpandLine(PlacingLine):
 
 
 class FaceLine(PlacingLine):
-    """Turns agents about their up, so that they face a point or an item."""
+    """Rotates agents about their up axis, so that they face a point or an item."""
 
     verb = "face"
     agents: Selector = Field(alias="face")
@@ -106,7 +107,9 @@ class FaceLine(PlacingLine):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedAgents:
-    """The selected agents of a frame: keys, rows, positions [m, 3] and orientations [m, 4] as float64, and body lengths."""
+    """The selected agents of the frame `number`, m agents with their keys and their rows in the frame.
+
+    `position` [m, 3], `orient` [m, 4] and `length` [m]: positions, orientations and body lengths in float64."""
 
     number: int
     keys: NDArray[np.int64]
@@ -118,7 +121,7 @@ class MovedAgents:
 
 @dataclass(frozen=True, eq=False)
 class PlacingLayer(EditLayer):
-    """A view of a cache in which some agents are elsewhere."""
+    """A view of a cache in which some agents are moved. Subclasses define the moves."""
 
     line: Any
     required_arrays = REQUIRED_ARRAYS
@@ -128,7 +131,7 @@ class PlacingLayer(EditLayer):
         return compute_line_ease(self.line, number) > 0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame with the selected agents elsewhere."""
+        """Return a frame in which the selected agents are moved."""
         agents = self.take_agents(number, arrays)
         if not len(agents.rows):
             return arrays
@@ -147,11 +150,11 @@ class PlacingLayer(EditLayer):
 
     @abstractmethod
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return where the agents of a frame go, without regard to the ground."""
+        """Return the moves of the agents of a frame, without regard to the ground."""
 
     @property
     def up(self) -> Floats:
-        """Return the scene's unit vector up."""
+        """Return the unit vector up of the scene."""
         return np.array(UP_VECTORS[self.manifest.up])
 
     @cached_property
@@ -160,7 +163,7 @@ class PlacingLayer(EditLayer):
         return self.take_agents(self.first_frame, self.source.frame(self.first_frame))
 
     def find_point(self, value: Any, arrays: Arrays) -> Floats:
-        """Return a point, an item's point, or for None the middle of the agents in the first frame of the edit, [3]."""
+        """Return the position [3] of a point or an item. For None, return the centre of the agents in the edit's first frame."""
         if value is None:
             position = self.first_agents.position
             return position.mean(axis=0) if len(position) else np.zeros(3)
@@ -177,7 +180,7 @@ def compute_line_ease(line: EasedLine, number: int) -> float:
 
 
 def convert_displacement(value: Any, manifest: Manifest) -> Floats:
-    """Return a displacement of a line in scene units, [3]."""
+    """Return the displacement `value` of a line in scene units, [3]."""
     unit_mm = UNIT_MM[manifest.units]
     return np.array([part.to_millimetres(unit_mm) / unit_mm for part in value])
 
@@ -187,7 +190,7 @@ class MoveLayer(PlacingLayer):
     """A view of a cache in which some agents are displaced."""
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return displaced agents."""
+        """Return the moves that displace the agents."""
         line = self.line
         by = (
             convert_displacement(line.by, self.manifest)
@@ -202,7 +205,7 @@ class RotateLayer(PlacingLayer):
     """A view of a cache in which some agents are rotated."""
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return rotated agents."""
+        """Return the moves that rotate the agents."""
         rotation = make_rotation(self.up, self.line.by.number)
         centre = agents.position if self.line.around == _EACH else self.find_point(self.line.around, arrays)
         offset = agents.position - centre
@@ -214,16 +217,16 @@ class ScaleLayer(PlacingLayer):
     """A view of a cache in which some agents have another size."""
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return agents of another size in the same places."""
+        """Return the moves that scale the agents in place."""
         return make_moves(agents.rows, agents.position, size=self.line.by)
 
 
 @dataclass(frozen=True, eq=False)
 class ExpandLayer(PlacingLayer):
-    """A view of a cache in which distances between some agents are changed."""
+    """A view of a cache in which some agents are farther from a centre, or nearer to it."""
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return agents farther from or nearer to a centre."""
+        """Return the moves of agents away from a centre, or towards it."""
         centre = self.find_point(self.line.around, arrays)
         return make_moves(agents.rows, centre + self.line.by * (agents.position - centre), speed=self.line.by)
 
@@ -233,7 +236,7 @@ class FaceLayer(PlacingLayer):
     """A view of a cache in which some agents face a point."""
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return agents turned about their up. An agent at or above the point stays as it is."""
+        """Return the rotations of agents towards a point about their up axis. An agent at or above the point stays as it is."""
         heading, up = find_axes(agents.orient)
         return make_moves(
             agents.rows, agents.position, turn_about_up(heading, up, self.find_point(self.line.to, arrays) - agents.position)
@@ -241,7 +244,7 @@ class FaceLayer(PlacingLayer):
 
 
 def turn_about_up(heading: Floats, up: Floats, direction: Floats) -> Floats:
-    """Return the rotations [n, 4] about unit vectors `up` that turn headings towards directions [n, 3]."""
+    """Return the rotations [n, 4] about the unit vectors `up` that rotate headings towards `direction`, [n, 3] each."""
     level = direction - up * (direction * up).sum(axis=1, keepdims=True)
     length = np.sqrt((level * level).sum(axis=1, keepdims=True))
     level = np.where(length > 1e-9, level / np.maximum(length, 1e-9), heading)

@@ -1,4 +1,4 @@
-"""Edits that take agents out of frames: `kill` and `clip`."""
+"""Edits that remove agents from frames: `kill` and `clip`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from antdsl.scene.values import make_error
 
 
 class KillLine(AgentsLine):
-    """Takes agents out of the frames."""
+    """Removes agents from the frames."""
 
     verb = "kill"
     agents: Selector = Field(alias="kill")
 
 
 class ClipLine(AgentsLine):
-    """Keeps agents in `frames`, and in the region `inside` only."""
+    """Removes agents outside `frames`, and agents outside the region `inside`."""
 
     verb = "clip"
     agents: Selector = Field(alias="clip")
@@ -56,7 +56,7 @@ class KillLayer(EditLayer):
 
 @dataclass(frozen=True, eq=False)
 class ClipLayer(EditLayer):
-    """A view of a cache with some agents in some frames and places only."""
+    """A view of a cache in which some agents exist only in some frames and positions."""
 
     line: ClipLine
 
@@ -65,7 +65,7 @@ class ClipLayer(EditLayer):
         return self.line.inside is not None or not super().is_active(number)
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame without the selected agents that are outside."""
+        """Return a frame without the selected agents that are outside the frames or the region."""
         keys, frames = make_agent_keys(arrays), self.line.frames
         removed = self.selection.find(keys)
         if self.line.inside is not None and (frames is None or frames.first <= number <= frames.last):

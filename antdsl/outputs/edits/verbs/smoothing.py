@@ -26,7 +26,7 @@ MIN_SMOOTHING_FRAMES, MAX_SMOOTHING_FRAMES = 3, 99  # frames
 
 
 def parse_window(value: object) -> int:
-    """Return the number of frames of a window, which is odd, so that it has equally many before and after its middle."""
+    """Return the number of frames of a window. It must be odd, so that equally many frames are before and after its middle."""
     width = parse_integer_between(MIN_SMOOTHING_FRAMES, MAX_SMOOTHING_FRAMES)(value)
     if width % 2 == 0:
         raise make_error(f"`{width}` is not odd", f"write `{width + 1}`, for {width // 2} frames before and {width // 2} after")
@@ -37,8 +37,9 @@ Window = Annotated[int, BeforeValidator(parse_window)]
 
 
 class SmoothLine(AgentsLine):
-    """Replaces orientations by means over `orient` frames, and positions by means over `position` frames, half before and half
-    after each frame."""
+    """Replaces orientations by means over `orient` frames, and positions by means over `position` frames.
+
+    Half of these frames are before a frame, half after it."""
 
     verb = "smooth"
     agents: Selector = Field(alias="smooth")
@@ -54,7 +55,8 @@ class SmoothLine(AgentsLine):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameValues:
-    """The agents of a frame: `key` int64[n], unique in the cache, and `values` float64[n, k]; for rotations unit quaternions."""
+    """One quantity of the agents of a frame. `key` int64[n]: the agents. `values` float64[n, k]; rotations are unit
+    quaternions."""
 
     key: NDArray[np.int64]
     values: Floats
@@ -62,7 +64,7 @@ class FrameValues:
 
 @dataclass(frozen=True, eq=False)
 class SmoothLayer(EditLayer):
-    """A view of a cache with smooth orientations and positions. Memory holds those of a window of frames."""
+    """A view of a cache with smooth orientations and positions. The values of a window of frames stay in memory."""
 
     line: SmoothLine
     required_arrays = ("id", "orient")
@@ -83,8 +85,9 @@ class SmoothLayer(EditLayer):
         return changed
 
     def _place(self, number: int, arrays: Arrays, rows: NDArray[np.intp], values: Floats) -> dict[str, NDArray[np.float32]]:
-        """Return positions and velocities with those of some agents replaced. Agents stay at their height above the ground, and
-        feet where they are."""
+        """Return the positions and velocities of a frame, with positions `values` for the agents in `rows`.
+
+        Agents keep their height above the ground, and feet stay in place."""
         changed = {name: arrays[name].copy() for name in ("P", "v") if name in arrays}
         if "v" in changed:
             changed["v"][rows] = values[:, 3:]
@@ -95,7 +98,7 @@ class SmoothLayer(EditLayer):
         return changed
 
     def _read_window(self, values_by_frame: dict[int, FrameValues], number: int, width: int, names: tuple[str, ...]) -> None:
-        """Read values of the frames around one, and forget those of other frames."""
+        """Read the values of the frames around `number` into `values_by_frame`, and remove those of other frames."""
         half, existing_frames = width // 2, set(self.frames())
         for each in range(number - half, number + half + 1):
             if each in existing_frames and each not in values_by_frame:
@@ -104,6 +107,7 @@ class SmoothLayer(EditLayer):
             del values_by_frame[other]
 
     def _read_values(self, number: int, names: tuple[str, ...]) -> FrameValues:
+        """Return the values of the arrays `names` of a frame, concatenated along the last axis."""
         arrays = self.source.frame(number, IDENTITY_ARRAYS | set(names))
         ids, parts = arrays.get("id"), [arrays[name] for name in names if name in arrays]
         if ids is None or ids.ndim != 1 or not parts or any(part.ndim != 2 or len(part) != len(ids) for part in parts):
@@ -150,10 +154,10 @@ def _sum_values(frames: Mapping[int, FrameValues], frame: int, width: int, *, ar
 def _collect_side_values(
     frames: Mapping[int, FrameValues], frame: int, direction: int, frame_count: int, are_rotations: bool
 ) -> tuple[list[Floats], NDArray[np.int64]]:
-    """Return the values of a frame's agents in `frame_count` frames on one side, the nearest first.
+    """Return two results for a frame's agents: their values in `frame_count` frames on one side, the nearest first; and the
+    number of these frames in which each agent exists without a gap.
 
-    `direction`: -1 for the frames before, 1 for the frames after.
-    The second result is the number of these frames in which each agent exists without a gap."""
+    `direction`: -1 for the frames before, 1 for the frames after."""
     current = frames[frame]
     last, is_present, count = current.values, np.ones(len(current.key), np.bool_), np.zeros(len(current.key), np.int64)
     values = []

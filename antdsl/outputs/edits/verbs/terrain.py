@@ -1,4 +1,4 @@
-"""The ground of a cache: where lines along an agent's up meet it, and its normal there."""
+"""The ground of a cache: its points above and below agents, along their up direction, and its normals there."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Mesh = tuple[Floats, NDArray[np.int32]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPoints:
-    """Points on the ground, in scene units: `position` and unit `normal` [n, 3]. `is_hit`: there is ground."""
+    """Points on the ground, in scene units: `position` and unit `normal` [n, 3]. `is_hit`: whether there is ground."""
 
     is_hit: NDArray[np.bool_]
     position: Floats
@@ -39,8 +39,9 @@ class Terrain:
         self._normals = [compute_vertex_normals(vertices, faces).astype(np.float64) for vertices, faces in meshes]
 
     def find_along(self, points: Floats, up: Floats, lift: Floats, reach: Floats) -> GroundPoints:
-        """Return the ground nearest to points [n, 3] along their up or down within `reach` [n]. Ground up to `lift` [n] above a
-        point counts as below it."""
+        """Return the nearest ground above or below points [n, 3], along `up` and within `reach` [n].
+
+        Ground up to `lift` [n] above a point counts as below it."""
         start = points + up * lift[:, None]
         below, above = self._cast_rays(start, -up, reach + lift), self._cast_rays(start, up, reach)
         use_below = below[0] - lift <= above[0] + lift
@@ -51,7 +52,7 @@ class Terrain:
         return GroundPoints(is_hit, points + up * np.where(is_hit, distance, 0.0)[:, None], np.where(is_hit[:, None], normal, up))
 
     def find_below(self, points: Floats, up: Floats, lift: Floats) -> GroundPoints:
-        """Return the first ground below points [n, 3], or the first above where there is none."""
+        """Return the first ground below points [n, 3], or the first ground above points that have none below."""
         far = np.full(len(points), np.inf)
         start = points + up * lift[:, None]
         down = self._cast_rays(start, -up, far)
@@ -65,13 +66,13 @@ class Terrain:
         return GroundPoints(is_hit, points + up * np.where(is_hit, distance, 0.0)[:, None], np.where(is_hit[:, None], normal, up))
 
     def measure_free_shares(self, start: Floats, end: Floats) -> Floats:
-        """Return the share of the way from start [n, 3] to end [n, 3] before the first ground; 1 if there is none."""
+        """Return the share of the line from `start` to `end` [n, 3] that is before the first ground; 1 if there is none."""
         hits = self._rays.find_first_hits(start * self._unit_mm, (end - start) * self._unit_mm)
         shares: Floats = np.minimum(hits.t, 1.0)
         return shares
 
     def _cast_rays(self, points: Floats, direction: Floats, reach: Floats) -> tuple[Floats, Floats]:
-        """Return the distances of first hits within `reach` (inf for none), and the normals there."""
+        """Return the distances of the first hits within `reach` (inf for none), and the normals at the hits."""
         hits = self._rays.find_first_hits(points * self._unit_mm, direction * self._unit_mm)
         normal = np.tile(np.array([0.0, 1.0, 0.0]), (len(points), 1))
         for mesh, (faces, normals) in enumerate(zip(self._faces, self._normals, strict=True)):
@@ -85,8 +86,9 @@ class Terrain:
 
 
 class Ground:
-    """The ground of a cache, frame by frame: some meshes, by default all that agents walk on. It is built once if nothing of it
-    moves."""
+    """The ground of a cache, frame by frame: the meshes `entries`, by default all meshes that agents walk on.
+
+    It is built once if no mesh moves or is dug."""
 
     def __init__(self, cache: Cache, entries: Sequence[MeshEntry] | None = None) -> None:
         self._cache = cache
@@ -95,10 +97,12 @@ class Ground:
 
     @cached_property
     def _static(self) -> Arrays:
+        """Return the arrays that apply to all frames."""
         return self._cache.read_static()
 
     @cached_property
     def _dug_solids(self) -> DugSolids:
+        """Return the reader of dug solids."""
         return DugSolids(self._cache, self._static)
 
     def at(self, number: int) -> Terrain | None:
@@ -125,14 +129,15 @@ class Ground:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MirroredTerrain:
-    """Ground mirrored across a plane. `sign` [3] has -1 for the axis across it, `shift` [3] has twice the plane's coordinate
-    there."""
+    """Ground mirrored across a plane.
+
+    `sign` [3]: -1 for the axis across the plane. `shift` [3]: twice the plane's coordinate on this axis."""
 
     terrain: Terrain
     sign: Floats
     shift: Floats
 
     def find_along(self, points: Floats, up: Floats, lift: Floats, reach: Floats) -> GroundPoints:
-        """Return the ground nearest to points along their up or down, as `Terrain.find_along`."""
+        """Return the nearest ground above or below points, as `Terrain.find_along`."""
         hits = self.terrain.find_along(points * self.sign + self.shift, up * self.sign, lift, reach)
         return GroundPoints(hits.is_hit, hits.position * self.sign + self.shift, hits.normal * self.sign)

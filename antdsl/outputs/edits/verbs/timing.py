@@ -1,4 +1,4 @@
-"""Edits of time: `hold` and `retime`. The agents of a frame are those of another time of the cache below."""
+"""Edits of time: `hold` and `retime`. The agents of a frame are those of the cache below at another time."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from antdsl.scene.values import FrameRangeValue, make_error
 
 
 class TimeLine(AgentsLine):
-    """A line that changes the timing of agents. Afterwards they continue with a delay.
+    """A line that changes the timing of agents. After `frames`, agents continue with a delay.
 
-    `ease`: the number of frames before and after `frames` in which the speed changes.
-    `catch_up`: the number of frames after these in which the delay is made up for; without it, it remains."""
+    `ease`: the number of frames before and after `frames` over which the speed changes.
+    `catch_up`: the number of frames after these over which the delay is reduced to 0; without it, the delay remains."""
 
     ease: FrameCount = DEFAULT_EASE_FRAMES
     catch_up: FrameCount | None = None
@@ -41,7 +41,7 @@ class HoldLine(TimeLine):
 
 
 class RetimeLine(TimeLine):
-    """Agents do all with another `speed` in `frames`, or all `later` by some frames."""
+    """Agents move with another `speed` in `frames`, or `later` by a number of frames in all frames."""
 
     verb = "retime"
     agents: Selector = Field(alias="retime")
@@ -59,8 +59,10 @@ class RetimeLine(TimeLine):
 
 @dataclass(frozen=True, slots=True)
 class TimeMap:
-    """The time of the cache below that each frame shows. From `first` to `last` it passes at `speed`; `ease` and `catch_up` are
-    those of a line. `shift` is added to all times."""
+    """The time of the cache below that each frame shows.
+
+    From the frame `first` to `last`, time passes at `speed`. `ease` and `catch_up` are those of a `TimeLine`. `shift`: frames
+    that are added to all times."""
 
     first: float
     last: float
@@ -70,12 +72,12 @@ class TimeMap:
     shift: float = 0.0
 
     def find_time(self, frame: float) -> tuple[float, float]:
-        """Return the time that a frame shows, in frames, and the speed at which it passes there."""
+        """Return the time that a frame shows, in frames, and the speed at which time passes there."""
         delay, slowness = self._find_delay(frame)
         return frame + self.shift - delay, 1.0 - slowness
 
     def _find_delay(self, frame: float) -> tuple[float, float]:
-        """Return the delay at a frame, and its increase per frame."""
+        """Return the delay at a frame, in frames, and its increase per frame."""
         slowness, ease = 1.0 - self.speed, float(self.ease)
         if frame < self.first - ease:
             return 0.0, 0.0
@@ -96,8 +98,10 @@ class TimeMap:
 
 
 def read_agents_at(cache: Cache, time: float, selection: Selection) -> dict[str, NDArray[Any]]:
-    """Return the selected agents of a cache at a time in frames: positions and orientations between two frames, all else of the
-    nearer one. Times before the first or after the last frame show that frame."""
+    """Return the selected agents of a cache at a time in frames.
+
+    Positions and orientations are interpolated between two frames; all else is that of the nearer frame. A time before the first
+    or after the last frame shows that frame."""
     frames = cache.frames()
     if not frames:
         raise CacheError(f"`{cache.folder}` has no frames")
@@ -122,7 +126,7 @@ def read_shifted(cache: Cache, time_map: TimeMap, number: int, selection: Select
 
 @dataclass(frozen=True, eq=False)
 class TimeLayer(EditLayer):
-    """A view of a cache in which some agents live at another time."""
+    """A view of a cache in which some agents are those of another time."""
 
     line: HoldLine | RetimeLine
     stored_frames = 4
@@ -142,7 +146,7 @@ class TimeLayer(EditLayer):
         return time != number or speed != 1.0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame with the selected agents of its time."""
+        """Return a frame in which the selected agents are those of the time that it shows."""
         agents = read_shifted(self.source, self.time_map, number, self.selection)
         others = keep_rows(arrays, self.manifest, lambda keys: ~self.selection.find(keys))
         return join_frames(others, agents, self.manifest)
