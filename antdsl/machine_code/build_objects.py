@@ -29,20 +29,22 @@ _CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # an entry, and the names
 def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
     """Write the object files of targets into a folder, which is created if needed. Return the number of newly compiled objects.
 
-    Objects that exist in the folder are not compiled again. `entries`: the kernels and texts to compile. With several
-    `processes`, they must be those of the package."""
+    `entries`: the kernels and texts to compile; with several `processes`, those of the package. `targets`: names in
+    `TARGET_BY_NAME`. Objects that exist in the folder are not compiled again."""
     keys: dict[str, dict[_QualifiedName, str]] = {}
     objects_by_target: dict[str, dict[str, bytes]] = {}
     for name in targets:
         target = shipped_objects.TARGET_BY_NAME[name]
         stored = shipped_objects.ObjectFile(shipped_objects.objects_path(folder, name))
         keys[name] = {
-            _entry_key(each): shipped_objects.shipped_key(named, target) for each in entries if (named := each.text_key(target))
+            _get_qualified_name(each): shipped_objects.compute_shipped_key(named, target)
+            for each in entries
+            if (named := each.text_key(target))
         }
         objects_by_target[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
     tasks: list[_CompileTask] = []
     for each in entries:
-        place = _entry_key(each)
+        place = _get_qualified_name(each)
         missing = tuple(name for name in keys if place in keys[name] and keys[name][place] not in objects_by_target[name])
         if missing:
             tasks.append((place, missing))
@@ -56,15 +58,15 @@ def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], ta
     return sum(len(names) for _, names in tasks)
 
 
-def _entry_key(entry: library.LibraryEntry) -> _QualifiedName:
-    """Return the module and name of an entry."""
+def _get_qualified_name(entry: library.LibraryEntry) -> _QualifiedName:
+    """Return the module and the name of a kernel or text."""
     return entry.__module__, entry.__name__
 
 
 def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryEntry], processes: int) -> Iterator[list[bytes]]:
-    """Compile the tasks, and yield the object codes of each, in the order of the tasks."""
+    """Compile tasks, and yield for each task, in order, the object code for each of its targets."""
     if processes < 2 or len(tasks) < 2:
-        known = {_entry_key(each): each for each in entries}
+        known = {_get_qualified_name(each): each for each in entries}
         for place, names in tasks:
             yield _compile_for_targets(known[place], names)
         return
@@ -73,7 +75,7 @@ def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryE
 
 
 def _compile_task(task: _CompileTask) -> list[bytes]:
-    """Compile one entry for its targets, in a process of the pool."""
+    """Return the object code of one kernel or text for each of its targets, in a process of the pool."""
     place, names = task
     return _compile_for_targets(_load_library()[place], names)
 
@@ -81,7 +83,7 @@ def _compile_task(task: _CompileTask) -> list[bytes]:
 @cache
 def _load_library() -> dict[_QualifiedName, library.LibraryEntry]:
     """Return the package's kernels and texts by module and name, for a process of the pool."""
-    return {_entry_key(each): each for each in library.load_entries()}
+    return {_get_qualified_name(each): each for each in library.load_entries()}
 
 
 def _compile_for_targets(entry: library.LibraryEntry, names: tuple[str, ...]) -> list[bytes]:
@@ -93,6 +95,7 @@ def _compile_for_targets(entry: library.LibraryEntry, names: tuple[str, ...]) ->
 
 
 def main() -> int:
+    """Run the command. Return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m antdsl.machine_code.build_objects", description=__doc__)
     parser.add_argument("--host", action="store_true", help="only for this machine")
     host = parser.parse_args().host
@@ -100,7 +103,7 @@ def main() -> int:
     why = llvm_compiler.unavailability_reason()
     targets = list(shipped_objects.TARGET_BY_NAME)
     if host and not why:
-        own = shipped_objects.target_name(llvm_compiler.host_target())
+        own = shipped_objects.find_target_name(llvm_compiler.host_target())
         why = (
             ""
             if own

@@ -18,10 +18,10 @@ _code_lock = Lock()
 def load_code(text_or_name: str, build_text: Callable[[], str] | None = None) -> llvm_compiler.LoadedCode:
     """Return the functions of a text, ready to run on this processor. Raises RuntimeError for an invalid text.
 
-    Without `build_text`, `text_or_name` is the text. With `build_text`, `text_or_name` is a unique name of the text, and
-    `build_text()` returns the text."""
+    `text_or_name`: the text; with `build_text`, a unique name of the text. `build_text`: returns the text if it must be
+    compiled."""
     target = llvm_compiler.host_target()
-    key = object_cache.object_key(text_or_name, target, versions=object_cache.environment_versions())
+    key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.environment_versions())
     with _code_lock:
         if key in _code_by_key:
             _code_by_key.move_to_end(key)
@@ -43,7 +43,7 @@ def load_code(text_or_name: str, build_text: Callable[[], str] | None = None) ->
 def is_code_available(text_or_name: str) -> bool:
     """Return whether the code of a text, given by the text or its name, is in memory or stored."""
     target = llvm_compiler.host_target()
-    key = object_cache.object_key(text_or_name, target, versions=object_cache.environment_versions())
+    key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.environment_versions())
     with _code_lock:
         if key in _code_by_key:
             return True
@@ -73,7 +73,7 @@ def messages() -> list[str]:
 
 
 def release_unused_code() -> None:
-    """Release all unused code in memory, as at the start of a process. Stored files are unchanged."""
+    """Release the code in memory that nothing uses, as if the process had just started. Stored files are unchanged."""
     with _code_lock:
         _code_by_key.clear()
     _get_object_cache.cache_clear()

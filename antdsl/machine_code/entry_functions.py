@@ -1,8 +1,8 @@
 """Functions that are called from outside: each sets the processor's float mode, and restores it at the end.
 
 A host may flush denormal numbers to zero or round upward, and a thread inherits that mode from its creator. So the outer function
-sets the mode register, and calls an inner function that does the work. Because of the call, LLVM does not move operations out of
-the section with the changed mode."""
+sets the mode register, and calls an inner function that does the work. Because of this call, LLVM does not move operations across
+a change of the mode."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ _DEFAULT_MXCSR = 0x1F80  # no flush to zero, rounding to nearest, no traps
 
 
 def write_inner_function(module: LlvmModule, name: str, body: str, line_table: str = "") -> str:
-    """Return the text of an inner function with a given body. Its parameters: table of addresses, first row, row after the last.
+    """Return the text of an inner function with the instructions `body`. Its parameters are a table of addresses, the first row,
+    and the row after the last.
 
-    `line_table` is the debug metadata of the body, or empty."""
+    `line_table`: the suffix of the function's head with its debug metadata, or empty."""
     inside = f"define internal void @{name}.inside({ENTRY_ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
     return write_outer_function(module, name) + inside
 
@@ -25,7 +26,11 @@ def write_outer_function(module: LlvmModule, name: str) -> str:
     """Return the text of the function that is called from outside. It calls the inner function, named with the suffix
     `.inside`."""
     prologue, epilogue = (
-        _write_x86_float_mode(module) if module.target.x86 else _write_arm_float_mode(module) if module.target.arm else ("", "")
+        _write_x86_float_mode(module)
+        if module.target.is_x86
+        else _write_arm_float_mode(module)
+        if module.target.is_arm
+        else ("", "")
     )
     call = f"  call void @{name}.inside({ENTRY_ARGUMENTS})"
     return f"define void @{name}({ENTRY_ARGUMENTS}) {{\nentry:\n{prologue}{call}\n{epilogue}  ret void\n}}\n"

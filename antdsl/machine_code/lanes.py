@@ -39,8 +39,8 @@ class Lanes(Number):
     ndim = 1
 
     def __init__(self, e: LaneBuilder, kind: str, name: str, lanes: int, literal_value: Any) -> None:
-        self.builder, self.kind, self.name, self.literal_value, self.lanes, self.first = e, kind, name, literal_value, lanes, None
-        self.type = llvm_type(kind, lanes)
+        self.builder, self.kind, self.name, self.literal_value = e, kind, name, literal_value
+        self.lanes, self.first_lane, self.type = lanes, None, llvm_type(kind, lanes)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or any(value is not None for value in options.values()):
@@ -73,7 +73,7 @@ class Lanes(Number):
 
 
 class LaneBuilder(Vectors[Lanes]):
-    """Writer of one function of eight lanes. Blocks nest; `known` is a stack, because values are valid only in their block."""
+    """Writer of one function of eight lanes. `known` is a stack of the values of nested blocks, valid only in their block."""
 
     def __init__(self, module: LlvmModule) -> None:
         super().__init__("plan", "plan")
@@ -86,13 +86,13 @@ class LaneBuilder(Vectors[Lanes]):
 
     def add_at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
         """Add an instruction at the start of the function, with a single number as its result."""
-        output = self.named_number(kind, self.name("e"))
+        output = self.named_number(kind, self.make_name("e"))
         self._entry_instructions.append(Instruction(op, output, operands, x, 0))
         return output
 
     def end(self, name: str, arguments: Sequence[Number], *results: Number, attribute: str = "", caller_text: str = "") -> None:
-        """Add the function to the module, under a name. `caller_text` is the text of the function that calls it from outside."""
-        self.do("return", *results)
+        """Add the function to the module as `name`. `caller_text`: the text of the function that calls it from outside."""
+        self.emit_void("return", *results)
         self.blocks[0].body[:0] = self._entry_instructions
         result, full_name = results[0].type if results else "void", f"@{name}.inside" if caller_text else f"@{name}"
         definition = IrFunction(full_name, self.file, list(arguments), attribute, result, self.slots, self.blocks)
@@ -103,36 +103,36 @@ class LaneBuilder(Vectors[Lanes]):
 
     @contextmanager
     def write_if(self, condition: Lanes) -> Iterator[None]:
-        """Write code that runs only where a single condition holds."""
+        """Write the code of the context, which runs only if a condition with one value for all lanes holds."""
         then, end = self.make_label("then"), self.make_label("done")
         self.branch(condition, then, end)
-        self.begin(then)
+        self.begin_block(then)
         self.known.append({})
         yield
         self.known.pop()
         self.jump(end)
-        self.begin(end)
+        self.begin_block(end)
 
     @contextmanager
     def write_loop(self, count: Lanes | int, step: int = 1) -> Iterator[Lanes]:
-        """Write a loop from 0 to before `count`, a single i64, in steps of `step`. Yield the loop number."""
+        """Write a loop from 0 to before `count` (one value for all lanes), in steps of `step`. Yield its number."""
         head, body, end = self.make_label("head"), self.make_label("body"), self.make_label("done")
         place = self.allocate_slot(I64)
         self.store_number(place, self.make_constant(0, I64, 1))
         self.jump(head)
-        self.begin(head)
+        self.begin_block(head)
         number = self.load(place, I64)
         self.branch(number < count, body, end)
-        self.begin(body)
+        self.begin_block(body)
         self.known.append({})
         yield number
         self.known.pop()
         self.store_number(place, number + step)
         self.jump(head)
-        self.begin(end)
+        self.begin_block(end)
 
     def get_or_make(self, key: Any, make: Callable[[], Any]) -> Any:
-        """Return the value of a key from this or an enclosing block. If there is none, make and store it."""
+        """Return the value of `key` in this block or an enclosing one. If there is none, store the result of `make`."""
         for names in reversed(self.known):
             if key in names:
                 return names[key]
@@ -158,7 +158,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(LANE_COUNT))}>", LANE_COUNT)
 
     def _as_operand(self, value: Any, model: Lanes) -> Lanes:
-        """Return a value as an operand for an operation with `model`. A Python number takes the kind of `model`, as in NumPy."""
+        """Return a value as an operand next to `model`. A Python number takes the kind of `model`, as in NumPy."""
         if isinstance(value, Lanes):
             return value
         kind = model.kind
@@ -185,7 +185,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.convert(left, kind), self.convert(right, kind)
 
     def apply_binary(self, word: str, a: Any, b: Any) -> Lanes:
-        """Return the result of an operation or comparison, by its name in `OPERATION_BY_NAME` without the letter for the kind."""
+        """Return the result of an operation. `word`: its name in `OPERATION_BY_NAME` without the letter for the kind."""
         left, right = self.match_kinds(a, b)
         row = f"f{word}" if left.kind in number_kinds.FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
         return self.op(row, BOOL if word in _INTEGER_COMPARISONS else left.kind, left, right)
@@ -205,7 +205,7 @@ class LaneBuilder(Vectors[Lanes]):
             kind = F64 if isinstance(true_value, float) or isinstance(false_value, float) else I64
             true_value = self.make_constant(true_value, kind, condition.lanes)
         a, b = self.match_kinds(true_value, false_value)
-        if condition.wide or a.wide:
+        if condition.has_several_lanes or a.has_several_lanes:
             condition, a, b = self.broadcast(condition), self.broadcast(a), self.broadcast(b)
         return self.op("select", a.kind, condition, a, b)
 
@@ -241,23 +241,23 @@ class LaneBuilder(Vectors[Lanes]):
         return self.op("bitcast", kind, value)
 
     def any_lane(self, mask: Lanes) -> Lanes:
-        """Return whether a condition holds in at least one lane."""
+        """Return whether a mask holds in at least one lane."""
         return self.mask_to_i8(mask) != 0
 
     def mask_to_i8(self, mask: Lanes) -> Lanes:
-        """Return a condition as the bits of one i8; the first lane is the lowest bit."""
+        """Return a mask as the bits of one i8; the first lane is the lowest bit."""
         return self.op("lanes", I8, mask, lanes=1)
 
     def mask_to_i64(self, mask: Lanes) -> Lanes:
-        """Return a condition as bits, as `mask_to_i8`, in one i64."""
+        """Return a mask as the low bits of one i64; the first lane is the lowest bit."""
         return self.op("zext", I64, self.mask_to_i8(mask))
 
     def mask_from_i8(self, bits: Lanes) -> Lanes:
-        """Return the condition that the bits of one i8 represent."""
+        """Return the mask that the bits of one i8 represent."""
         return self.op("mask", BOOL, bits, lanes=LANE_COUNT)
 
     def has_bit(self, word: Lanes, lane: Lanes) -> Lanes:
-        """Return whether bit number `lane` of a single i64 is 1."""
+        """Return, for each lane, whether bit number `lane` of the single i64 `word` is 1."""
         return self.op("trunc", BOOL, word >> lane)
 
     def lane_maximum(self, value: Lanes) -> Lanes:
@@ -286,14 +286,14 @@ class LaneBuilder(Vectors[Lanes]):
         """Store eight elements from a single index on; conditions become bytes."""
         stored = self.to_stored_form(value)
         place = self.address(base, index, stored.kind)
-        self.do("store", self.broadcast(stored), place, x=", align 1")
+        self.emit_void("store", self.broadcast(stored), place, x=", align 1")
 
     def store_masked(self, mask: Lanes, base: Number, index: Lanes, value: Lanes) -> None:
-        """Store those of eight elements for which a condition holds. No other code may write to the eight meanwhile."""
+        """Store those of eight elements in lanes where `mask` holds. No other thread may write to the eight meanwhile."""
         stored = self.to_stored_form(value)
         place = self.address(base, index, stored.kind)
         old_value = self.op("load", stored.kind, place, x=", align 1", lanes=LANE_COUNT)
-        self.do("store", self.select_lanes(mask, stored, old_value), place, x=", align 1")
+        self.emit_void("store", self.select_lanes(mask, stored, old_value), place, x=", align 1")
 
     def to_stored_form(self, value: Lanes) -> Lanes:
         """Return a condition as a byte, any other value unchanged."""
@@ -301,7 +301,7 @@ class LaneBuilder(Vectors[Lanes]):
 
     def prefetch(self, place: Number) -> None:
         """Prefetch the memory at an address. Any address is allowed."""
-        self.do("prefetch", place)
+        self.emit_void("prefetch", place)
 
     def load_scalar(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
         stored = I8 if kind == BOOL else kind

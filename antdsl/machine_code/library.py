@@ -21,8 +21,10 @@ _DECORATOR_PATTERN: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILI
 
 
 class LibraryEntry(Protocol):
-    """A kernel or a text of the package. `text_key` returns the text, or a key that identifies it. Text and key may depend on
-    the target. The text is empty for a processor that cannot run it."""
+    """A kernel or a text of the package.
+
+    `text_key` returns the text, or a key that identifies it. Both may depend on the target. The text is empty for a processor
+    that cannot run it."""
 
     __module__: str
     __name__: str
@@ -60,7 +62,7 @@ def load_entries() -> list[LibraryEntry]:
 
 
 def read_llvm_file(name: str) -> str:
-    """Return a file of the package in LLVM's language. The caller replaces its placeholders `$NAME$`."""
+    """Return the text of a file of the package in LLVM's language. The caller replaces its placeholders `$NAME$`."""
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 

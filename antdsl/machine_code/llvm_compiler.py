@@ -37,17 +37,17 @@ class Target:
     features: str
 
     @property
-    def avx2(self) -> bool:
+    def has_avx2(self) -> bool:
         """Return whether the processor has AVX2."""
         return "+avx2" in self.features.split(",")
 
     @property
-    def x86(self) -> bool:
+    def is_x86(self) -> bool:
         """Return whether the processor is a 64-bit x86."""
         return self.triple.partition("-")[0] in ("x86_64", "amd64")
 
     @property
-    def arm(self) -> bool:
+    def is_arm(self) -> bool:
         """Return whether the processor is a 64-bit ARM."""
         return self.triple.partition("-")[0] in ("aarch64", "arm64")
 
@@ -108,7 +108,8 @@ def host_target() -> Target:
 
 
 def format_features(features: Mapping[str, bool]) -> str:
-    """Return a processor's features in LLVM's form, without features that could fuse instructions, except with 512-bit registers.
+    """Return a processor's features in LLVM's form. Features that could fuse operations are disabled, except with 512-bit
+    registers.
 
     Disabled features come last: one feature may imply another (`xop` implies `fma4`), and later entries override earlier ones."""
     missing = ("fma4",) if features.get(_DISABLED_WIDE_FEATURE) else _DISABLED_FUSED_FEATURES
@@ -133,7 +134,7 @@ def compile_assembly(text: str, target: Target) -> str:
 
 
 def _optimise_text(text: str, target: Target) -> tuple[Any, Any]:
-    """Return the code generator, and the module of a text after LLVM's passes."""
+    """Return the code generator of a target, and the module of a text after LLVM's passes."""
     llvm = _import_llvm()
     machine = _make_target_machine(target)
     module = llvm.parse_assembly(text)
@@ -169,13 +170,13 @@ def _make_target_machine(target: Target) -> Any:
 
 @dataclass(slots=True)
 class LoadedCode:
-    """Callable functions, with the objects that keep their code in memory."""
+    """Functions that are ready to call, with the objects that keep their code in memory."""
 
     _engine: Any
     _functions: dict[str, Any] = field(default_factory=dict)
 
     def function(self, name: str) -> Any:
-        """Return a function of (table of pointers, first row, row after the last)."""
+        """Return the function `name`. Its arguments are the address of a table, the first row, and the row after the last."""
         if name not in self._functions:
             made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.function_address(name))
             made.code = self._engine  # type: ignore[attr-defined] # the function holds its code

@@ -34,7 +34,7 @@ class LlvmModule:
         return [name for name, text in self.functions.items() if text.startswith("define void")]
 
     def extract_unit_text(self, entry: str) -> str:
-        """Return the text of a function and of all functions that it calls. It can be compiled without the others."""
+        """Return the text of the function `entry` with all functions that it calls. It can be compiled alone."""
         output: dict[str, set[str]] = {}
         coming = [entry]
         while coming:

@@ -16,7 +16,7 @@ _address_of_char = ctypes.addressof
 
 
 def copy_padded(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy that is followed by eight spare rows of zeros in memory."""
+    """Return a copy of an array [n, ..] that is followed in memory by eight rows of zeros."""
     padded = np.zeros((len(array) + LANE_COUNT, *array.shape[1:]), array.dtype)
     padded[: len(array)] = array
     view: NDArray[Any] = padded[: len(array)]

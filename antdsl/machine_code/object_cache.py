@@ -49,7 +49,7 @@ class StoreKind(NamedTuple):
     - `folder`: its folder within antdsl's cache folder
     - `variable`: the environment variable that overrides the folder
     - `suffix`: the suffix of its files
-    - other fields: words for messages"""
+    - `name`, `verb`, `usage`, `result_noun`, `recompute_phrase`, `fallback`: words of its messages"""
 
     folder: str
     variable: str
@@ -75,7 +75,7 @@ CODE_STORE: Final = StoreKind(
 )
 
 
-def object_key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
+def compute_object_key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
     """Return the key of the object file for a text and a target: 64 hexadecimal digits.
 
     `versions` is the result of `environment_versions()`. The key need not contain the data layout, which follows from
@@ -182,8 +182,9 @@ class ObjectCache:
             self._make_folder(self._folder)
 
     def _get_signer(self, *, create: bool) -> signing.Signer | None:
-        """Return the user's signer, read once; None if there is none. After an error, which is reported, the folder is no longer
-        used."""
+        """Return the user's signer; None if there is no key. It is read once.
+
+        `create`: create a missing key. After an error, which is reported, the folder is no longer used."""
         folder = self._folder
         if self._signer is None and folder is not None:
             try:
@@ -195,8 +196,8 @@ class ObjectCache:
         return self._signer
 
     def _read(self, folder: Path, signer: signing.Signer, key: str) -> bytes | None:
-        """Return the code in a file. Return None if there is no file, or if it cannot be trusted, which is reported."""
-        path = folder / (signer.name(key) + self._kind.suffix)
+        """Return the code in the file of a key; None if there is no file, or if it cannot be trusted, which is reported."""
+        path = folder / (signer.make_file_name(key) + self._kind.suffix)
         try:
             handle = open_regular_file(path, follows_links=False)
             with suppress(OSError):  # a read-only disk
@@ -215,14 +216,14 @@ class ObjectCache:
         return code
 
     def _write(self, folder: Path, signer: signing.Signer, key: str, code: bytes) -> bool:
-        """Store code in the folder and return whether that succeeded; a failure is reported."""
+        """Store code in the folder, and return whether it is stored; a failure is reported."""
         data = signer.sign(key, code) + code
         if len(code) > self._max_result_bytes or len(data) > self._max_bytes:
             self._report_not_stored(
                 folder, f"{len(code):,} bytes of {self._kind.result_noun} are too many", self._kind.recompute_phrase
             )
             return False
-        name = signer.name(key) + self._kind.suffix
+        name = signer.make_file_name(key) + self._kind.suffix
         if not self._make_folder(folder):
             return False
         try:
@@ -234,7 +235,7 @@ class ObjectCache:
         return True
 
     def _make_folder(self, folder: Path) -> bool:
-        """Create the folder if necessary and return whether it exists; a failure is reported."""
+        """Create the folder if necessary, and return whether it exists; a failure is reported."""
         try:
             os.makedirs(folder, 0o700, exist_ok=True)
         except (OSError, ValueError) as problem:
@@ -266,8 +267,8 @@ def _remove_oldest(folder: Path, max_bytes: int, retained_name: str) -> None:
     """Remove the least recently used files until at most `max_bytes` bytes are left. Remove also the temporary files of killed
     runs.
 
-    Files with other names stay. Files that another run removes meanwhile, or that belong to another user of a shared folder, are
-    skipped."""
+    The file `retained_name` stays. Files with other suffixes stay too. Files that another run removes meanwhile, or that belong
+    to another user of a shared folder, are skipped."""
     stored_name = re.compile(f"[0-9a-f]{{64}}{re.escape(Path(retained_name).suffix)}")
     stored_files: list[tuple[int, str, int]] = []
     with os.scandir(folder) as entries:

@@ -59,15 +59,15 @@ TARGET_BY_NAME: Final[Mapping[str, Target]] = {
 
 
 @cache
-def target_name(host: Target) -> str | None:
-    """Return the name of a shipped target that this processor can run, with the same result bits as native code; None if there is
-    none."""
+def find_target_name(host: Target) -> str | None:
+    """Return the name of a shipped target that the processor `host` can run, with the same result bits as code for `host`; None
+    if there is none."""
     if "linux" not in host.triple:
         return None
     present = _present_features(host)
     for name, target in TARGET_BY_NAME.items():
-        levels = target.x86 and host.x86 and _present_features(target) <= present
-        if levels or (target.arm and host.arm):
+        levels = target.is_x86 and host.is_x86 and _present_features(target) <= present
+        if levels or (target.is_arm and host.is_arm):
             return name
     return None
 
@@ -77,15 +77,17 @@ def _present_features(target: Target) -> set[str]:
     return {word[1:] for word in target.features.split(",") if word.startswith("+")}
 
 
-def shipped_key(text_or_name: str, target: Target) -> str:
+def compute_shipped_key(text_or_name: str, target: Target) -> str:
     """Return the key of an object file, for a text or its name, and a target."""
-    return object_cache.object_key(text_or_name, target, versions=object_cache.code_versions())
+    return object_cache.compute_object_key(text_or_name, target, versions=object_cache.code_versions())
 
 
 def find_object(text_or_name: str, host: Target) -> bytes | None:
     """Return the object file for this processor, by a text or its name; None if the installation has none."""
-    name = target_name(host)
-    return None if name is None else _open_objects(OBJECTS_FOLDER, name).get(shipped_key(text_or_name, TARGET_BY_NAME[name]))
+    name = find_target_name(host)
+    return (
+        None if name is None else _open_objects(OBJECTS_FOLDER, name).get(compute_shipped_key(text_or_name, TARGET_BY_NAME[name]))
+    )
 
 
 def objects_path(folder: Path, name: str) -> Path:
@@ -160,7 +162,7 @@ class ObjectFile:
 
 
 def pack_objects(codes: Mapping[str, bytes]) -> bytes:
-    """Return the content of a file with these object files, by key. The content depends on nothing else."""
+    """Return the content of a file with these object files, by key. The content depends only on them."""
     index, position = [], 0
     for key, code in sorted(codes.items()):
         index.append(_ENTRY_STRUCT.pack(bytes.fromhex(key), position, len(code), _hash_data(code)))

@@ -34,7 +34,7 @@ class Signer:
         user = os.geteuid() if hasattr(os, "geteuid") else os.environ.get("USERNAME", "")
         self._key = blake2b(f"{user}\n{machine_id()}".encode(), key=secret, person=b"antdsl code").digest()
 
-    def name(self, key: str) -> str:
+    def make_file_name(self, key: str) -> str:
         """Return the file name for a key: 64 hexadecimal digits, different for each user and machine."""
         return blake2b(key.encode(), key=self._key, digest_size=32, person=b"name").hexdigest()
 

@@ -54,11 +54,15 @@ def load_code() -> llvm_compiler.LoadedCode:
 def text(target: llvm_compiler.Target) -> str:
     """Return the text to compile, in LLVM's language."""
     pause = (
-        "  call void @llvm.x86.sse2.pause()\n" if target.x86 else "  call void @llvm.aarch64.hint(i32 1)\n" if target.arm else ""
+        "  call void @llvm.x86.sse2.pause()\n"
+        if target.is_x86
+        else "  call void @llvm.aarch64.hint(i32 1)\n"
+        if target.is_arm
+        else ""
     )
     output = read_llvm_file("workers.ll").replace("$PAUSE$", pause)
     if pause:
-        output += "declare void @llvm.x86.sse2.pause()\n" if target.x86 else "declare void @llvm.aarch64.hint(i32)\n"
+        output += "declare void @llvm.x86.sse2.pause()\n" if target.is_x86 else "declare void @llvm.aarch64.hint(i32)\n"
     for name, place in _WORD_OFFSETS.items():
         output = output.replace(f"${name}$", str(place))
     return output

@@ -75,7 +75,7 @@ def _build_crc_function() -> Callable[[NDArray[np.uint8], int], int] | None:
 
 def has_carryless_products(target: llvm_compiler.Target) -> bool:
     """Return whether a processor has carry-less products."""
-    return target.x86 and _CARRYLESS_FEATURE in target.features.split(",")
+    return target.is_x86 and _CARRYLESS_FEATURE in target.features.split(",")
 
 
 def count_blocks_per_register(target: llvm_compiler.Target) -> int:

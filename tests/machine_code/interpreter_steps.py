@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels.checks import KernelFault, check_message
+from antdsl.machine_code.kernels.checks import KernelFault, format_check_message
 from antdsl.machine_code.kernels.ir import LANE_ORDERS_CONSTANT, LANES_BY_MASK, Instruction, IrFunction, split_type
 from antdsl.machine_code.kernels.operations import DTYPE_BY_TYPE, OPERATION_BY_NAME, wrap_to_dtype
 from antdsl.machine_code.kernels.values import Number
@@ -120,7 +120,7 @@ class FunctionPreparer:
 
     def place(self, number: Number) -> int:
         """The register of a number; a constant has its own."""
-        name = number.name if number.name[0] == "%" else number.typed
+        name = number.name if number.name[0] == "%" else number.typed_name
         if name not in self.places:
             self.places[name] = len(self.registers)
             self.registers.append(None if name[0] == "%" else _constant(number))
@@ -145,9 +145,12 @@ class FunctionPreparer:
         if method is not None:
             output: _PreparedStep = method(each, to, *slots)
             return output
-        function, dtype = OPERATION_BY_NAME[each.op].meaning, DTYPE_BY_TYPE.get("" if each.result is None else each.result.base)
+        function, dtype = (
+            OPERATION_BY_NAME[each.op].meaning,
+            DTYPE_BY_TYPE.get("" if each.result is None else each.result.lane_type),
+        )
         assert function is not None
-        if each.result is not None and each.result.wide:
+        if each.result is not None and each.result.has_several_lanes:
             return self.each_lane(each, to, slots, function)
         one, two, three = (*slots, -1, -1)[:3]
         if _is_cast(each.op):
@@ -177,8 +180,8 @@ class FunctionPreparer:
     def each_lane(self, each: Instruction, to: int, slots: list[int], function: Callable[..., Any]) -> _PreparedStep:
         """An operation on each lane of its operands."""
         assert each.result is not None
-        lanes, wide = each.result.lanes, [operand.wide for operand in each.operands]
-        dtype = [DTYPE_BY_TYPE[each.result.base]] if _is_cast(each.op) else []
+        lanes, wide = each.result.lanes, [operand.has_several_lanes for operand in each.operands]
+        dtype = [DTYPE_BY_TYPE[each.result.lane_type]] if _is_cast(each.op) else []
 
         def step(registers: list[Any]) -> None:
             arguments = [registers[k] if many else (registers[k],) * lanes for k, many in zip(slots, wide, strict=True)]
@@ -253,7 +256,12 @@ class FunctionPreparer:
 
     def _load(self, each: Instruction, to: int, address: int) -> _PreparedStep:
         assert each.result is not None
-        type, size, wide, lanes = each.result.base, _size(each.result.base), each.result.wide, range(each.result.lanes)
+        type, size, wide, lanes = (
+            each.result.lane_type,
+            _size(each.result.lane_type),
+            each.result.has_several_lanes,
+            range(each.result.lanes),
+        )
 
         def step(registers: list[Any]) -> None:
             place = registers[address]
@@ -273,7 +281,7 @@ class FunctionPreparer:
         return step
 
     def _store(self, each: Instruction, to: int, value: int, address: int) -> _PreparedStep:
-        type, size, wide = each.operands[0].base, _size(each.operands[0].base), each.operands[0].wide
+        type, size, wide = each.operands[0].lane_type, _size(each.operands[0].lane_type), each.operands[0].has_several_lanes
 
         def step(registers: list[Any]) -> None:
             place = registers[address]
@@ -295,7 +303,7 @@ class FunctionPreparer:
         return step
 
     def _atomic(self, each: Instruction, to: int, address: int, value: int) -> _PreparedStep:
-        function, type = OPERATION_BY_NAME[each.op].meaning, each.operands[1].base
+        function, type = OPERATION_BY_NAME[each.op].meaning, each.operands[1].lane_type
         assert function is not None
 
         def step(registers: list[Any]) -> None:
@@ -339,14 +347,14 @@ class FunctionPreparer:
     def _index(self, each: Instruction, to: int, index: int, length: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             if not 0 <= registers[index] <= registers[length] - each.immediate:
-                raise KernelFault(check_message(self.function.file, each.line, each.op))
+                raise KernelFault(format_check_message(self.function.file, each.line, each.op))
 
         return step
 
     def _divisor(self, each: Instruction, to: int, number: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             if registers[number] == 0:
-                raise KernelFault(check_message(self.function.file, each.line, each.op))
+                raise KernelFault(format_check_message(self.function.file, each.line, each.op))
 
         return step
 
@@ -381,15 +389,15 @@ def _constants(number: Number) -> tuple[Any, ...]:
 def _constant(number: Number) -> Any:
     """The value of a number of the text."""
     name = number.name
-    if number.wide:
+    if number.has_several_lanes:
         return _constants(number)
     if name == "poison":
         return ()
     if name == LANE_ORDERS_CONSTANT.name:
         return Pointer(ArrayMemory(np.array(LANES_BY_MASK, np.int8).ravel()), 0)
-    if number.base in ("double", "float"):
+    if number.lane_type in ("double", "float"):
         value = struct.unpack(">d", bytes.fromhex(name[2:]))[0] if name.startswith("0x") else float(name)
-        return DTYPE_BY_TYPE[number.base](value)
-    if number.base == "i1":
+        return DTYPE_BY_TYPE[number.lane_type](value)
+    if number.lane_type == "i1":
         return np.bool_(name == "true")
-    return DTYPE_BY_TYPE[number.base](int(name))
+    return DTYPE_BY_TYPE[number.lane_type](int(name))

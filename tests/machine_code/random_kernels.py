@@ -134,9 +134,9 @@ def load(source: str, folder: Path) -> list[Kernel]:
 def can_run(target: llvm_compiler.Target) -> bool:
     """Whether code for a target can run on this machine, or in the emulator."""
     host = llvm_compiler.host_target()
-    if target.arm:
-        return host.arm or not missing_program()
-    return target.x86 and host.x86 and shipped_objects._present_features(target) <= shipped_objects._present_features(host)
+    if target.is_arm:
+        return host.is_arm or not missing_program()
+    return target.is_x86 and host.is_x86 and shipped_objects._present_features(target) <= shipped_objects._present_features(host)
 
 
 @contextmanager
@@ -148,7 +148,7 @@ def callers(
     with patch.object(module, "KernelUnit", partial(KernelUnit, lanes=lanes)):
         text = render_kernels(kernels, target, checked=daring)
     code = llvm_compiler.compile_object(text, target)
-    if target.arm == llvm_compiler.host_target().arm:
+    if target.is_arm == llvm_compiler.host_target().is_arm:
         loaded = llvm_compiler.load_object(code)
         yield lambda kernel: kernel.make_caller(loaded, checked=daring)
     else:
@@ -197,7 +197,9 @@ def compare(count: int, seed: int, target: str = "", show: bool = True, lanes: i
     runs = can_run(compiled_for)
     with tempfile.TemporaryDirectory() as name:
         for batch in range(0, count, BATCH):
-            daring = batch // BATCH % DARING_EVERY == DARING_EVERY - 1 and compiled_for.arm == llvm_compiler.host_target().arm
+            daring = (
+                batch // BATCH % DARING_EVERY == DARING_EVERY - 1 and compiled_for.is_arm == llvm_compiler.host_target().is_arm
+            )
             source = module_of(Random(f"{seed} {batch}"), min(BATCH, count - batch), daring)
             kernels = load(source, Path(name))
             if not runs:

@@ -19,10 +19,10 @@ from compilers import need_llvmlite
 from antdsl import user_folders
 from antdsl.machine_code import object_cache, signing
 from antdsl.machine_code.llvm_compiler import Target, compile_object, host_target, load_object
-from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache, environment_versions, object_key
+from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache, compute_object_key, environment_versions
 
 TARGET = Target("x86_64-unknown-linux-gnu", "znver1", "+avx2,-fma")
-KEY, OTHER = (object_key(text, TARGET, versions=("1",)) for text in ("one", "other"))
+KEY, OTHER = (compute_object_key(text, TARGET, versions=("1",)) for text in ("one", "other"))
 CODE = bytes(range(256)) * 8
 rights = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system says in other ways who may write")
 
@@ -60,7 +60,7 @@ def file_of(folder: Path, key: str) -> Path:
     """Where a key's object file is stored."""
     signer = signing.get_signer(create=True)
     assert signer is not None
-    return folder / f"{signer.name(key)}.object"
+    return folder / f"{signer.make_file_name(key)}.object"
 
 
 def refused(folder: Path, why: str) -> ObjectCache:
@@ -107,7 +107,7 @@ def test_a_stored_object_file_runs(folder: Path) -> None:
   store double %y, ptr %at
   ret void
 }"""
-    name = object_key(text, host_target(), versions=environment_versions())
+    name = compute_object_key(text, host_target(), versions=environment_versions())
     ObjectCache(folder).put(name, compile_object(text, host_target()))
     stored_code = ObjectCache(folder).get(name)
     assert stored_code is not None
@@ -121,7 +121,7 @@ def test_a_key_is_of_all_that_code_depends_on() -> None:
     need_llvmlite()
 
     def of(text: str, triple: str, cpu: str, features: str, *versions: str) -> str:
-        return object_key(text, Target(triple, cpu, features), versions=versions)
+        return compute_object_key(text, Target(triple, cpu, features), versions=versions)
 
     parts = ("text", "x86_64-unknown-linux-gnu", "znver1", "+avx2", "0.1.0", "22.1.0")
     others = [(*parts[:place], parts[place] + "0", *parts[place + 1 :]) for place in range(len(parts))]
@@ -195,7 +195,7 @@ def test_code_of_another_user_or_machine_is_not_loaded(place: Path, monkeypatch:
 
 def test_many_bad_files_are_one_message(folder: Path) -> None:
     cache = ObjectCache(folder)
-    names = [object_key(str(n), TARGET, versions=()) for n in range(5)]
+    names = [compute_object_key(str(n), TARGET, versions=()) for n in range(5)]
     for name in names:
         cache.put(name, CODE)
         file_of(folder, name).write_bytes(CODE)
@@ -367,7 +367,7 @@ def test_memory_has_a_cap_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, "")
     monkeypatch.setattr(object_cache, "_MAX_MEMORY_BYTES", 3 * len(CODE))
     cache = ObjectCache()
-    names = [object_key(str(n), TARGET, versions=()) for n in range(4)]
+    names = [compute_object_key(str(n), TARGET, versions=()) for n in range(4)]
     for name in names[:3]:
         cache.put(name, CODE)
     assert cache.get(names[0]) == CODE
@@ -376,7 +376,7 @@ def test_memory_has_a_cap_too(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_was_used_longest_ago_goes_first(folder: Path) -> None:
-    names = [object_key(str(n), TARGET, versions=()) for n in range(6)]
+    names = [compute_object_key(str(n), TARGET, versions=()) for n in range(6)]
     files = [file_of(folder, name) for name in names]
     size = signing.SIGNATURE_BYTES + len(CODE)
     cache = ObjectCache(folder, max_bytes=4 * size)
@@ -413,10 +413,10 @@ import sys
 from pathlib import Path
 from antdsl import user_folders
 from antdsl.machine_code.llvm_compiler import Target
-from antdsl.machine_code.object_cache import ObjectCache, object_key
+from antdsl.machine_code.object_cache import ObjectCache, compute_object_key
 
 user_folders.home_folder = user_folders._find_local_app_data = lambda: Path(sys.argv[2])
-names = [object_key(str(n), Target("", "", ""), versions=()) for n in range(12)]
+names = [compute_object_key(str(n), Target("", "", ""), versions=()) for n in range(12)]
 cache = ObjectCache(Path(sys.argv[1]), max_bytes=7 * 40_000)
 found = 0
 for turn in range(150):
@@ -453,7 +453,7 @@ def test_threads_of_a_run_share_a_cache(folder: Path) -> None:
     cache = ObjectCache(folder)
 
     def work(n: int) -> bool:
-        name = object_key(str(n % 4), TARGET, versions=())
+        name = compute_object_key(str(n % 4), TARGET, versions=())
         cache.put(name, bytes([n % 4]) * 10_000)
         return cache.get(name) == bytes([n % 4]) * 10_000
 

@@ -58,7 +58,7 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def own() -> str:
     """The name of this machine's target."""
-    name = shipped_objects.target_name(llvm_compiler.host_target())
+    name = shipped_objects.find_target_name(llvm_compiler.host_target())
     if name is None:
         pytest.skip("no objects are shipped for this machine")
     return name
@@ -76,9 +76,9 @@ def test_objects_are_what_compiling_gives(folder: Path) -> None:
         objects = shipped_objects.ObjectFile(shipped_objects.objects_path(folder, name))
         assert len(objects) == len(ENTRIES)
         for entry in ENTRIES:
-            code = objects.get(shipped_objects.shipped_key(entry.text_key(target), target))
+            code = objects.get(shipped_objects.compute_shipped_key(entry.text_key(target), target))
             assert code == llvm_compiler.compile_object(entry.text(target), target)
-            assert code[:4] == b"\x7fELF" and int.from_bytes(code[18:20], "little") == (62 if target.x86 else 183)
+            assert code[:4] == b"\x7fELF" and int.from_bytes(code[18:20], "little") == (62 if target.is_x86 else 183)
     assert build_object_files(folder, ENTRIES, shipped_objects.TARGET_BY_NAME) == 0, "what is there is not compiled again"
 
 
@@ -240,21 +240,21 @@ def processor(*absent: str, of: str = "x86-64-v4", **extra_features: bool) -> Ta
 
 
 def test_a_processor_gets_code_that_it_runs() -> None:
-    assert shipped_objects.target_name(processor()) == "x86-64-v4"
-    assert shipped_objects.target_name(processor(fma=True, fma4=True, xop=True)) == "x86-64-v4"
+    assert shipped_objects.find_target_name(processor()) == "x86-64-v4"
+    assert shipped_objects.find_target_name(processor(fma=True, fma4=True, xop=True)) == "x86-64-v4"
     # the first ones with such registers, which `machine` has no code with 512 bits for
-    assert shipped_objects.target_name(processor("avx512vbmi2")) == "x86-64-v3"
-    assert shipped_objects.target_name(processor(of="x86-64-v3", fma=True)) == "x86-64-v3"
+    assert shipped_objects.find_target_name(processor("avx512vbmi2")) == "x86-64-v3"
+    assert shipped_objects.find_target_name(processor(of="x86-64-v3", fma=True)) == "x86-64-v3"
     for feature in ("avx2", "bmi2", "f16c", "lzcnt", "movbe", "pclmul", "sse4.2"):
-        assert shipped_objects.target_name(processor(feature)) is None
+        assert shipped_objects.find_target_name(processor(feature)) is None
     for feature in ("avx512bw", "vpclmulqdq"):
-        assert shipped_objects.target_name(processor(feature)) == "x86-64-v3"
+        assert shipped_objects.find_target_name(processor(feature)) == "x86-64-v3"
     arm = Target("aarch64-unknown-linux-gnu", "neoverse-n1", "+neon,+fp-armv8")
-    assert shipped_objects.target_name(arm) == "aarch64"
+    assert shipped_objects.find_target_name(arm) == "aarch64"
     for triple in ("arm64-apple-darwin23.1.0", "aarch64_be-unknown-linux-gnu", "aarch64-pc-windows-msvc"):
-        assert shipped_objects.target_name(Target(triple, arm.cpu, arm.features)) is None
+        assert shipped_objects.find_target_name(Target(triple, arm.cpu, arm.features)) is None
     for triple in ("x86_64-apple-darwin23.1.0", "x86_64-pc-windows-msvc", "i686-unknown-linux-gnu"):
-        assert shipped_objects.target_name(Target(triple, "any", processor().features)) is None
+        assert shipped_objects.find_target_name(Target(triple, "any", processor().features)) is None
 
 
 def test_an_older_processor_loads_none(folder: Path, compiled: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

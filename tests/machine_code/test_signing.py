@@ -58,8 +58,8 @@ def test_a_signature_is_of_key_and_content() -> None:
         assert not signer.is_signed(key, data, candidate)
     for wrong in (own_signature[:-1], own_signature + b"\0", b"", bytes(32)):
         assert not signer.is_signed(KEY, b"code", wrong)
-    assert signer.name(KEY) != signer.name(other) and len(signer.name(KEY)) == 64
-    assert bytes.fromhex(signer.name(KEY)) != signer.sign(KEY, b"")
+    assert signer.make_file_name(KEY) != signer.make_file_name(other) and len(signer.make_file_name(KEY)) == 64
+    assert bytes.fromhex(signer.make_file_name(KEY)) != signer.sign(KEY, b"")
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ define void @host(ptr %t, i64 %bits, i64 %none) {
 
 def hosted(bits: int, work: Callable[[], Any]) -> Any:
     """What a thread of a host gives that has such bits set; they are still set when the work is done."""
-    if not llvm_compiler.host_target().x86:
+    if not llvm_compiler.host_target().is_x86:
         pytest.skip("the bits are those of x86")
     outcomes: list[Any] = []
     code = llvm_compiler.load_object(llvm_compiler.compile_object(X86, llvm_compiler.host_target()))

@@ -103,7 +103,7 @@ def lacking(*names: str) -> dict[str, str]:
 
 
 @pytest.mark.skipif(
-    not llvm_compiler.is_available() or not llvm_compiler.host_target().x86, reason="the instructions are those of x86"
+    not llvm_compiler.is_available() or not llvm_compiler.host_target().is_x86, reason="the instructions are those of x86"
 )
 @pytest.mark.parametrize(
     ("plain", "names"),

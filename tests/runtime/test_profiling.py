@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[2]
 NUMPY, NATIVE = Options(backend="numpy"), Options(backend="native", wait_for_code=True)
 FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
 in_code = pytest.mark.skipif(
-    not (llvm_compiler.is_available() and llvm_compiler.host_target().x86), reason="no machine code whose lines are timed"
+    not (llvm_compiler.is_available() and llvm_compiler.host_target().is_x86), reason="no machine code whose lines are timed"
 )
 BLOCKS = ("decide", "act", "blend", "births")
 PROGRAM = """ant 1
@@ -388,7 +388,7 @@ def test_what_a_line_works_out_is_worked_out_between_its_marks(target: llvm_comp
     body = text[text.index("@a.act.0.inside(ptr %t, i64 %begin, i64 %end) noinline") :].splitlines()
     assert between(body, "@llvm.readcyclecounter()", "@llvm.sqrt") == [3, 6, 11]
     code = llvm_compiler.compile_assembly(text, target).splitlines()
-    registers = 1 if target.avx2 else 2  # of eight floats
+    registers = 1 if target.has_avx2 else 2  # of eight floats
     assert between(code, "\trdtsc", "sqrtps") == [registers * each for each in (3, 6, 11)]
 
 
@@ -461,7 +461,7 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
 @in_code
 def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     world = play(WEIGHED, crowd(20, radius=30), option_sets=(NATIVE,)).world
-    monkeypatch.setattr(llvm_compiler.Target, "x86", False)
+    monkeypatch.setattr(llvm_compiler.Target, "is_x86", False)
     meter = StepMeter(None)
     assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().frames_by_backend == {"NumPy": 1}
     meter.stop()

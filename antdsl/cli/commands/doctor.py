@@ -131,7 +131,7 @@ def _check_kernels() -> None:
     if shipped_objects.find_object(write_cosines.text_key(host), host) is None:
         print_result(f"-       {'kernels':<16} compiled on first use, which takes some seconds once")
     else:
-        print_result(f"ok      {'kernels':<16} compiled in advance for {shipped_objects.target_name(host)}")
+        print_result(f"ok      {'kernels':<16} compiled in advance for {shipped_objects.find_target_name(host)}")
 
 
 def _check_tables() -> None:

@@ -25,14 +25,17 @@ _INT64_RANGE = range(-(1 << 63), 1 << 63)
 
 
 class ArithmeticEmitter(Vectors[Number]):
-    """Writer of operations on numbers."""
+    """Writer of operations on numbers.
+
+    `mask`: the iterations that run the current code; None if code for one iteration is written. `reached_mask`: `mask` while the
+    current code runs only if the mask holds for some iteration."""
 
     mask: Number | None = None  # the active iterations; None if code for one iteration is written
     # a condition that is true if the mask holds for at least one iteration, while `mask` is the mask
     reached_mask: Number | None = None
 
     def any_lane(self, mask: Number) -> Number:
-        """Return whether a mask holds in at least one lane, as a condition of the written code."""
+        """Write the test whether a mask holds in at least one lane, and return its condition."""
         bits = self.op("lanes", f"i{LANE_COUNT}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
@@ -42,7 +45,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.mask is None or self.mask.literal_value is not None or self.mask is self.reached_mask
 
     def active_mask(self) -> Number | None:
-        """Return a condition: whether the current code runs for at least one iteration. None if it always does."""
+        """Return the condition under which the current code runs for at least one iteration; None if it always does."""
         return None if self.mask is None or self.is_always_reached else self.any_lane(self.mask)
 
     def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> Number:
@@ -52,14 +55,21 @@ class ArithmeticEmitter(Vectors[Number]):
         """Convert a number as a NumPy cast does; floats saturate, and NaN becomes 0."""
         if value.kind == kind:
             return value
-        if value.literal_value is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
+        if (
+            value.literal_value is not None
+            and not value.has_several_lanes
+            and kind in (DOUBLE, INT, UNSIGNED)
+            and value.kind != DOUBLE
+        ):
             literal = literal_number(float(value.literal_value) if kind == DOUBLE else int(value.literal_value))
             return Number(
                 kind, literal.name, literal.literal_value if kind == DOUBLE else wrap_integer(int(value.literal_value), kind)
             )
-        source, target = value.base, LLVM_TYPE_BY_KIND[kind]
+        source, target = value.lane_type, LLVM_TYPE_BY_KIND[kind]
         if kind == TRUTH:
-            zero = Number(value.kind, "zeroinitializer" if value.wide else "0" if source == "i64" else "0.0", lanes=value.lanes)
+            zero = Number(
+                value.kind, "zeroinitializer" if value.has_several_lanes else "0" if source == "i64" else "0.0", lanes=value.lanes
+            )
             return self.op("ne" if source == "i64" else "fne", TRUTH, value, zero)
         if value.kind == TRUTH:
             return self.op("zext" if target == "i64" else "uitofp", kind, value)
@@ -73,8 +83,8 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op("fptoui" if kind == UNSIGNED else "fptosi", kind, value)
 
     def match_lanes(self, a: Number, b: Number) -> tuple[Number, Number]:
-        """Return both numbers, broadcast to all lanes if one of them has several lanes."""
-        return (self.broadcast(a), self.broadcast(b)) if a.wide or b.wide else (a, b)
+        """Return `a` and `b`. If one of them has several lanes, the other is broadcast to all lanes."""
+        return (self.broadcast(a), self.broadcast(b)) if a.has_several_lanes or b.has_several_lanes else (a, b)
 
     def to_float(self, value: Number) -> Number:
         return value if value.kind in (DOUBLE, FLOAT) else self.convert(value, DOUBLE)
@@ -110,7 +120,7 @@ class ArithmeticEmitter(Vectors[Number]):
         if float(single) != value.literal_value and value.literal_value == value.literal_value:
             self.fail(self.node, f"float32 cannot represent {value.literal_value}: write `np.float32({value.literal_value})`")
         literal = literal_number(single)
-        return self.broadcast(literal) if value.wide else literal
+        return self.broadcast(literal) if value.has_several_lanes else literal
 
     def to_kind(self, value: Number, kind: str) -> Number:
         """Convert a number to a kind. Raises NotInSubset for a literal that the kind would change."""
@@ -126,7 +136,7 @@ class ArithmeticEmitter(Vectors[Number]):
     def apply_operator(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
         """Return the result of a Python operator for two numbers. Operations on literals give a literal."""
         word = type(operator)
-        folded = not (a.wide or b.wide)
+        folded = not (a.has_several_lanes or b.has_several_lanes)
         if (
             folded
             and a.literal_value is not None
@@ -155,7 +165,8 @@ class ArithmeticEmitter(Vectors[Number]):
         return self._divide(node, word is ast.Mod, a, b)
 
     def _fold_literals(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
-        """Return the result of an operation on two integer literals, as an integer literal."""
+        """Return the result of an operation on two integer literals, as an integer literal. `word`: the class of the Python
+        operator."""
         kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
         try:
             value = _PYTHON_OPERATORS[word](int(a.literal_value or 0), int(b.literal_value or 0))
@@ -166,7 +177,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return Number(kind, literal_number(wrap_integer(value, kind)).name, wrap_integer(value, kind))
 
     def _apply_shift(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
-        """Return a shifted number. Shift counts are taken modulo 64."""
+        """Return the number `a` shifted by `b` modulo 64. `word`: the class of the Python operator."""
         if b.literal_value is None:
             b = self.op("and", b.kind, b, self.match_lanes(literal_number(63), b)[0])
         elif not 0 <= b.literal_value < 64:
@@ -176,14 +187,14 @@ class ArithmeticEmitter(Vectors[Number]):
     def _divide(self, node: ast.AST, is_remainder: bool, a: Number, b: Number) -> Number:
         """Return the quotient of two integers, rounded down, or with `is_remainder` the remainder.
 
-        The checked build reports division by 0; other builds divide by 1 instead. They also divide by 1 for the least integer by
-        -1, which wraps around."""
+        The checked build reports division by 0; other builds divide by 1 instead. All builds divide by 1 if the least integer is
+        divided by -1, which wraps around."""
         if b.literal_value == 0:
             self.fail(node, "division by 0")
         if b.literal_value is None:
-            counts = None if b.wide else self.active_mask()
+            counts = None if b.has_several_lanes else self.active_mask()
             checked = b if counts is None else self.select(counts, b, self.convert(literal_number(1), b.kind))
-            self.do("divisor", checked, *([self.mask] if b.wide and self.mask is not None else []), node=node)
+            self.emit_void("divisor", checked, *([self.mask] if b.has_several_lanes and self.mask is not None else []), node=node)
             without = self.compare("eq", b, literal_number(0))
             if a.kind == INT and (a.literal_value is None or a.literal_value == _INT64_RANGE[0]):
                 both = self.logical_and(
@@ -203,35 +214,39 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op("sub", INT, self.op("sdiv", INT, a, b), self.convert(down, INT))
 
     def logical_and(self, a: Number, b: Number) -> Number:
-        """Return whether both conditions hold."""
+        """Return the condition that both conditions hold."""
         for one, other in ((a, b), (b, a)):
             if one.literal_value is not None:
                 return other if one.literal_value else literal_number(False)
         return self.op("and", TRUTH, *self.match_lanes(a, b))
 
     def _first_lane_sum(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
-        """Return the sum or difference in the first lane, or None. One operand must grow by one per iteration, the other be
-        loop-invariant."""
-        if word not in (ast.Add, ast.Sub) or a.base != "i64" or b.base != "i64" or (b.first and word is ast.Sub):
+        """Return the sum or difference in the first lane, if one operand grows by one per lane and the other is loop-invariant;
+        else None.
+
+        `word`: the class of the Python operator."""
+        if word not in (ast.Add, ast.Sub) or a.lane_type != "i64" or b.lane_type != "i64" or (b.first_lane and word is ast.Sub):
             return None
-        one, other = (a.first, b) if a.first else (a, b.first)
+        one, other = (a.first_lane, b) if a.first_lane else (a, b.first_lane)
         return (
-            None if one is None or other is None or one.wide or other.wide else self.op(_INTEGER_OPCODES[word], INT, one, other)
+            None
+            if one is None or other is None or one.has_several_lanes or other.has_several_lanes
+            else self.op(_INTEGER_OPCODES[word], INT, one, other)
         )
 
     def negate(self, a: Number) -> Number:
-        if a.literal_value is not None and not a.wide:
+        if a.literal_value is not None and not a.has_several_lanes:
             if a.kind == INT and a.literal_value == _INT64_RANGE[0]:
                 self.fail(self.node, f"{-a.literal_value} does not fit into int64")
             return literal_number(-a.literal_value)
         if a.kind in (DOUBLE, FLOAT):
             return self.op("fneg", a.kind, a)
         a = self.convert(a, INT)
-        return self.op("sub", INT, Number(INT, "zeroinitializer" if a.wide else "0", lanes=a.lanes), a)
+        return self.op("sub", INT, Number(INT, "zeroinitializer" if a.has_several_lanes else "0", lanes=a.lanes), a)
 
     def compare(self, word: str, a: Number, b: Number) -> Number:
         """Return the condition of a comparison; `word` is its name, such as `lt`."""
-        if a.literal_value is not None and b.literal_value is not None and not (a.wide or b.wide):
+        if a.literal_value is not None and b.literal_value is not None and not (a.has_several_lanes or b.has_several_lanes):
             x, y = a.literal_value, b.literal_value
             held = {"lt": x < y, "le": x <= y, "gt": x > y, "ge": x >= y, "eq": x == y, "ne": x != y}
             return literal_number(held[word])
@@ -250,7 +265,7 @@ class ArithmeticEmitter(Vectors[Number]):
             if true_value.kind != false_value.kind
             else self.match_lanes(true_value, false_value)
         )
-        if condition.wide:
+        if condition.has_several_lanes:
             true_value, false_value = self.broadcast(true_value), self.broadcast(false_value)
         return self.op("select", true_value.kind, condition, true_value, false_value, lanes=true_value.lanes)
 

@@ -20,25 +20,34 @@ class ElementAccess(ArithmeticEmitter):
     """Writer of loads and stores of array elements."""
 
     def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
-        """Check that `count` indices from this one on are within an axis. Raises NotInSubset if an index is certainly outside."""
+        """Write the check that `index` to `index + count - 1` are within an axis of `length`. Raises NotInSubset if an index is
+        certainly outside."""
         if index.literal_value is not None and (
             index.literal_value < 0 or (length.literal_value is not None and index.literal_value + count > length.literal_value)
         ):
             self.fail(node, f"{index.literal_value} is negative or outside the axis")
         if index.literal_value is None or length.literal_value is None:
-            counts = None if index.wide else self.active_mask()
+            counts = None if index.has_several_lanes else self.active_mask()
             if counts is not None:
                 index, length = self.select(counts, index, literal_number(0)), self.select(counts, length, literal_number(count))
-            self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
+            self.emit_void(
+                "index",
+                index,
+                length,
+                *([self.mask] if index.has_several_lanes and self.mask is not None else []),
+                x=count,
+                node=node,
+            )
 
     def _check_span(self, array: Array, first: Number, count: int = LANE_COUNT) -> None:
-        """Check that consecutive elements, read or stored at once, are in the array in all iterations."""
-        self.do("span", first, *array.lengths, x=count)
+        """Write the check that the elements `first` to `first + count - 1`, which are read or stored at once, are in the
+        array."""
+        self.emit_void("span", first, *array.lengths, x=count)
 
     def index_offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
-        """Return the offset of an index from the first element, in elements."""
+        """Return the offset, in elements, of the element with the indices `numbers` from the first element."""
         for each in numbers:
-            if each.base != "i64":
+            if each.lane_type != "i64":
                 self.fail(node, "an index must be an integer of at least 0")
         for each, length in zip(numbers, array.lengths, strict=True):
             self.check_index(node, each, length)
@@ -52,7 +61,7 @@ class ElementAccess(ArithmeticEmitter):
             place = self.apply_operator(node, ast.Add(), place, number)
         return place
 
-    def count(self, array: Array) -> Number:
+    def count_elements(self, array: Array) -> Number:
         """Return the number of elements of an array."""
         total = array.lengths[0]
         for each in array.lengths[1:]:
@@ -62,61 +71,63 @@ class ElementAccess(ArithmeticEmitter):
     def load_element(self, array: Array, index: Number) -> Number:
         """Load the element at an offset of `index` elements from the first one."""
         scalar = array.element_type
-        if not index.wide:
+        if not index.has_several_lanes:
             element = self.op("load", scalar.loaded_kind, self._guarded_address(array, index))
-        elif index.first:
-            self._check_span(array, index.first)
-            element = self._load_lanes(array, scalar.loaded_kind, self._offset_address(array, index.first))
+        elif index.first_lane:
+            self._check_span(array, index.first_lane)
+            element = self._load_lanes(array, scalar.loaded_kind, self._offset_address(array, index.first_lane))
         else:
             element = self._gather(array, index)
         if scalar.kind == TRUTH:
-            return self.op("ne", TRUTH, element, Number("i8", "zeroinitializer" if index.wide else "0", lanes=index.lanes))
+            return self.op(
+                "ne", TRUTH, element, Number("i8", "zeroinitializer" if index.has_several_lanes else "0", lanes=index.lanes)
+            )
         if scalar.kind == INT and scalar.stored_type != "i64":
             return self.op("zext" if scalar.name.startswith("U") else "sext", INT, element)
         return element
 
     def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
-        """Load consecutive elements, one for each iteration."""
+        """Load consecutive elements from the address `place` on, one for each lane."""
         return self.op("load", kind, place, x=_element_alignment(array), lanes=LANE_COUNT)
 
     def store_element(self, node: ast.AST, array: Array, index: Number, item: Number) -> None:
         """Store `item` as the element at an offset of `index` elements from the first one."""
-        if (self.mask is not None) != index.wide:
+        if (self.mask is not None) != index.has_several_lanes:
             self.fail(node, "several iterations of the loop would write to this element at once")
-        value = self.to_stored_kind(array.element_type, self.broadcast(item) if index.wide else item)
-        if not index.wide:
-            self.do("store", value, self._offset_address(array, index))
+        value = self.to_stored_kind(array.element_type, self.broadcast(item) if index.has_several_lanes else item)
+        if not index.has_several_lanes:
+            self.emit_void("store", value, self._offset_address(array, index))
             return
         mask = self.mask or ALL_LANES
-        if index.first:
-            self._check_span(array, index.first)
-            place = self._offset_address(array, index.first)
+        if index.first_lane:
+            self._check_span(array, index.first_lane)
+            place = self._offset_address(array, index.first_lane)
             if mask.literal_value is None:
                 value = self.op("select", value.kind, mask, value, self._load_lanes(array, value.kind, place))
-            self.do("store", value, place, x=_element_alignment(array))
+            self.emit_void("store", value, place, x=_element_alignment(array))
             return
         for lane in range(LANE_COUNT):
             stored, next_block = "", ""
             if mask.literal_value is None:
                 stored, next_block = self.make_label("stored"), self.make_label("after")
                 self.branch(self.extract_lane(mask, lane), stored, next_block)
-                self.begin(stored)
+                self.begin_block(stored)
             place = self._offset_address(array, self.extract_lane(index, lane))
-            self.do("store", self.extract_lane(value, lane), place)
+            self.emit_void("store", self.extract_lane(value, lane), place)
             if next_block:
                 self.jump(next_block)
-                self.begin(next_block)
+                self.begin_block(next_block)
 
     def to_stored_kind(self, scalar: ScalarType, item: Number) -> Number:
         """Convert a number to the form in which an array of this type stores it."""
         value = self.convert(item, scalar.kind)
         if value.kind == TRUTH:
             return self.op("zext", "i8", value)
-        return value if value.base == scalar.stored_type else self.op("trunc", scalar.stored_type, value)
+        return value if value.lane_type == scalar.stored_type else self.op("trunc", scalar.stored_type, value)
 
-    def row(self, node: ast.AST, array: Array, index: Number) -> Array:
-        """Return the part of an array at an index of the first axis, with one axis less."""
-        if index.wide:
+    def get_row(self, node: ast.AST, array: Array, index: Number) -> Array:
+        """Return the subarray at an index of the first axis. It has one axis less."""
+        if index.has_several_lanes:
             self.fail(node, "all lanes use the same part of an array: its index cannot depend on the iteration")
         self.check_index(node, index, array.lengths[0])
         step = literal_number(1) if array.steps is None else array.steps[0]
@@ -137,7 +148,7 @@ class ElementAccess(ArithmeticEmitter):
         return self.op("element", "ptr", address, index, x=array.element_type.stored_type, lanes=index.lanes)
 
     def _guarded_address(self, array: Array, index: Number) -> Number:
-        """Return the address of an element at a loop-invariant index.
+        """Return the address of the element at a loop-invariant index.
 
         If no iteration is active, the index may be out of range; the result is then the address of zeros. The index is compared
         with the array's length instead of being combined with the mask, so that LLVM can move the load out of loops."""
@@ -147,7 +158,9 @@ class ElementAccess(ArithmeticEmitter):
         if array.steps is not None:
             counts = self.any_lane(self.mask)
         else:
-            counts = self.logical_and(self.compare("ge", index, literal_number(0)), self.compare("lt", index, self.count(array)))
+            counts = self.logical_and(
+                self.compare("ge", index, literal_number(0)), self.compare("lt", index, self.count_elements(array))
+            )
         return place if counts.literal_value is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
 
     def _lane_addresses(self, array: Array, index: Number) -> Number:
@@ -161,15 +174,16 @@ class ElementAccess(ArithmeticEmitter):
         """Return `count` consecutive elements of an array, converted to the kind that kernels compute with. `count` is a multiple
         of four."""
         self.check_index(node, index, array.lengths[0], count)
-        if not index.wide:
+        if not index.has_several_lanes:
             offsets = [self.apply_operator(node, ast.Add(), index, literal_number(k)) for k in range(count)]
             return tuple(self.load_element(array, each) for each in offsets)
         addresses = self._lane_addresses(array, index)
         lanes = [self.extract_lane(addresses, lane) for lane in range(LANE_COUNT)]
-        return tuple(each for k in range(0, count, 4) for each in self._load_four(array, lanes, k))
+        return tuple(each for k in range(0, count, 4) for each in self._load_four_columns(array, lanes, k))
 
-    def _load_four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
-        """Return four columns of eight lanes: the elements at `offset` to `offset + 3` after each of eight addresses."""
+    def _load_four_columns(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
+        """Return the elements at the offsets `offset` to `offset + 3`, one number of eight lanes for each offset. `lanes`: the
+        base address of each lane."""
         rows = []
         for lane in lanes:
             place = self._element_address(array, lane, offset)
@@ -177,11 +191,11 @@ class ElementAccess(ArithmeticEmitter):
         return self.transpose_rows(rows)
 
     def load3(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
-        """Return the three elements of a row."""
-        if not row.first:
+        """Return the three elements of a row of an array (n, 3)."""
+        if not row.first_lane:
             return tuple(self.load_element(array, each) for each in self._row_offsets(node, array, row))
         self.check_index(node, row, array.lengths[0])
-        return self._load3_lanes(array, row.first)
+        return self._load3_lanes(array, row.first_lane)
 
     def _load3_lanes(self, array: Array, first: Number) -> tuple[Number, ...]:
         """Return the three elements of consecutive rows, one row per lane, from row `first` on."""
@@ -197,14 +211,14 @@ class ElementAccess(ArithmeticEmitter):
         return tuple(columns)
 
     def _rows_address(self, array: Array, first: Number) -> Number:
-        """Return the address of consecutive rows of three elements from `first` on."""
+        """Return the address of row `first` of an array (n, 3), after a check that all lanes' rows are in the array."""
         start = self.op("mul", INT, first, Number(INT, "3"))
         self._check_span(array, start, 3 * LANE_COUNT)
         return self._offset_address(array, start)
 
     def store3(self, node: ast.AST, array: Array, row: Number, items: tuple[Number, ...]) -> None:
-        """Store the three elements of a row."""
-        if not row.first:
+        """Store `items` as the three elements of a row of an array (n, 3)."""
+        if not row.first_lane:
             for at, item in zip(self._row_offsets(node, array, row), items, strict=True):
                 self.store_element(node, array, at, item)
             return
@@ -212,14 +226,14 @@ class ElementAccess(ArithmeticEmitter):
         kind, mask = array.element_type.kind, self.mask or ALL_LANES
         values = [self.broadcast(self.convert(each, kind)) for each in items]
         if mask.literal_value is None:
-            values = [self.select(mask, *each) for each in zip(values, self._load3_lanes(array, row.first), strict=True)]
-        place = self._rows_address(array, row.first)
+            values = [self.select(mask, *each) for each in zip(values, self._load3_lanes(array, row.first_lane), strict=True)]
+        place = self._rows_address(array, row.first_lane)
         for part in range(3):
             positions = [divmod(k, 3) for k in range(LANE_COUNT * part, LANE_COUNT * (part + 1))]
             two = self.shuffle(values[0], values[1], tuple(lane + LANE_COUNT * (c == 1) for lane, c in positions))
             order = tuple(LANE_COUNT + lane if c == 2 else k for k, (lane, c) in enumerate(positions))
             address = self._element_address(array, place, LANE_COUNT * part)
-            self.do("store", self.shuffle(two, values[2], order), address, x=_element_alignment(array))
+            self.emit_void("store", self.shuffle(two, values[2], order), address, x=_element_alignment(array))
 
     def _row_offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
         """Return the offsets of a row's elements from the first element of an array."""
@@ -227,8 +241,10 @@ class ElementAccess(ArithmeticEmitter):
 
     def prefetch(self, array: Array, index: Number) -> tuple[()]:
         """Prefetch the memory of an element."""
-        for lane in range(LANE_COUNT if index.wide else 1):
-            self.do("prefetch", self._offset_address(array, self.extract_lane(index, lane) if index.wide else index))
+        for lane in range(LANE_COUNT if index.has_several_lanes else 1):
+            self.emit_void(
+                "prefetch", self._offset_address(array, self.extract_lane(index, lane) if index.has_several_lanes else index)
+            )
         return ()
 
     def _gather(self, array: Array, index: Number) -> Number:

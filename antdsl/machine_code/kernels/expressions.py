@@ -30,19 +30,21 @@ _COMPARISON_WORDS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", a
 
 
 class ExpressionEmitter(ElementAccess, ABC):
-    """Writer of Python expressions. `variables` has the value of each local name, `module_names` the names of the function's
-    module."""
+    """Writer of Python expressions.
+
+    `variables`: the value of each local name. `module_names`: the names of the function's module. `unit`: the functions of the
+    text."""
 
     module_names: dict[str, Any]
     unit: KernelUnit
 
     @abstractmethod
     def lookup_name(self, name: str) -> Any:
-        """Return the item of a name, without loading the variables in it."""
+        """Return the value of a name. Variables in it are not loaded."""
 
     @abstractmethod
     def load_variables(self, item: Any) -> KernelItem:
-        """Return an item of `lookup_name` with the values of its variables loaded."""
+        """Return the result of `lookup_name` with the numbers of its variables loaded."""
 
     @abstractmethod
     def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
@@ -50,7 +52,7 @@ class ExpressionEmitter(ElementAccess, ABC):
 
     def emit_number(self, node: ast.expr) -> Number:
         """Write an expression, and return its number. Raises NotInSubset for another item."""
-        value = self.value(node)
+        value = self.emit_item(node)
         if not isinstance(value, Number):
             self.fail(node, "this must be a number")
         return value
@@ -60,7 +62,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         value = self.emit_number(node)
         return literal_number(bool(value.literal_value)) if value.literal_value is not None else self.convert(value, TRUTH)
 
-    def value(self, node: ast.expr) -> KernelItem:
+    def emit_item(self, node: ast.expr) -> KernelItem:
         """Write an expression, and return its item. Raises NotInSubset for unsupported syntax."""
         match node:
             case ast.Constant(value=bool() | int() | float() as known):
@@ -84,7 +86,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             case ast.Attribute(value=of, attr=attribute):
                 return self.load_variables(self._emit_attribute(node, of, attribute))
             case ast.Call(func=ast.Attribute(value=of, attr="_replace")):
-                return self._replace_fields(node, self.value(of))
+                return self._replace_fields(node, self.emit_item(of))
             case ast.Call(func=function, args=arguments):
                 return self._emit_call(node, function, arguments)
         self.fail(node, f"`{ast.unparse(node)}` is not in the subset")
@@ -92,21 +94,20 @@ class ExpressionEmitter(ElementAccess, ABC):
     def _emit_tuple_items(self, node: ast.expr) -> Any:
         """Return the items that an expression adds to a tuple."""
         if not isinstance(node, ast.Starred):
-            return (self.value(node),)
-        spread = self.value(node.value)
+            return (self.emit_item(node),)
+        spread = self.emit_item(node.value)
         if not isinstance(spread, tuple):
             self.fail(node, "`*` expands only tuples and records")
         return spread
 
     def _emit_unloaded(self, node: ast.expr) -> Any:
-        """Return the value of an expression. For a part of a variable, return its unloaded address, so that the other parts are
-        not loaded."""
+        """Return the value of an expression. A part of a variable stays unloaded, so that the other parts need not be loaded."""
         match node:
             case ast.Name(id=name):
                 return self.lookup_name(name)
             case ast.Attribute(value=of, attr=attribute):
                 return self._emit_attribute(node, of, attribute)
-        return self.value(node)
+        return self.emit_item(node)
 
     def _emit_unary(self, node: ast.expr, operator: ast.unaryop, operand: ast.expr) -> Number:
         if isinstance(operator, ast.Not):
@@ -142,26 +143,26 @@ class ExpressionEmitter(ElementAccess, ABC):
         place, rest, end = self.allocate_slot(TRUTH), self.make_label("more"), self.make_label("both")
         self.store_number(place, first)
         self.branch(first, *((rest, end) if is_and else (end, rest)))
-        self.begin(rest)
+        self.begin_block(rest)
         self.store_number(place, self._emit_boolean(is_and, parts[1:]))
         self.jump(end)
-        self.begin(end)
+        self.begin_block(end)
         return self.load(place, TRUTH)
 
     def _emit_conditional(self, node: ast.expr, test: ast.expr, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
-        """Write `true_expr if test else false_expr`, which evaluates one of both."""
+        """Write `true_expr if test else false_expr`, which evaluates only the expression that is needed."""
         condition = self.emit_condition(test)
         if condition.literal_value is not None:
-            return self.value(true_expr if condition.literal_value else false_expr)
-        if condition.wide:
+            return self.emit_item(true_expr if condition.literal_value else false_expr)
+        if condition.has_several_lanes:
             return self._emit_conditional_lanes(node, condition, true_expr, false_expr)
         yes, no, end = self.make_label("yes"), self.make_label("no"), self.make_label("chosen")
         self.branch(condition, yes, no)
-        self.begin(yes)
-        first = self.value(true_expr)
+        self.begin_block(yes)
+        first = self.emit_item(true_expr)
         after_first = self.current_block
-        self.begin(no)
-        second = self.value(false_expr)
+        self.begin_block(no)
+        second = self.emit_item(false_expr)
         pairs = list(zip(flatten_item(first), flatten_item(second), strict=True))
         kinds = [a.kind if a.kind == b.kind else self._common_kind(a, b) for a, b in pairs]
         lanes = [max(a.lanes, b.lanes) for a, b in pairs]
@@ -171,7 +172,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.current_block = after_first
         self._store_leaves(first, kinds, lanes, slots)
         self.jump(end)
-        self.begin(end)
+        self.begin_block(end)
         loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, slots, lanes, strict=True)])
 
         def load_again(item: KernelItem) -> KernelItem:
@@ -182,13 +183,14 @@ class ExpressionEmitter(ElementAccess, ABC):
         return load_again(first)
 
     def _common_kind(self, a: Number, b: Number) -> str:
+        """Return the kind to which both numbers are converted before one of them is selected."""
         kinds = {a.kind, b.kind}
         if FLOAT in kinds or UNSIGNED in kinds:
             return self.match_kinds(a, b)[0].kind
         return DOUBLE if DOUBLE in kinds else INT
 
     def _store_leaves(self, item: KernelItem, kinds: list[str], lanes: list[int], slots: list[Number]) -> None:
-        """Store the numbers of an item in stack slots, converted to the kinds and lanes of the slots."""
+        """Store each number of an item in its stack slot, converted to the slot's kind and number of lanes."""
         for number, kind, each, place in zip(flatten_item(item), kinds, lanes, slots, strict=True):
             value = self.convert(number, kind)
             self.store_number(place, self.broadcast(value) if each > 1 else value)
@@ -196,11 +198,11 @@ class ExpressionEmitter(ElementAccess, ABC):
     def invert(self, value: Number) -> Number:
         """Return the negation of a condition, or the bitwise complement of a number."""
         ones = Number(value.kind, "true" if value.kind == TRUTH else "-1")
-        return self.op("xor", value.kind, value, self.broadcast(ones) if value.wide else ones)
+        return self.op("xor", value.kind, value, self.broadcast(ones) if value.has_several_lanes else ones)
 
     @contextmanager
     def restrict_lanes(self, condition: Number) -> Iterator[None]:
-        """Within the context, write code that runs only for the lanes for which a condition holds."""
+        """Write the code of the context for those lanes only in which a condition holds."""
         outer_mask = self.mask
         assert outer_mask is not None
         self.mask = self.logical_and(outer_mask, condition)
@@ -219,9 +221,9 @@ class ExpressionEmitter(ElementAccess, ABC):
     def _emit_conditional_lanes(self, node: ast.expr, condition: Number, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
         """Write `true_expr if condition else false_expr` with a condition for each lane, which evaluates both."""
         with self.restrict_lanes(condition):
-            first = self.value(true_expr)
+            first = self.emit_item(true_expr)
         with self.restrict_lanes(self.invert(condition)):
-            second = self.value(false_expr)
+            second = self.emit_item(false_expr)
 
         def select_lanes(a: KernelItem, b: KernelItem) -> KernelItem:
             if isinstance(a, tuple):
@@ -243,7 +245,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         if isinstance(value, Array) and attribute == "shape":
             return value.lengths
         if isinstance(value, Array) and attribute == "size":
-            return self.count(value)
+            return self.count_elements(value)
         if hasattr(value, "_fields"):
             self._fail_no_field(node, type(value), attribute)
         self.fail(node, f"no `{attribute}`")
@@ -267,7 +269,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         if not isinstance(container, Array):
             self.fail(node, "only arrays and tuples have elements")
         if not isinstance(index, ast.Tuple) and len(container.lengths) > 1:
-            return self.row(node, container, self.emit_number(index))
+            return self.get_row(node, container, self.emit_number(index))
         return self.load_element(container, self.compute_offset(node, container, index))
 
     def _constant_index(self, node: ast.AST, number: ast.expr | None) -> int | None:
@@ -287,14 +289,14 @@ class ExpressionEmitter(ElementAccess, ABC):
         if node.keywords:
             self.fail(node, "only records take arguments by name")
         if known is len:
-            value = self.value(arguments[0])
+            value = self.emit_item(arguments[0])
             return value.lengths[0] if isinstance(value, Array) else literal_number(len(value))
         if known is allocate_scratch:
             count, dtype = self.emit_number(arguments[0]), self.resolve_name(node, arguments[1])
             if count.literal_value is None or not isinstance(dtype, ScalarType):
                 self.fail(node, "COUNT of scratch(COUNT, TYPE) must be a literal")
             return Array(dtype, self.allocate(int(count.literal_value), dtype.stored_type), (count,))
-        inputs = [self.value(each) for each in arguments]
+        inputs = [self.emit_item(each) for each in arguments]
         if known in (load_consecutive, prefetch, load3, store3):
             return self._load_elements(node, known, inputs)
         try:
@@ -312,7 +314,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         names = record._fields
         if len(node.args) > len(names):
             self.fail(node, f"`{record.__name__}` has {len(names)} fields, not {len(node.args)}")
-        fields = dict(zip(names, map(self.value, node.args), strict=False))
+        fields = dict(zip(names, map(self.emit_item, node.args), strict=False))
         self._add_keyword_fields(node, record, fields)
         missing = [name for name in names if name not in fields]
         if missing:
@@ -335,7 +337,7 @@ class ExpressionEmitter(ElementAccess, ABC):
                 self._fail_no_field(node, record, name)
             if name in fields:
                 self.fail(node, f"`{name}` is given twice")
-            fields[name] = self.value(each.value)
+            fields[name] = self.emit_item(each.value)
 
     def _fail_no_field(self, node: ast.AST, record: Any, name: str) -> NoReturn:
         self.fail(node, f"`{record.__name__}` has no field `{name}`: its fields are {', '.join(record._fields)}")
@@ -354,14 +356,14 @@ class ExpressionEmitter(ElementAccess, ABC):
             return self.to_kind(item, type_.kind)
         if isinstance(type_, ArrayType) and isinstance(item, Array):
             strided = item.steps is not None
-            if (type_.axes, type_.is_strided) == (len(item.lengths), strided) and type_.of in (item.element_type, Any):
+            if (type_.axes, type_.is_strided) == (len(item.lengths), strided) and type_.element_type in (item.element_type, Any):
                 return item
         elif isinstance(type_, tuple) and type(item) is type(type_) and len(item) == len(type_):
             return rebuild_like(item, (self.fit_to_type(node, name, a, b) for a, b in zip(item, type_, strict=True)))
         self.fail(node, f"`{name}` gets a value of another type")
 
     def _load_elements(self, node: ast.Call, literal_value: Any, inputs: list[KernelItem]) -> KernelItem:
-        """Return several elements of an array, read at once."""
+        """Return consecutive elements of an array as a tuple, for a call of `load_consecutive`."""
         if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
             self.fail(node, "this needs an array and an index")
         array, at, *others = inputs

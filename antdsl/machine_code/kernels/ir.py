@@ -64,9 +64,10 @@ class BasicBlock(NamedTuple):
 class IrFunction:
     """A function of typed instructions.
 
-    - `slots`: its stack slots
+    - `file`: the file of its Python source
+    - `attribute`: its attribute in LLVM's language
     - `result`: its result types, as text
-    - `attribute`: its attribute in LLVM's language"""
+    - `slots`: the instructions that allocate its stack slots"""
 
     name: str
     file: str
@@ -89,8 +90,8 @@ class IrBuilder(ABC, Generic[Value]):
         self.current_block = self.blocks[0]
         self._name_count = 0
 
-    def name(self, stem: str = "v") -> str:
-        """Return a new register name, which starts with `stem`."""
+    def make_name(self, stem: str = "v") -> str:
+        """Return a new register name that starts with `stem`."""
         self._name_count += 1
         return f"%{stem}{self._name_count}"
 
@@ -99,14 +100,15 @@ class IrBuilder(ABC, Generic[Value]):
         """Return a number with this name in the text."""
 
     def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Value:
-        """Add an instruction and return its result. The result has as many lanes as the first operand, or `lanes` if that is not
-        0."""
-        output = self.named_number(kind, self.name(), lanes or operands[0].lanes)
+        """Add an instruction, and return its result. `op`: the operation. `kind`: the kind of the result. `x`: the immediate.
+
+        The result has as many lanes as the first operand, or `lanes` if that is not 0."""
+        output = self.named_number(kind, self.make_name(), lanes or operands[0].lanes)
         self.current_block.body.append(Instruction(op, output, operands, x, self.line))
         return output
 
-    def do(self, op: str, *operands: Number, x: Any = "", node: ast.AST | None = None) -> None:
-        """Add an instruction without a result."""
+    def emit_void(self, op: str, *operands: Number, x: Any = "", node: ast.AST | None = None) -> None:
+        """Add an instruction without a result. `op`: the operation. `x`: the immediate. `node`: the source location."""
         line = getattr(node, "lineno", self.line)
         self.current_block.body.append(Instruction(op, None, operands, x, line))
 
@@ -119,7 +121,7 @@ class IrBuilder(ABC, Generic[Value]):
         return self._add_stack_slot("s", f"[{count} x {stored_type}], align 64")
 
     def _add_stack_slot(self, stem: str, type: str) -> Number:
-        output = Number("ptr", self.name(stem))
+        output = Number("ptr", self.make_name(stem))
         self.slots.append(Instruction("alloca", output, (), type, 0))
         return output
 
@@ -129,23 +131,23 @@ class IrBuilder(ABC, Generic[Value]):
 
     def store_number(self, place: Number, value: Number) -> None:
         """Store a number at an address."""
-        self.do("store", value, place)
+        self.emit_void("store", value, place)
 
     def make_label(self, stem: str) -> str:
-        """Return a new block label, which starts with `stem`."""
+        """Return a new block label that starts with `stem`."""
         self._name_count += 1
         return f"{stem}{self._name_count}"
 
-    def begin(self, label: str) -> None:
-        """Begin a block, to which the next instructions are added."""
+    def begin_block(self, label: str) -> None:
+        """Begin a block with this label. Further instructions are added to it."""
         self.current_block = BasicBlock(label, [])
         self.blocks.append(self.current_block)
 
     def jump(self, label: str) -> None:
-        self.do("jump", x=(label,))
+        self.emit_void("jump", x=(label,))
 
     def branch(self, condition: Number, true_label: str, false_label: str) -> None:
-        self.do("branch", condition, x=(true_label, false_label))
+        self.emit_void("branch", condition, x=(true_label, false_label))
 
     def fail(self, node: ast.AST, reason: str) -> NoReturn:
         """Raise NotInSubset with the location of a node."""
@@ -156,15 +158,15 @@ class IrBuilder(ABC, Generic[Value]):
 def verify_functions(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
     """Verify the types and the order of instructions. Raises InvalidCode.
 
-    Each operand must have a type that fits the operation. Each register is defined once, and before it is read. The only branch
-    of a block is its last instruction. `others`: further functions that `kernel_functions` call."""
+    Each operand must have a type that fits the operation. Each register must be defined once, before it is read. Only the last
+    instruction of a block may be a branch. `others`: further functions that these functions call, by name."""
     known = {**(others or {}), **{each.name: each for each in functions}}
     for each in functions:
         _Verifier(each, known).run()
 
 
 class _Verifier:
-    """Verifies one function. `known`: the functions that it may call, by name."""
+    """A verifier of one function. `known`: the functions that it may call, by name."""
 
     def __init__(self, function: IrFunction, literal_value: Mapping[str, IrFunction]) -> None:
         self.function, self.known = function, literal_value

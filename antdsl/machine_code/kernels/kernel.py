@@ -35,14 +35,14 @@ F = TypeVar("F", bound=PythonFunction)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelPart:
-    """A function that kernels call. `attribute`: `alwaysinline`, or empty if LLVM decides about inlining."""
+    """A Python function that kernels call. `attribute`: `alwaysinline`, or empty if LLVM decides about inlining."""
 
     function: FunctionType
     attribute: str = ""
 
     @lru_cache(maxsize=512)  # noqa: B019 - a part lives as long as its module
     def source(self) -> tuple[str, ast.FunctionDef, dict[str, Any]]:
-        """Return its file, its definition with line numbers of that file, and the names of its module."""
+        """Return the function's file, its definition with line numbers of that file, and the names of its module."""
         code = self.function.__code__
         tree = ast.parse(textwrap.dedent(inspect.getsource(self.function))).body[0]
         assert isinstance(tree, ast.FunctionDef)
@@ -121,8 +121,8 @@ class Kernel:
         return KernelDescription.from_text(code.read_constant_text(_description_name(self.__name__)))
 
     def get_parallel_call(self) -> Callable[..., list[Any]] | None:
-        """Return the function that runs the kernel in parts on a pool of workers, as `kernel_calls.make_parallel_caller`; None if
-        there is none."""
+        """Return the function that runs the kernel in parts on a pool of workers, as made by `kernel_calls.make_parallel_caller`;
+        None if there is none."""
         if self._get_parallel_call is None:
             self.load_function()
         assert self._get_parallel_call is not None
@@ -149,9 +149,8 @@ class Kernel:
         return render_kernels([self], target)
 
     def build_instructions(self) -> tuple[str, KernelItem, list[IrFunction]]:
-        """Return the instructions for the interpreter, without lanes.
-
-        The result has the name of the kernel's function, its result, and all functions, callees first."""
+        """Return the kernel's instructions without SIMD lanes, for the interpreter: the name of its function, its result, and all
+        functions, callees first."""
         unit = KernelUnit(lanes=1)
         words, arrays = count(), count()
         name, result = write_function(unit, self.part, [_read_argument(each, words, [], arrays) for each in self.types()])
@@ -167,19 +166,25 @@ def render_kernels(kernels: Sequence[Kernel], target: llvm_compiler.Target, chec
     functions = render_functions(unit.functions, CheckRenderer() if checked else None, tables)
     return (
         "\n".join(
-            [f"; {llvm_compiler.ALL_PASSES_COMMENT}", module.text(), *functions, *entries, *(tables.text() if tables else [])]
+            [
+                f"; {llvm_compiler.ALL_PASSES_COMMENT}",
+                module.text(),
+                *functions,
+                *entries,
+                *(tables.list_nodes() if tables else []),
+            ]
         )
         + "\n"
     )
 
 
 def _build_entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTables | None) -> tuple[str, str]:
-    """Return the constant that describes a kernel, and the function that reads its arguments from a table and stores its
-    results."""
+    """Return two texts: the constant that describes a kernel, and the function that reads its arguments from a table and stores
+    its results."""
     words, arrays, body = count(RESULT_WORDS), count(), list[str]()
     inputs = [_read_argument(each, words, body, arrays) for each in kernel.types()]
     name, result = write_function(unit, kernel.part, inputs)
-    arguments = ", ".join(each.typed for item in inputs for each in flatten_item(item))
+    arguments = ", ".join(each.typed_name for item in inputs for each in flatten_item(item))
     results = list(flatten_item(result))
     if len(results) > RESULT_WORDS:
         raise TypeError(f"{kernel.__name__} returns more than {RESULT_WORDS} numbers")
@@ -212,7 +217,7 @@ def _description_name(name: str) -> str:
 
 
 def _guard_if_checked(run: Any, code: llvm_compiler.LoadedCode, checked: bool) -> Any:
-    """Return a call that raises KernelFault for failed checks if the build is checked, else the call itself."""
+    """Return `run`; in a checked build, a function that calls it and raises KernelFault for failed checks."""
     return guard_call(run, code) if checked and run is not None else run
 
 
@@ -222,7 +227,10 @@ def kernel(function: PythonFunction) -> Kernel:
 
 
 def _read_argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> KernelItem:
-    """Return the item of an argument. Its numbers are read from the next `words` of the table."""
+    """Return an argument as an item, and append the instructions that read its numbers to `body`.
+
+    `type`: the argument's type. `words`: the numbers of the next words of the table. `numbers`: the numbers of the next
+    arrays."""
 
     def read_number(kind: str) -> Number:
         k = next(words)
@@ -246,4 +254,4 @@ def _read_argument(type: Any, words: Iterator[int], body: list[str], numbers: It
     place = read_number("ptr")
     lengths = tuple(read_number(INT) for _ in range(type.axes))
     steps = tuple(read_number(INT) for _ in range(type.axes)) if type.is_strided else None
-    return Array(type.of, place, lengths, steps, origin)
+    return Array(type.element_type, place, lengths, steps, origin)

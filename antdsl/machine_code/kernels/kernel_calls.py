@@ -70,9 +70,9 @@ def make_parallel_caller(
 ) -> Callable[..., Any] | None:
     """Return a function that runs a kernel in parts on a pool, or None if the kernel cannot be run in parts.
 
-    The last two parameters of the kernel are the begin and the end of its loop. The function takes the kernel's arguments, the
-    number of parts and the address of the pool. It returns a list with the kernel's results for each part. If it cannot read the
-    arguments, it calls `single_call` with all of them, as one part."""
+    The function takes the kernel's arguments without the last two, the begin and the end of its loop. Then follow the begin and
+    the end of the complete loop, the number of parts, and the address of the pool. It returns a list with the kernel's results
+    for each part. If it cannot read the arguments, it calls `single_call` with all of them, as one part."""
     specs = list(_argument_specs(types, description.written_arrays))
     words = RESULT_WORDS + sum(_word_count(each) for each in specs)
     if any(not isinstance(each, ScalarType) or each.kind != INT for each in types[-2:]) or (
@@ -91,7 +91,7 @@ def make_parallel_caller(
 
 
 def _argument_specs(types: Sequence[Any], written_arrays: Sequence[int]) -> Iterator[ArgumentSpec]:
-    """Yield the arguments that a kernel expects and their positions in the table; a tuple comes before its elements."""
+    """Yield the arguments that a kernel expects, with their positions in the table. A tuple comes before its elements."""
     place, arrays = RESULT_WORDS, 0
 
     def each_of(types: Sequence[Any], path: tuple[int, ...]) -> Iterator[ArgumentSpec]:
@@ -99,7 +99,7 @@ def _argument_specs(types: Sequence[Any], written_arrays: Sequence[int]) -> Iter
         for index, type in enumerate(types):
             at = (*path, index)
             if isinstance(type, ArrayType):
-                spec = ArgumentSpec(at, place, 0, type.of.dtype, type.axes, type.is_strided, arrays in written_arrays)
+                spec = ArgumentSpec(at, place, 0, type.element_type.dtype, type.axes, type.is_strided, arrays in written_arrays)
                 arrays += 1
             elif isinstance(type, ScalarType):
                 spec = ArgumentSpec(at, place, _RESULT_KINDS[type.kind])
@@ -157,7 +157,7 @@ def _make_python_caller(
 
 
 def flatten_arguments(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:
-    """Yield the arguments, with tuples replaced by their contents. Raises TypeError or ValueError for a wrong number of
+    """Yield the arguments, and instead of a tuple its elements. Raises TypeError or ValueError for a wrong number of
     arguments."""
     if len(types) != len(arguments):
         raise TypeError(f"{name} takes {len(types)} arguments, not {len(arguments)}")

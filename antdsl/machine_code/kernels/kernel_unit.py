@@ -1,4 +1,4 @@
-"""The state of a kernel while its functions are written; variables and loop labels of one function."""
+"""The state of a text while its functions are written; variables and loop labels of one function."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from antdsl.machine_code.number_kinds import LANE_COUNT
 
 @dataclass(slots=True)
 class StackVariable:
-    """A variable: the kind of its number, and its stack slot."""
+    """A variable on the stack: the kind of its number, the address of its stack slot, and its number of lanes."""
 
     kind: str
     slot_address: Number
     lanes: int = 1
 
     @property
-    def wide(self) -> bool:
+    def has_several_lanes(self) -> bool:
         """Return whether the variable has a number for each lane."""
         return self.lanes > 1
 
 
 @dataclass(slots=True)
 class LoopLabels:
-    """The labels that `continue` (`next_label`) and `break` (`end`) jump to."""
+    """The labels of a loop: `continue` jumps to `next_label`, `break` to `end_label`."""
 
     next_label: str
-    end: str
+    end_label: str
 
 
 @dataclass(slots=True, eq=False)
@@ -37,7 +37,8 @@ class KernelUnit:
     """The functions of a text, while they are written.
 
     - `lanes`: the number of lanes of independent loops, 1 or 8
-    - `specialisations`: the name and result of each function, by key
+    - `functions`: the functions that are complete
+    - `specialisations`: the name and the result of each function, by the Python function and the types of its arguments
     - `written_arrays`: the numbers of the array arguments that some function writes to"""
 
     lanes: int = LANE_COUNT

@@ -36,7 +36,8 @@ class Operation(NamedTuple):
     - `operand_types`: a class of types for each operand; `=` is the type of the first operand, `n` any number, `v` any type
     - `result_type`: the class of types of the result; `2` is the type of the second operand
     - `text`: the text in LLVM's language, with the operands, the result `r` and the immediate `x` as format fields
-    - `meaning`: a function of NumPy scalars; if it is None, the interpreter implements the operation
+    - `meaning`: a function of NumPy scalars that computes the result; if it is None, the interpreter implements the operation
+    - `is_lanewise`: whether each lane of the result depends only on the same lane of the operands
     - `extra_types`: types after those of the operands in the declaration of an LLVM function"""
 
     operand_types: str
@@ -54,7 +55,7 @@ def to_unsigned(a: Any) -> int:
 
 
 def _apply_unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
-    """Return a function of signed integers that calls a function of unsigned ones."""
+    """Return a function of signed integers that reinterprets them as unsigned ones and calls `function`."""
     return lambda a, b: wrap_to_dtype(function(to_unsigned(a), to_unsigned(b)), a.dtype)
 
 
@@ -112,16 +113,18 @@ def _cast_unsigned(a: Any, dtype: Any) -> Any:
 
 
 def _make_binary_operations(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """Return operations of two operands with LLVM's names."""
-    return {name: Operation(operand_types, "=", name + " {0.typed}, {1.name}", meaning) for name, meaning in meanings.items()}
+    """Return operations of two operands by LLVM's names. `meanings`: their functions of NumPy scalars, by the same names."""
+    return {
+        name: Operation(operand_types, "=", name + " {0.typed_name}, {1.name}", meaning) for name, meaning in meanings.items()
+    }
 
 
 def _make_comparisons(
     operand_types: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]
 ) -> dict[str, Operation]:
-    """Return the comparisons. `prefix` starts their names in the table; `word` and `sign` form LLVM's names."""
+    """Return the comparisons by name. `prefix` begins their names in the table; `word` and `sign` form LLVM's names."""
     return {
-        f"{prefix}{name}": Operation(operand_types, "b", f"{word} {sign}{name}" + " {0.typed}, {1.name}", meaning)
+        f"{prefix}{name}": Operation(operand_types, "b", f"{word} {sign}{name}" + " {0.typed_name}, {1.name}", meaning)
         for name, meaning in meanings.items()
     }
 
@@ -129,21 +132,21 @@ def _make_comparisons(
 def _make_casts(operand_types: str, result_type: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the casts. Their meanings are functions of a number and the result type."""
     return {
-        name: Operation(operand_types, result_type, name + " {0.typed} to {r.type}", meaning)
+        name: Operation(operand_types, result_type, name + " {0.typed_name} to {r.type}", meaning)
         for name, meaning in meanings.items()
     }
 
 
 def _make_functions(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the operations that call an LLVM function of the same name."""
-    arguments = ", ".join(f"{{{k}.typed}}" for k in range(len(operand_types)))
-    text = "call {r.type} @llvm.NAME.{0.suffix}(" + arguments + ")"
+    arguments = ", ".join(f"{{{k}.typed_name}}" for k in range(len(operand_types)))
+    text = "call {r.type} @llvm.NAME.{0.intrinsic_suffix}(" + arguments + ")"
     return {name: Operation(operand_types, "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
 
 
 def _make_reductions(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
     """Return the reductions of all lanes to one number. The meanings are functions of two numbers."""
-    text = "call {r.type} @llvm.vector.reduce.NAME.{0.suffix}({0.typed})"
+    text = "call {r.type} @llvm.vector.reduce.NAME.{0.intrinsic_suffix}({0.typed_name})"
     return {
         f"reduce.{name}": Operation(operand_types, operand_types, text.replace("NAME", name), meaning, is_lanewise=False)
         for name, meaning in meanings.items()
@@ -160,7 +163,7 @@ OPERATION_BY_NAME: Final[Mapping[str, Operation]] = {
     **_make_binary_operations("f=", {"fadd": operator.add, "fsub": operator.sub, "fmul": operator.mul, "fdiv": operator.truediv}),
     **_make_binary_operations("f=", {"frem": np.fmod}),
     **_make_functions("f", {"sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "rint": np.rint, "fabs": np.abs}),
-    "fneg": Operation("f", "=", "fneg {0.typed}", operator.neg),
+    "fneg": Operation("f", "=", "fneg {0.typed_name}", operator.neg),
     **_make_binary_operations(
         "i=",
         {
@@ -182,7 +185,11 @@ OPERATION_BY_NAME: Final[Mapping[str, Operation]] = {
     **_make_functions("i", {"ctpop": lambda a: a.dtype.type(to_unsigned(a).bit_count())}),
     **_make_functions("i=", {"smin": min}),
     "cttz": Operation(
-        "i", "=", "call {r.type} @llvm.cttz.{0.suffix}({0.typed}, i1 true)", _count_trailing_zeros, extra_types=", i1"
+        "i",
+        "=",
+        "call {r.type} @llvm.cttz.{0.intrinsic_suffix}({0.typed_name}, i1 true)",
+        _count_trailing_zeros,
+        extra_types=", i1",
     ),
     **_make_binary_operations("i=", {"shl": operator.lshift, "ashr": operator.rshift}),
     **_make_binary_operations("n=", {"and": operator.and_, "or": operator.or_, "xor": operator.xor}),
@@ -191,44 +198,58 @@ OPERATION_BY_NAME: Final[Mapping[str, Operation]] = {
     **_make_comparisons("i=", "s", "icmp", "s", _ORDER_OPERATORS),
     **_make_comparisons("i=", "u", "icmp", "u", {name: _apply_unsigned(function) for name, function in _ORDER_OPERATORS.items()}),
     **_make_comparisons("n=", "", "icmp", "", {"eq": operator.eq, "ne": operator.ne}),
-    "select": Operation("bvv", "2", "select {0.typed}, {1.typed}, {2.typed}", lambda c, a, b: a if c else b),
+    "select": Operation("bvv", "2", "select {0.typed_name}, {1.typed_name}, {2.typed_name}", lambda c, a, b: a if c else b),
     **_make_casts("i", "i", {"sext": _cast_to_dtype}),
     **_make_casts("i", "n", {"trunc": _truncate_bits}),
     **_make_casts("n", "n", {"zext": _cast_unsigned, "uitofp": _cast_unsigned, "bitcast": _reinterpret_bits}),
     **_make_casts("i", "f", {"sitofp": _cast_to_dtype}),
     **_make_casts("f", "f", {"fpext": _cast_to_dtype, "fptrunc": _cast_to_dtype}),
-    "fptosi": Operation("f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _make_saturating_cast(True)),
+    "fptosi": Operation(
+        "f",
+        "i",
+        "call {r.type} @llvm.fptosi.sat.{r.intrinsic_suffix}.{0.intrinsic_suffix}({0.typed_name})",
+        _make_saturating_cast(True),
+    ),
     "fptoui": Operation(
-        "f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _make_saturating_cast(False)
+        "f",
+        "i",
+        "call {r.type} @llvm.fptoui.sat.{r.intrinsic_suffix}.{0.intrinsic_suffix}({0.typed_name})",
+        _make_saturating_cast(False),
     ),
     # Memory. `x`: the type of an element or of a stack slot, or the alignment of a load or store.
     "alloca": Operation("", "p", "alloca {x}", is_lanewise=False),
-    "element": Operation("pi", "p", "getelementptr {x}, {0.typed}, {1.typed}", is_lanewise=False),
-    "load": Operation("p", "v", "load {r.type}, {0.typed}{x}", is_lanewise=False),
-    "store": Operation("vp", "", "store {0.typed}, {1.typed}{x}", is_lanewise=False),
-    "volatile": Operation("vp", "", "store volatile {0.typed}, {1.typed}", is_lanewise=False),
-    "atomic.add": Operation("pi", "2", "atomicrmw add {0.typed}, {1.typed} monotonic", operator.add, is_lanewise=False),
-    "atomic.max": Operation("pi", "2", "atomicrmw max {0.typed}, {1.typed} monotonic", max, is_lanewise=False),
-    "is_null": Operation("p", "b", "icmp eq {0.typed}, null"),
+    "element": Operation("pi", "p", "getelementptr {x}, {0.typed_name}, {1.typed_name}", is_lanewise=False),
+    "load": Operation("p", "v", "load {r.type}, {0.typed_name}{x}", is_lanewise=False),
+    "store": Operation("vp", "", "store {0.typed_name}, {1.typed_name}{x}", is_lanewise=False),
+    "volatile": Operation("vp", "", "store volatile {0.typed_name}, {1.typed_name}", is_lanewise=False),
+    "atomic.add": Operation("pi", "2", "atomicrmw add {0.typed_name}, {1.typed_name} monotonic", operator.add, is_lanewise=False),
+    "atomic.max": Operation("pi", "2", "atomicrmw max {0.typed_name}, {1.typed_name} monotonic", max, is_lanewise=False),
+    "is_null": Operation("p", "b", "icmp eq {0.typed_name}, null"),
     "prefetch": Operation(
-        "p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", is_lanewise=False, extra_types=", i32, i32, i32"
+        "p",
+        "",
+        "call void @llvm.prefetch.p0({0.typed_name}, i32 0, i32 3, i32 1)",
+        is_lanewise=False,
+        extra_types=", i32, i32, i32",
     ),
     # Lanes. `x`: one or several lane numbers.
-    "insertelement": Operation("vv", "=", "insertelement {0.typed}, {1.typed}, i64 {x}", is_lanewise=False),
-    "extractelement": Operation("v", "v", "extractelement {0.typed}, i64 {x}", is_lanewise=False),
-    "shufflevector": Operation("v=", "v", "shufflevector {0.typed}, {1.typed}, {x}", is_lanewise=False),
-    "lanes": Operation("b", "i8", "bitcast {0.typed} to {r.type}", is_lanewise=False),
-    "mask": Operation("i", "b", "bitcast {0.typed} to {r.type}", is_lanewise=False),
+    "insertelement": Operation("vv", "=", "insertelement {0.typed_name}, {1.typed_name}, i64 {x}", is_lanewise=False),
+    "extractelement": Operation("v", "v", "extractelement {0.typed_name}, i64 {x}", is_lanewise=False),
+    "shufflevector": Operation("v=", "v", "shufflevector {0.typed_name}, {1.typed_name}, {x}", is_lanewise=False),
+    "lanes": Operation("b", "i8", "bitcast {0.typed_name} to {r.type}", is_lanewise=False),
+    "mask": Operation("i", "b", "bitcast {0.typed_name} to {r.type}", is_lanewise=False),
     **_make_reductions("i", {"smax": max, "add": operator.add}),
     **_make_reductions("f", {"fmin": np.fmin, "fmax": np.fmax}),
-    "permd": Operation("ii", "=", "call {r.type} @llvm.x86.avx2.permd({0.typed}, {1.typed})", is_lanewise=False),  # of AVX2
+    "permd": Operation(
+        "ii", "=", "call {r.type} @llvm.x86.avx2.permd({0.typed_name}, {1.typed_name})", is_lanewise=False
+    ),  # of AVX2
     # Calls, and structures of several results. `x`: the name of a function, or the index of a result.
     "call": Operation("*", "v", "call {r.type} {x}({all})", is_lanewise=False),
-    "extractvalue": Operation("v", "v", "extractvalue {0.typed}, {x}", is_lanewise=False),
-    "insertvalue": Operation("vv", "=", "insertvalue {0.typed}, {1.typed}, {x}", is_lanewise=False),
+    "extractvalue": Operation("v", "v", "extractvalue {0.typed_name}, {x}", is_lanewise=False),
+    "insertvalue": Operation("vv", "=", "insertvalue {0.typed_name}, {1.typed_name}, {x}", is_lanewise=False),
     # Ends of blocks. `x`: the labels of the next blocks.
     "jump": Operation("", "", "br label %{x[0]}", is_lanewise=False),
-    "branch": Operation("b", "", "br {0.typed}, label %{x[0]}, label %{x[1]}", is_lanewise=False),
+    "branch": Operation("b", "", "br {0.typed_name}, label %{x[0]}, label %{x[1]}", is_lanewise=False),
     "return": Operation("*", "", "ret {all}", is_lanewise=False),
     # Time: the processor's counter, a wait for all earlier instructions, and a barrier against reordering.
     "ticks": Operation("", "i", "call {r.type} @llvm.readcyclecounter()", lambda: np.int64(0), is_lanewise=False),

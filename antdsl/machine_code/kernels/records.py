@@ -16,14 +16,14 @@ def is_record(candidate: Any) -> bool:
 
 
 def rebuild_like(model: Any, parts: Iterable[Any]) -> Any:
-    """Return `parts` as a tuple, or as a record of the class of `model` if that is a record."""
+    """Return `parts` as a tuple; if `model` is a record, as a record of its class."""
     kind = type(model)
     return tuple(parts) if kind is tuple else kind._make(parts)
 
 
 @cache
 def field_types(record: Any) -> Any:
-    """Return the types of a record's fields, as a record of the same class. Raises TypeError for a field without a kernel
+    """Return the types of a record class's fields, as a record of this class. Raises TypeError for a field without a kernel
     type."""
     world = vars(sys.modules[record.__module__])
     return record._make(resolve_annotation(_annotation_text(record.__annotations__[name]), world) for name in record._fields)
@@ -65,7 +65,8 @@ def _resolve_type_node(node: ast.expr | None, module_names: dict[str, Any]) -> A
 
 
 def _expand_records(annotation: Any) -> Any:
-    """Return the type that a name stands for: a record is expanded, also within `tuple[..]`."""
+    """Return the type of an annotation, with each record class replaced by the record of its fields' types, also within
+    `tuple[..]`."""
     if isinstance(annotation, GenericAlias):
         return tuple(_expand_records(each) for each in annotation.__args__)
     return field_types(annotation) if is_record(annotation) else annotation

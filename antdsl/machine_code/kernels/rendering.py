@@ -39,14 +39,14 @@ def render_functions(
     Without `checks`, the checks are left out; without `tables`, the line numbers."""
     declared = {ZEROS_CONSTANT.name: _CONSTANT_TABLES[ZEROS_CONSTANT.name]}
     texts = [render_function(each, declared, checks, tables) for each in functions]
-    return [*declared.values(), *texts, *([] if checks is None else [checks.text()])]
+    return [*declared.values(), *texts, *([] if checks is None else [checks.render_definitions()])]
 
 
 def render_function(
     function: IrFunction, declarations: dict[str, str], checks: CheckRenderer | None = None, tables: LineTables | None = None
 ) -> str:
     """Return the text of a function. Add the LLVM functions that it calls, and the tables that it reads, to `declarations`."""
-    arguments = ", ".join(each.typed for each in function.arguments)
+    arguments = ", ".join(each.typed_name for each in function.arguments)
     metadata = ""
     if tables is not None:
         first = min((each.line for block in function.blocks for each in block.body if each.line), default=1)
@@ -64,7 +64,7 @@ def render_function(
                     else _render_instruction(each, declarations) + tables.format_location(each.line)
                 )
             elif checks is not None:
-                lines += checks.lines(function, each)
+                lines += checks.render_check(function, each)
             if checks is not None and each.op == "call":
                 lines += checks.render_call_check(function)
     return "\n".join([*lines, "}"])
@@ -88,12 +88,12 @@ def _render_instruction(instruction: Instruction, declarations: dict[str, str]) 
 
 @cache
 def _operation_pattern(op: str, types: tuple[str, ...], result_type: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
-    """Return the text of an operation on these types, with `%s` for each operand. Return also the LLVM function that it calls,
-    and its declaration, or None."""
+    """Return the text of an operation on these types, with `%s` for each operand. Return also the name and the declaration of the
+    LLVM function or table that it uses, or None."""
     operation = OPERATION_BY_NAME[op]
     operands = [Number(base, "%s", None, lanes) for lanes, base in map(split_type, types)]
     lanes, base = split_type(result_type)
-    everything = ", ".join(operand.typed for operand in operands) or ("void" if op == "return" else "")
+    everything = ", ".join(operand.typed_name for operand in operands) or ("void" if op == "return" else "")
     text = operation.text.format(*operands, r=Number(base, "", None, lanes), x=extra, all=everything)
     if "@llvm" not in text:
         return text, None

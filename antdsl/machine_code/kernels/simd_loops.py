@@ -50,7 +50,7 @@ class SimdWriter(StatementWriter):
             self._begin_masks()
 
     def _begin_masks(self) -> LoopMasks:
-        """Begin a loop or a function for the active lanes, and return its masks."""
+        """Begin a loop or a function for the active lanes. Return its masks, in which all these lanes are set."""
         assert self.mask is not None
         turns = LoopMasks(self.allocate_slot(TRUTH, LANE_COUNT), self.allocate_slot(TRUTH, LANE_COUNT))
         self.store_number(turns.remaining_mask, self.mask)
@@ -68,7 +68,7 @@ class SimdWriter(StatementWriter):
         return StackVariable(item.kind, place, LANE_COUNT)
 
     def assign(self, node: ast.AST, name: str, item: KernelItem) -> None:
-        is_consecutive = self.mask is not None and isinstance(item, Number) and bool(item.first)
+        is_consecutive = self.mask is not None and isinstance(item, Number) and bool(item.first_lane)
         if (
             is_consecutive
             and self.mask == ALL_LANES
@@ -83,7 +83,7 @@ class SimdWriter(StatementWriter):
         if self.mask is None:
             super().set_variable(node, variable, value)
             return
-        if not variable.wide:
+        if not variable.has_several_lanes:
             self.fail(node, "several iterations of the loop would assign this at once")
         value = self.broadcast(value)
         if self.mask.literal_value is None and variable.slot_address not in self.unwritten_slots:
@@ -94,17 +94,17 @@ class SimdWriter(StatementWriter):
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _write_where(self, mask: Number, write: Callable[[], None]) -> None:
-        """Write code that runs if a mask holds for at least one iteration, with this mask."""
+        """Write code by `write` that runs with `mask` as its mask, if the mask holds for at least one iteration."""
         outer_mask, reached, then, end = self.mask, self.reached_mask, self.make_label("then"), self.make_label("done")
         if mask.literal_value is None:
             self.branch(self.any_lane(mask), then, end)
-            self.begin(then)
+            self.begin_block(then)
         self.mask = self.reached_mask = mask
         write()
         self.mask, self.reached_mask, self.is_reachable = outer_mask, reached, True
         if mask.literal_value is None:
             self.jump(end)
-            self.begin(end)
+            self.begin_block(end)
 
     def write_if(self, test: ast.expr, true_body: list[ast.stmt], false_body: list[ast.stmt]) -> None:
         if self.mask is None:
@@ -126,7 +126,7 @@ class SimdWriter(StatementWriter):
         self._write_remaining([*true_body, *false_body])
 
     def _write_remaining(self, body: list[ast.stmt]) -> None:
-        """Remove from the mask the iterations that `body` has ended by `break`, `continue` or `return`."""
+        """After `body`, remove from the mask the iterations that `body` has ended by `break`, `continue` or `return`."""
         if _has_exits(body):
             assert self.mask is not None
             self.mask = self.logical_and(self.mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))
@@ -138,12 +138,12 @@ class SimdWriter(StatementWriter):
             place, self.op("and", TRUTH, self.load(place, TRUTH, LANE_COUNT), self.invert(self.broadcast(self.mask)))
         )
 
-    def exit_loop(self, loop: bool) -> None:
+    def exit_loop(self, is_break: bool) -> None:
         if self.mask is None:
-            super().exit_loop(loop)
+            super().exit_loop(is_break)
             return
         self._clear_mask(self.loop_masks[-1].active_mask)
-        if loop:
+        if is_break:
             self._clear_mask(self.loop_masks[-1].remaining_mask)
         self.is_reachable = False
 
@@ -154,19 +154,19 @@ class SimdWriter(StatementWriter):
         outer_mask, turns = self.mask, self._begin_masks()
         head, inner, end = self.make_label("while"), self.make_label("body"), self.make_label("end")
         self.jump(head)
-        self.begin(head)
+        self.begin_block(head)
         self.mask = self.load(turns.remaining_mask, TRUTH, LANE_COUNT)
         active_mask = self.logical_and(self.mask, self.broadcast(self.emit_condition(test)))
         self.store_number(turns.remaining_mask, active_mask)
         self.store_number(turns.active_mask, active_mask)
         self.branch(self.any_lane(active_mask), inner, end)
-        self.begin(inner)
+        self.begin_block(inner)
         reached = self.reached_mask
         self.mask = self.reached_mask = active_mask
         self.write_block(body)
         self.reached_mask = reached
         self.jump(head)
-        self.begin(end)
+        self.begin_block(end)
         self._rejoin_after_loop(outer_mask, body)
 
     def _rejoin_after_loop(self, outer_mask: Number, body: list[ast.stmt]) -> None:
@@ -183,7 +183,7 @@ class SimdWriter(StatementWriter):
             super().write_range_loop(name, begin, end, step, body, write)
             return
         write = write or (lambda: self.write_block(body))
-        wide = begin.wide or end.wide
+        wide = begin.has_several_lanes or end.has_several_lanes
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         if not wide and not _has_exits(body):
             self._write_uniform_loop(name, begin, end, step, write)
@@ -195,7 +195,7 @@ class SimdWriter(StatementWriter):
         self.store_number(number, begin)
         head, inner, exit_label = self.make_label("for"), self.make_label("body"), self.make_label("end")
         self.jump(head)
-        self.begin(head)
+        self.begin_block(head)
         at = self.load(number, INT, lanes)
         active_mask = self.logical_and(
             self.load(turns.remaining_mask, TRUTH, LANE_COUNT), self.compare("lt" if step > 0 else "gt", at, end)
@@ -204,20 +204,20 @@ class SimdWriter(StatementWriter):
         self.store_number(turns.remaining_mask, active_mask)
         self.store_number(turns.active_mask, active_mask)
         self.branch(self.any_lane(active_mask), inner, exit_label)
-        self.begin(inner)
+        self.begin_block(inner)
         reached = self.reached_mask
         self.mask, self.reached_mask, self.variables[name] = active_mask, active_mask, at
         write()
         self.reached_mask = reached
         self.store_number(number, self.apply_operator(ast.Pass(), ast.Add(), at, literal_number(step)))
         self.jump(head)
-        self.begin(exit_label)
+        self.begin_block(exit_label)
         self.variables.pop(name, None)
         self._rejoin_after_loop(outer_mask, body)
 
     def _write_uniform_loop(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
-        """Write a loop over the same numbers for all iterations. No iteration leaves the loop early, so the mask does not
-        change."""
+        """Write a loop with the same range for all iterations of the outer loop. No iteration leaves it early, so the mask does
+        not change."""
         with self._write_scalar_loop(begin, end, step) as at:
             self.variables[name] = at
             fresh = set(self.unwritten_slots)
@@ -232,14 +232,14 @@ class SimdWriter(StatementWriter):
         self.store_number(number, begin)
         head, inner, exit_label = self.make_label("for"), self.make_label("body"), self.make_label("end")
         self.jump(head)
-        self.begin(head)
+        self.begin_block(head)
         at = self.load(number, INT)
         self.branch(self.compare("lt" if step > 0 else "gt", at, end), inner, exit_label)
-        self.begin(inner)
+        self.begin_block(inner)
         yield at
         self.store_number(number, self.apply_operator(ast.Pass(), ast.Add(), at, literal_number(step)))
         self.jump(head)
-        self.begin(exit_label)
+        self.begin_block(exit_label)
 
     def write_unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[KernelItem], body: list[ast.stmt]) -> None:
         if self.mask is None:
@@ -277,7 +277,7 @@ class SimdWriter(StatementWriter):
         return rebuild_like(item, map(self._broadcast_item, item)) if isinstance(item, tuple) else self.broadcast(item)
 
     def end(self) -> None:
-        """Return the results of all iterations from a function that runs several iterations."""
+        """End a function that runs several iterations, and return their results."""
         if self.mask is None:
             super().end()
             return
@@ -319,7 +319,7 @@ class SimdWriter(StatementWriter):
         types = part.types()
         for each, item in zip(part.source()[1].args.args, inputs, strict=False):
             self.fit_to_type(node, each.arg, item, types.get(each.arg, Any))
-        wide = self.mask is not None and any(each.wide for item in inputs for each in flatten_item(item))
+        wide = self.mask is not None and any(each.has_several_lanes for item in inputs for each in flatten_item(item))
         name, result = write_function(self.unit, part, inputs, wide)
         operands = [each for item in inputs for each in flatten_item(item)]
         if wide:
@@ -327,7 +327,7 @@ class SimdWriter(StatementWriter):
             operands.append(self.mask)
         numbers = list(flatten_item(result))
         if not numbers:
-            self.do("call", *operands, x=name)
+            self.emit_void("call", *operands, x=name)
             return ()
         if len(numbers) == 1:
             value_names = [self.op("call", numbers[0].kind, *operands, x=name, lanes=numbers[0].lanes).name]
@@ -345,10 +345,10 @@ def _has_exits(body: list[ast.stmt]) -> bool:
 
 
 def write_function(unit: KernelUnit, part: Any, inputs: list[KernelItem], in_lanes: bool = False) -> tuple[str, KernelItem]:
-    """Return the name and the result of the function of a `part` for these types of inputs. The function is written at the first
+    """Return the name and the result of the function that `part` becomes for these types of inputs. It is written at the first
     call.
 
-    With `in_lanes`, it runs several iterations in SIMD lanes, and its last argument is the mask of the active ones."""
+    `in_lanes`: whether it runs several iterations in SIMD lanes. Its last argument is then the mask of the active iterations."""
     key = (part, ",".join(type_key(each) for each in inputs) + ("," if in_lanes else ""))
     if key not in unit.specialisations:
         name = f"@{part.function.__name__}.{len(unit.specialisations)}"

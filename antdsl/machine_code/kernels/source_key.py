@@ -30,8 +30,8 @@ class _UnknownSource(Exception):
 
 
 def source_key(part: Any, types: list[Any]) -> str | None:
-    """Return a key for the text of a kernel with arguments of these types; None if there is none. A key
-    differs from the start of every text."""
+    """Return a key that identifies the text of a kernel with arguments of these types; None if there is none. No text begins like
+    a key."""
     parts: list[str] = [_hash_compiler_sources(), f"checked {CHECKS_ENABLED}", *map(_describe_type, types)]
     known: dict[int, int] = {}
     try:
@@ -61,23 +61,24 @@ def _cached_repr(type: Any) -> str:
 def _hash_compiler_sources() -> str:
     """Return the hashes of all sources of `machine_code`, which read and write the texts of kernels."""
     folder = Path(machine_code.__file__).parent
-    return "".join(_file_digest(str(each)) for each in sorted([*folder.rglob("*.py"), *folder.rglob("*.ll")]))
+    return "".join(_hash_file(str(each)) for each in sorted([*folder.rglob("*.py"), *folder.rglob("*.ll")]))
 
 
-def _file_digest(path: str) -> str:
-    """Return the hash of a file; it is computed again after a change of time or size."""
+def _hash_file(path: str) -> str:
+    """Return the hash of a file. It is computed again if the file's time or size has changed."""
     file_stat = os.stat(path)
-    return _cached_file_digest(path, file_stat.st_mtime_ns, file_stat.st_size)
+    return _cached_file_hash(path, file_stat.st_mtime_ns, file_stat.st_size)
 
 
 @cache
-def _cached_file_digest(path: str, modified_ns: int, size: int) -> str:
+def _cached_file_hash(path: str, modified_ns: int, size: int) -> str:
     return blake2b(read_size_limited(path, _MAX_SOURCE_BYTES), digest_size=16).hexdigest()
 
 
 def _describe_function(part: Any, parts: list[str], literal_value: dict[int, int]) -> None:
-    """Append the description of a function that kernels use, and of the values of its names. A function that is already described
-    is given by its number."""
+    """Append the description of a function that kernels use, and of the values of its names, to `parts`.
+
+    `literal_value`: the number of each function that is already described, by its identity; the number is its description."""
     function: FunctionType = part.function
     if id(function) in literal_value:
         parts.append(f"function {literal_value[id(function)]}")
@@ -85,25 +86,26 @@ def _describe_function(part: Any, parts: list[str], literal_value: dict[int, int
     literal_value[id(function)] = len(literal_value)
     code, world = function.__code__, function.__globals__
     place = f"{function.__module__} {function.__qualname__} {code.co_firstlineno} {part.attribute}"
-    parts.append(f"{place} {_file_digest(code.co_filename)}")
-    names = sorted(set(_code_names(code)))
+    parts.append(f"{place} {_hash_file(code.co_filename)}")
+    names = sorted(set(_list_code_names(code)))
     for name in names:
         if name in world:
             parts.append(name)
             _describe_value(world[name], names, parts, literal_value)
 
 
-def _code_names(code: CodeType) -> Iterator[str]:
+def _list_code_names(code: CodeType) -> Iterator[str]:
     """Yield all names in the code of a function. The translation may look up each of them in the function's module."""
     for names in (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars):
         yield from names
     for each in code.co_consts:
         if isinstance(each, CodeType):
-            yield from _code_names(each)
+            yield from _list_code_names(each)
 
 
 def _describe_value(value: Any, names: list[str], parts: list[str], literal_value: dict[int, int]) -> None:
-    """Append the description of a value that kernels use. Raises _UnknownSource if it has none."""
+    """Append the description of a value that kernels use to `parts`. `names`: the names of its attributes that are used. Raises
+    _UnknownSource if it has no description."""
     part = None if is_record(value) else getattr(value, "part", None)
     if part is not None:
         _describe_function(part, parts, literal_value)

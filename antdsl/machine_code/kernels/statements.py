@@ -33,7 +33,7 @@ class StatementWriter(ExpressionEmitter):
         self.is_reachable = True  # whether the current position can be reached
 
     def run(self, inputs: list[KernelItem]) -> None:
-        """Write the body of the function for these arguments."""
+        """Write the body of the function. `inputs`: its arguments."""
         names = [each.arg for each in self.definition.args.args]
         if len(names) != len(inputs):
             self.fail(self.definition, f"{len(inputs)} arguments for {len(names)}")
@@ -106,7 +106,7 @@ class StatementWriter(ExpressionEmitter):
             self.fail(node, f"`{name}` gets a value of another type")
 
     def set_variable(self, node: ast.AST, variable: StackVariable, value: Number) -> None:
-        """Assign another value to a variable."""
+        """Assign a new value to a variable."""
         self.store_number(variable.slot_address, value)
 
     def _assign_target(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
@@ -122,9 +122,9 @@ class StatementWriter(ExpressionEmitter):
                 for part, each in zip(parts, item, strict=True):
                     self._assign_target(node, part, each)
             case ast.Subscript(value=of, slice=ast.Slice(lower=None, upper=None)):
-                self._fill_array(node, self.value(of), item)
+                self._fill_array(node, self.emit_item(of), item)
             case ast.Subscript(value=of, slice=index):
-                array = self.value(of)
+                array = self.emit_item(of)
                 if not isinstance(array, Array) or not isinstance(item, Number):
                     self.fail(node, "arrays store only numbers")
                 self._store_item(node, array, self.compute_offset(node, array, index), item)
@@ -142,7 +142,7 @@ class StatementWriter(ExpressionEmitter):
             self.fail(node, "`a[:] = number` needs a contiguous array and a number")
         if self.mask is not None:
             self.fail(node, "several iterations of the loop would fill the array at once")
-        count = self.count(array)
+        count = self.count_elements(array)
         flat_array = Array(array.element_type, array.address, (count,), None, array.origin)
         with_number = ast.Name(id="~k")
         self._write_counted_loop(
@@ -165,19 +165,19 @@ class StatementWriter(ExpressionEmitter):
             case ast.Expr(value=ast.Constant()) | ast.Pass():
                 pass
             case ast.Expr(value=call):
-                self.value(call)
+                self.emit_item(call)
             case ast.Assign(targets=[target], value=value):
-                self._assign_target(node, target, self.value(value))
+                self._assign_target(node, target, self.emit_item(value))
             case ast.Assign(targets=targets, value=value):
-                item = self.value(value)
+                item = self.emit_item(value)
                 for target in targets:
                     self._assign_target(node, target, item)
             case ast.AnnAssign(target=target, value=ast.expr() as value):
-                self._assign_target(node, target, self.value(value))
+                self._assign_target(node, target, self.emit_item(value))
             case ast.AugAssign(target=ast.Name(id=name), op=operator, value=value):
                 self._write_augmented(node, ast.Name(id=name), operator, value)
             case ast.AugAssign(target=ast.Subscript(value=of, slice=index), op=operator, value=value):
-                array = self.value(of)
+                array = self.emit_item(of)
                 if not isinstance(array, Array):
                     self.fail(node, "only elements of arrays can be changed")
                 old_value = self._emit_index(augmented_target(node), array, index)
@@ -192,18 +192,19 @@ class StatementWriter(ExpressionEmitter):
             case ast.Break() | ast.Continue():
                 self.exit_loop(isinstance(node, ast.Break))
             case ast.Return(value=value):
-                item = () if value is None else self.value(value)
+                item = () if value is None else self.emit_item(value)
                 self.fit_to_type(node, "return", item, self.gives)
                 self.write_return(node, item)
             case _:
                 self.fail(node, f"`{ast.unparse(node).splitlines()[0]}` is not in the subset")
 
-    def exit_loop(self, loop: bool) -> None:
-        """Leave the innermost loop, or continue with its next iteration."""
-        self.jump(self.loops[-1].end if loop else self.loops[-1].next_label)
+    def exit_loop(self, is_break: bool) -> None:
+        """Leave the innermost loop if `is_break`, else continue with its next iteration."""
+        self.jump(self.loops[-1].end_label if is_break else self.loops[-1].next_label)
         self.is_reachable = False
 
     def _write_augmented(self, node: ast.stmt, name: ast.Name, operator: ast.operator, value: ast.expr) -> None:
+        """Write an augmented assignment to a name, such as `n += 1`."""
         old_value = self.emit_number(name)
         self.assign(node, name.id, self.apply_operator(node, operator, old_value, self.emit_number(value)))
 
@@ -215,30 +216,30 @@ class StatementWriter(ExpressionEmitter):
             return
         yes, no, end = self.make_label("then"), self.make_label("else"), self.make_label("done")
         self.branch(condition, yes, no if false_body else end)
-        self.begin(yes)
+        self.begin_block(yes)
         self.write_block(true_body)
         reached = self.is_reachable
         if self.is_reachable:
             self.jump(end)
         self.is_reachable = True
         if false_body:
-            self.begin(no)
+            self.begin_block(no)
             self.write_block(false_body)
             if self.is_reachable:
                 self.jump(end)
             self.is_reachable = self.is_reachable or reached
         if self.is_reachable:
-            self.begin(end)
+            self.begin_block(end)
 
     def write_while(self, test: ast.expr, body: list[ast.stmt]) -> None:
         """Write a `while` loop."""
         head, inner, end = self.make_label("while"), self.make_label("body"), self.make_label("end")
         self.jump(head)
-        self.begin(head)
+        self.begin_block(head)
         self.branch(self.emit_condition(test), inner, end)
-        self.begin(inner)
+        self.begin_block(inner)
         self._write_iteration(LoopLabels(head, end), lambda: self.write_block(body))
-        self.begin(end)
+        self.begin_block(end)
 
     def _write_iteration(self, loop: LoopLabels, write: Callable[[], None]) -> None:
         """Write an iteration of a loop, and the jump to the next one."""
@@ -269,7 +270,7 @@ class StatementWriter(ExpressionEmitter):
             else:
                 self.write_range_loop(target.id, begin, end, step, body)
             return
-        items = self.value(iterable)
+        items = self.emit_item(iterable)
         if isinstance(items, tuple):
             self.write_unrolled_loop(node, target, list(items), body)
             return
@@ -300,9 +301,9 @@ class StatementWriter(ExpressionEmitter):
             following = self.make_label("next")
             self.bind_target(node, target, item)
             self._write_iteration(LoopLabels(following, end), lambda: self.write_block(body))
-            self.begin(following)
+            self.begin_block(following)
         self.jump(end)
-        self.begin(end)
+        self.begin_block(end)
         self.unbind_target(target)
 
     def bind_target(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
@@ -328,18 +329,18 @@ class StatementWriter(ExpressionEmitter):
         self.store_number(number, begin)
         head, inner, following, exit_label = (self.make_label(stem) for stem in ("for", "body", "next", "end"))
         self.jump(head)
-        self.begin(head)
+        self.begin_block(head)
         at = self.load(number, INT)
         self.branch(self.op("slt" if step > 0 else "sgt", TRUTH, at, end), inner, exit_label)
-        self.begin(inner)
+        self.begin_block(inner)
         if isinstance(self.variables.get(name), Number):  # from an unrolled loop
             del self.variables[name]
         self.assign(self.definition, name, at)
         self._write_iteration(LoopLabels(following, exit_label), write)
-        self.begin(following)
+        self.begin_block(following)
         self.store_number(number, self.op("add", INT, at, literal_number(step)))
         self.jump(head)
-        self.begin(exit_label)
+        self.begin_block(exit_label)
 
     def write_return(self, node: ast.AST, item: KernelItem) -> None:
         """Write `return`. Raises NotInSubset if an earlier result has another type."""
@@ -354,15 +355,16 @@ class StatementWriter(ExpressionEmitter):
         """Write the return of an item from the function."""
         numbers = list(flatten_item(item))
         if len(numbers) < 2:
-            self.do("return", *numbers)
+            self.emit_void("return", *numbers)
             return
         aggregate = Number(result_type(item), "poison")
         for k, each in enumerate(numbers):
             aggregate = self.op("insertvalue", aggregate.kind, aggregate, each, x=k)
-        self.do("return", aggregate)
+        self.emit_void("return", aggregate)
 
     def match_item(self, node: ast.AST, item: KernelItem, other: KernelItem) -> KernelItem:
-        """Convert an item to the type of another result of the function."""
+        """Return `item` converted to the type of `other`, an earlier result of the function. Raises NotInSubset if that is not
+        possible."""
         if isinstance(item, tuple) and type(item) is type(other) and len(item) == len(other):
             return rebuild_like(item, (self.match_item(node, a, b) for a, b in zip(item, other, strict=True)))
         if isinstance(item, Number) and isinstance(other, Number) and (item.literal_value is not None or item.kind == other.kind):

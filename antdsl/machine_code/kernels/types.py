@@ -31,10 +31,11 @@ class ScalarType:
 
 @dataclass(frozen=True, slots=True)
 class ArrayType:
-    """An array type with a number of axes. If `is_strided`, each axis has its own step; otherwise the array is contiguous."""
+    """The type of an array: its number of axes and the type of its elements. If `is_strided`, each axis has its own step;
+    otherwise the array is contiguous."""
 
     axes: int
-    of: ScalarType
+    element_type: ScalarType
     is_strided: bool = False
 
 

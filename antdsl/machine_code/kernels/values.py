@@ -22,7 +22,7 @@ class Number:
     - `kind`, `name`: its kind, and its name in the text
     - `literal_value`: its value if it is a literal, else None
     - `lanes`: its number of lanes
-    - `first`: the number in the first lane, if each lane has one more than the lane before; else None
+    - `first_lane`: the number in the first lane, if each lane has one more than the lane before; else None
     - `type`: its type in LLVM's language
 
     Numbers never change. The class is not `frozen`, because that would make numbers slow to create."""
@@ -31,31 +31,31 @@ class Number:
     name: str
     literal_value: int | float | bool | None = None
     lanes: int = 1
-    first: Number | None = None
+    first_lane: Number | None = None
     type: str = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         self.type = llvm_type(self.kind, self.lanes)
 
     @property
-    def wide(self) -> bool:
+    def has_several_lanes(self) -> bool:
         """Return whether the number has several lanes."""
         return self.lanes > 1
 
     @property
-    def base(self) -> str:
+    def lane_type(self) -> str:
         """Return the type of one lane in LLVM's language."""
         return LLVM_TYPE_BY_KIND.get(self.kind, self.kind)
 
     @property
-    def typed(self) -> str:
+    def typed_name(self) -> str:
         """Return type and name, as an operand in LLVM's language."""
         return f"{self.type} {self.name}"
 
     @property
-    def suffix(self) -> str:
+    def intrinsic_suffix(self) -> str:
         """Return the suffix in the name of an intrinsic function for numbers of this type."""
-        one = _INTRINSIC_SUFFIXES.get(self.base, self.base)
+        one = _INTRINSIC_SUFFIXES.get(self.lane_type, self.lane_type)
         return f"v{self.lanes}{one}" if self.lanes > 1 else one
 
 
@@ -68,7 +68,10 @@ def llvm_type(kind: str, lanes: int = 1) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Array:
-    """An array: its address, the lengths of its axes, and the step along each axis in elements (None if contiguous)."""
+    """An array in a function's text.
+
+    `lengths`: the lengths of its axes. `steps`: the step along each axis in elements; None if it is contiguous. `origin`: the
+    number of the kernel's argument; -1 for scratch."""
 
     element_type: ScalarType
     address: Number
@@ -115,13 +118,13 @@ def has_arrays(item: KernelItem) -> bool:
 
 
 def type_key(item: KernelItem) -> str:
-    """Return the types of an item as text. A function is written once for each such text of its arguments."""
+    """Return a text for the types of an item. A function is written once for all arguments with equal texts."""
     if isinstance(item, tuple):
         record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
         return f"{record}({','.join(type_key(each) for each in item)})"
     if isinstance(item, Array):
         return f"[{item.element_type.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
-    return f"{item.kind}{item.lanes}" if item.wide else str(item.kind)
+    return f"{item.kind}{item.lanes}" if item.has_several_lanes else str(item.kind)
 
 
 def rename_item(item: KernelItem, names: Iterator[str]) -> KernelItem:

@@ -14,10 +14,10 @@ class Vectors(IrBuilder[Value]):
 
     def broadcast(self, value: Value) -> Value:
         """Return the value broadcast to all lanes."""
-        if value.wide:
+        if value.has_several_lanes:
             return value
         if value.name[0] not in "%@":
-            return self.named_number(value.kind, f"splat ({value.typed})", LANE_COUNT, value.literal_value)
+            return self.named_number(value.kind, f"splat ({value.typed_name})", LANE_COUNT, value.literal_value)
         none = Number(value.kind, "poison", lanes=LANE_COUNT)
         first = self.op("insertelement", value.kind, none, value, x=0)
         return self.op("shufflevector", value.kind, first, none, x=f"<{LANE_COUNT} x i32> zeroinitializer")
@@ -36,18 +36,19 @@ class Vectors(IrBuilder[Value]):
         return base_vector
 
     def shuffle(self, a: Number, b: Number, order: Sequence[int]) -> Value:
-        """Return a vector of the lanes of `a`, then `b`, at the indices `order`."""
+        """Return a vector with the lanes at the indices `order` of a list: the lanes of `a`, then those of `b`."""
         text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
         return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
 
     def rotate_lanes(self, value: Number, lane_offset: int) -> Value:
-        """Return the value rotated by `lane_offset` lanes: each lane gets the number of the lane `lane_offset` further on."""
+        """Return a value in which each lane has the number of the lane `lane_offset` further on; after the last lane follows the
+        first."""
         return self.shuffle(
             value, Number(value.kind, "poison", lanes=LANE_COUNT), [(k + lane_offset) % LANE_COUNT for k in range(LANE_COUNT)]
         )
 
     def transpose_rows(self, rows: Sequence[Number]) -> list[Value]:
-        """Return the four columns of eight rows of four numbers, in as few instructions as the lane size allows."""
+        """Return the four columns of eight rows with four numbers each, in as few instructions as possible."""
         eight = range(LANE_COUNT)
         if rows[0].kind == F32:
             a, b, c, d = (self.shuffle(rows[k], rows[k + 4], eight) for k in range(4))

@@ -52,39 +52,42 @@ class KernelFault(RuntimeError):
     """Error for a kernel that indexes outside an array or divides by 0. The message has the file and the line."""
 
 
-def check_message(file: str, line: int, op: str) -> str:
-    """Return the message of a failed check."""
+def format_check_message(file: str, line: int, op: str) -> str:
+    """Return the message of a failed check. `op`: the operation that is checked."""
     return f"{file}, line {line}: {CHECK_MESSAGES[op]}"
 
 
 class CheckRenderer:
-    """Writer of the checks in the functions of one text."""
+    """Writer of the checks in the functions of one text, with their messages."""
 
     def __init__(self) -> None:
         self._messages: list[str] = []
         self._numbers = 0
 
-    def lines(self, function: IrFunction, instruction: Instruction) -> list[str]:
-        """Return the lines of a check, and of the return from the function if the check fails."""
-        self._messages.append(check_message(function.file, instruction.line, instruction.op))
+    def render_check(self, function: IrFunction, instruction: Instruction) -> list[str]:
+        """Return the lines of code for the check `instruction`, which return from the function if the check fails."""
+        self._messages.append(format_check_message(function.file, instruction.line, instruction.op))
         self._numbers += 1
         lines, fine = [], f"%c{self._numbers}"
         first, *others = instruction.operands
-        if instruction.op == "divisor" and not first.wide:
-            lines.append(f"  {fine} = icmp ne {first.typed}, 0")
+        if instruction.op == "divisor" and not first.has_several_lanes:
+            lines.append(f"  {fine} = icmp ne {first.typed_name}, 0")
         elif instruction.op == "divisor":
-            lines.append(f"  {fine}.each = icmp ne {first.typed}, zeroinitializer")
+            lines.append(f"  {fine}.each = icmp ne {first.typed_name}, zeroinitializer")
             lines.append(f"  {fine} = call i1 @check.all({_MASK_TYPE} {fine}.each, {_render_mask(others)})")
-        elif first.wide:
-            passed = f"{first.typed}, {others[0].typed}, i64 {instruction.immediate}, {_render_mask(others[1:])}"
+        elif first.has_several_lanes:
+            passed = f"{first.typed_name}, {others[0].typed_name}, i64 {instruction.immediate}, {_render_mask(others[1:])}"
             lines.append(f"  {fine} = call i1 @check.indices({passed})")
         else:
             length = others[0].name
             for k, other in enumerate(others[1:] if instruction.op == "span" else ()):
                 lines.append(f"  {fine}.of{k} = mul i64 {length}, {other.name}")
                 length = f"{fine}.of{k}"
-            lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {instruction.immediate})")
-        return [*lines, *self._return_lines(function, fine, f"  store i64 {len(self._messages)}, ptr @{_FAULT_VARIABLE}")]
+            lines.append(f"  {fine} = call i1 @check.index({first.typed_name}, i64 {length}, i64 {instruction.immediate})")
+        return [
+            *lines,
+            *self._render_failure_return(function, fine, f"  store i64 {len(self._messages)}, ptr @{_FAULT_VARIABLE}"),
+        ]
 
     def render_call_check(self, function: IrFunction) -> list[str]:
         """Return the lines that return from a function if the function it called has failed."""
@@ -92,25 +95,26 @@ class CheckRenderer:
         fine = f"%c{self._numbers}"
         return [
             f"  {fine}.word = load i64, ptr @{_FAULT_VARIABLE}", f"  {fine} = icmp eq i64 {fine}.word, 0",
-            *self._return_lines(function, fine),
+            *self._render_failure_return(function, fine),
         ]  # fmt: skip
 
-    def _return_lines(self, function: IrFunction, passed_label: str, *lines: str) -> list[str]:
-        """Return a branch: unless the condition `passed_label` holds, `lines` run and the function returns zeros."""
+    def _render_failure_return(self, function: IrFunction, passed_label: str, *lines: str) -> list[str]:
+        """Return the lines of code that run `lines` and return zeros from the function unless the condition `passed_label`
+        holds."""
         label = passed_label[1:]
         passed = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
         branch = f"  br i1 {passed_label}, label %{label}.fine, label %{label}.fault"
         return [branch, f"{label}.fault:", *lines, f"  {passed}", f"{label}.fine:"]
 
-    def text(self) -> str:
-        """Return the definitions that all checks of a module share."""
+    def render_definitions(self) -> str:
+        """Return the definitions, as text, that all checks of a module share."""
         data = "\n".join(self._messages).encode("utf-8", "surrogateescape") + b"\0"
         escaped = "".join(chr(each) if 32 <= each < 127 and each not in b'"\\' else f"\\{each:02X}" for each in data)
         return f'{_HELPER_FUNCTIONS_TEXT}\n@{_FAULT_MESSAGES_VARIABLE} = constant [{len(data)} x i8] c"{escaped}"'
 
 
 def _render_mask(operands: list[Any]) -> str:
-    return operands[0].typed if operands else f"{_MASK_TYPE} splat (i1 true)"
+    return operands[0].typed_name if operands else f"{_MASK_TYPE} splat (i1 true)"
 
 
 def guard_call(run: Callable[..., Any], code: LoadedCode) -> Callable[..., Any]:

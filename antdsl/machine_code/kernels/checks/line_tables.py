@@ -22,8 +22,8 @@ _HEADER_LINES: Final = (
 
 
 class LineTables:
-    """The files, functions and lines of one module. File names are relative to the package, so that objects do not depend on its
-    folder."""
+    """The files, functions and lines of one module, as debug metadata. File names are relative to the package, so that objects do
+    not depend on its folder."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, int] = {}
@@ -35,7 +35,7 @@ class LineTables:
         return self._nodes.setdefault(text, len(_HEADER_LINES) - 2 + len(self._nodes))
 
     def begin_function(self, name: str, file_name: str, line: int) -> str:
-        """Return the text that follows the head of a function."""
+        """Add a function. Return the suffix of its head, which refers to its metadata."""
         file = self._add_node(f'!DIFile(filename: "{_escape_name(_relative_path(file_name))}", directory: "")')
         self._first_line = line
         fields = f'name: "{name}", scope: !{file}, file: !{file}, line: {line}, type: !3, unit: !0'
@@ -43,11 +43,11 @@ class LineTables:
         return f" !dbg {self._function}"
 
     def format_location(self, line: int) -> str:
-        """Return the suffix that an instruction of this line needs; line 0 means the first line of the function."""
+        """Return the suffix of an instruction in the given line of the current function; line 0 is the function's first line."""
         return f", !dbg !{self._add_node(f'!DILocation(line: {line or self._first_line}, scope: {self._function})')}"
 
-    def text(self) -> list[str]:
-        """Return all metadata nodes."""
+    def list_nodes(self) -> list[str]:
+        """Return all metadata nodes as lines of text."""
         return [*_HEADER_LINES, *(f"!{number} = {text}" for text, number in self._nodes.items())]
 
 

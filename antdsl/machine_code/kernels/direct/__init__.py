@@ -33,7 +33,7 @@ class _MethodDefinition(ctypes.Structure):
 
 
 class _ProbeRecord(NamedTuple):
-    """A record that `is_supported` inspects."""
+    """A record of a kernel with arbitrary fields; `is_supported` inspects its memory layout."""
 
     first: Any
     second: Any
@@ -41,11 +41,13 @@ class _ProbeRecord(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ArgumentSpec:
-    """An argument, or an element of a tuple argument, and its words in the table.
+    """An argument of a kernel, or an element of a tuple argument, and its words in the table.
 
     - `path`: the index of the argument, then the indices within nested tuples
     - `word_index`: the first word in the table; a number takes one word
+    - `kind`: the kind of a number, such as `INTEGER_KIND`; `dtype`: the type of an array
     - `axes`, `is_strided`: an array takes words for its address, its lengths and, if `is_strided`, its steps
+    - `is_written`: whether the kernel writes to the array
     - `count`: the number of elements of a tuple or record, which takes no word; None for numbers and arrays"""
 
     path: tuple[int, ...]
@@ -69,13 +71,13 @@ def make_builtin(
 ) -> Any:
     """Return a built-in Python function that calls kernel code; None if no such function can be made.
 
+    - `specs`: the arguments; a tuple comes before its contents
     - `table_words`: the length of the table that the code reads; the code stores its results in the first words
     - `result_kinds`: the kinds of these results
-    - `specs`: the arguments; a tuple comes before its contents
-    - `fallback`: the function that is called with arguments of other types
+    - `fallback`: the function that is called instead if an argument has another type
     - `parallel_run`: the address of a function that runs the code in parts, or 0
 
-    With `parallel_run`, `specs` has two more numbers, in the words behind the table, and the built-in function returns a list."""
+    With `parallel_run`, `specs` has two more numbers, in the words after the table, and the built-in function returns a list."""
     if (
         table_words + 2 > reading.MAX_TABLE_WORDS
         or len(result_kinds) > reading.RESULT_WORDS
@@ -140,7 +142,7 @@ def is_supported() -> bool:
     """Return whether objects have the memory layout that `text` reads: 64-bit CPython with a global lock."""
     if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or hasattr(sys, "getobjects"):
         return False
-    if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.bytes_data_offset() + 1:
+    if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.measure_bytes_data_offset() + 1:
         return False
     if not all(hasattr(ctypes.pythonapi, name) for name in (*reading.PYTHON_API_CALLS, "PyCFunction_NewEx")):
         return False

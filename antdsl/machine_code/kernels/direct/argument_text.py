@@ -33,19 +33,20 @@ PYTHON_API_CALLS = (
 )  # fmt: skip
 
 
-def bytes_data_offset() -> int:
-    """Return the offset of the data in a bytes object."""
+def measure_bytes_data_offset() -> int:
+    """Return the offset of the data in a bytes object, in bytes."""
     return object.__basicsize__ + 16  # after the length and a hash
 
 
 @library_text
 def text(_: llvm_compiler.Target) -> str:
-    """Return `PyObject *direct(PyObject *description, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
+    """Return the text, in LLVM's language, of the function `PyObject *direct(PyObject *description, PyObject *const *given,
+    Py_ssize_t count)`."""
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in PYTHON_API_CALLS), *PYTHON_OBJECTS)
     readers = (_render_reader(name, number) for number, name in enumerate(names))
     code_text = read_llvm_file("direct.ll") + "\n".join([*readers, ""])
-    values = {"HEAD": head, "TYPE": head - 8, "DESCRIPTION": bytes_data_offset(), "INSIDE": tuple.__basicsize__}
+    values = {"HEAD": head, "TYPE": head - 8, "DESCRIPTION": measure_bytes_data_offset(), "INSIDE": tuple.__basicsize__}
     values |= {"WORDS": MAX_TABLE_WORDS, "DEPTH": MAX_TUPLE_DEPTH}
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
     values |= {"STEP": 8 * WORDS_PER_ARGUMENT, "FIRST": 8 * HEADER_WORDS, "ARRAY": ARRAY_ARGUMENT, "TUPLE": TUPLE_ARGUMENT}
@@ -58,7 +59,7 @@ def text(_: llvm_compiler.Target) -> str:
 
 
 def _render_reader(name: str, number: int) -> str:
-    """Return the function that reads an argument of one kind."""
+    """Return the text of a function `name` that returns entry `number` of the table of Python addresses."""
     return (
         f"define internal ptr @{name}(ptr %here) alwaysinline {{\n  %at = getelementptr ptr, ptr %here, i64 {number}\n"
         "  %found = load ptr, ptr %at\n  ret ptr %found\n}"

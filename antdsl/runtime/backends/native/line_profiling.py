@@ -50,7 +50,7 @@ class _MarkWriter:
 
     def __init__(self, w: FunctionWriter) -> None:
         self.builder, self._ticks, self._last_time_slot = w.builder, w.array_address("ticks"), w.builder.allocate_slot(I64)
-        self._needs_fence = w.module.target.x86
+        self._needs_fence = w.module.target.is_x86
         self._pending_slots: dict[str, Number] = {}  # stack slots that hold values, by type
         self._mark_end = 0  # index in the block after the last mark
 
@@ -63,7 +63,7 @@ class _MarkWriter:
         current = 0
         for k, block in enumerate(blocks):
             if k:
-                e.begin(block.label)
+                e.begin_block(block.label)
             self._mark_end = len(e.current_block.body)
             for each in block.body:
                 if each.line != current:
@@ -87,7 +87,7 @@ class _MarkWriter:
 
         The code first waits for earlier instructions. Otherwise divisions and roots of a line would count for a later one."""
         if self._needs_fence:
-            self.builder.do("wait")
+            self.builder.emit_void("wait")
         return self.builder.op("ticks", I64, lanes=1)
 
     def _store_pending(self) -> None:
@@ -100,7 +100,7 @@ class _MarkWriter:
         for value in [each.result for each in written if each.result is not None and each.result.name not in read]:
             if value.type not in self._pending_slots:
                 self._pending_slots[value.type] = self.builder.allocate_slot(value.kind, value.lanes)
-            self.builder.do("volatile", value, self._pending_slots[value.type])
+            self.builder.emit_void("volatile", value, self._pending_slots[value.type])
 
     def _add_barrier(self, count: Lanes) -> None:
         """Prevent LLVM from moving later operations before this point.
@@ -109,10 +109,10 @@ class _MarkWriter:
         `count` is never 0, which LLVM does not know."""
         e, never, following = self.builder, self.builder.make_label("never"), self.builder.make_label("marked")
         e.branch(count != 0, following, never)
-        e.begin(never)
-        e.do("border")
+        e.begin_block(never)
+        e.emit_void("border")
         e.jump(following)
-        e.begin(following)
+        e.begin_block(following)
         self._mark_end = 0
 
 

@@ -115,7 +115,7 @@ class NativeBackend(NumpyBackend):
         the user sees its result soon. With `must_wait`, return when the code is ready."""
         if self.ready_code is not None or self._unavailable_reason is not None:
             return
-        if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.host_target().x86:
+        if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.host_target().is_x86:
             return  # other processors may forbid reading the counter
         facts = WorldFacts.from_setting(world.setting, is_timed=self._is_timed)
         ready = find_ready_code(world.plan, facts)

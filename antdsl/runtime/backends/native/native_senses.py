@@ -62,7 +62,7 @@ def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
             for word in ("first", "low", "last", "k0", "k1")
         ]
         ids = _emit_id(w, None, ())  # type: ignore[arg-type]
-        e.do("call", ids, *shared, out, x=f"@{_get_philox_function(w)}")
+        e.emit_void("call", ids, *shared, out, x=f"@{_get_philox_function(w)}")
         return [e.load(e.address(out, k, wide), I64, LANE_COUNT) for k in range(4)]
 
     words: list[Lanes] = w.builder.get_or_make(("words", site, block), emit_words)

@@ -59,7 +59,7 @@ def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target
     except (_UnsupportedValue, OSError):
         return None
     text = "program " + blake2b("\n".join(written.parts).encode("utf-8", "surrogatepass"), digest_size=32).hexdigest()
-    key = object_cache.object_key(text, target, versions=object_cache.environment_versions())
+    key = object_cache.compute_object_key(text, target, versions=object_cache.environment_versions())
     return NumberedPlan(plan, blocks, facts, key, written.numbers, instructions)
 
 

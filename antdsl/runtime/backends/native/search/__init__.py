@@ -155,7 +155,7 @@ def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> No
         e.store_number(e.offset_address(group.operand_area, OPERAND_STRIDE_BYTES * k), e.broadcast(e.to_stored_form(value)))
     if fresh:
         _write_functions(b, near)
-    e.do("call", b.table, b.row, requesting, group.operand_area, group.result_area, x=f"@{near.name}")
+    e.emit_void("call", b.table, b.row, requesting, group.operand_area, group.result_area, x=f"@{near.name}")
 
 
 # --- eight agents in SIMD lanes --------------------------------------------------------------------------------------
@@ -220,7 +220,7 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
         start = e.offset_address(out, OPERAND_STRIDE_BYTES * stop)
         e.store_number(start, e.select_lanes(fits, e.make_constant(0, I8), e.load(start, I8, LANE_COUNT)))
     with e.write_if(e.any_lane(over)):
-        e.do("call", w.table, row, e.mask_to_i64(over), own, out, x=f"@{search_code.name}.many")
+        e.emit_void("call", w.table, row, e.mask_to_i64(over), own, out, x=f"@{search_code.name}.many")
     write_dense_search(b, search_code)
     e.end(search_code.name, (w.table, row, bits, own, out))
 

@@ -160,11 +160,11 @@ def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes,
     All eight are written, and the unneeded ones are overwritten later. This avoids a branch that is hard to predict."""
     bits = e.mask_to_i64(is_inside)
     count = e.load(total, I64)
-    if e.module.target.avx2:
+    if e.module.target.has_avx2:
         place = e.address(buffer, count, I32)
         order = e.load_lanes(e.named_number(PTR, LANE_ORDERS_CONSTANT.name), bits << 3, I8)
         packed = e.op("permd", I32, numbers, e.op("zext", I32, order))
-        e.do("store", packed, place, x=", align 4")
+        e.emit_void("store", packed, place, x=", align 4")
         e.store_number(total, count + e.op("ctpop", I64, bits))
         return
     for k in range(LANE_COUNT):
