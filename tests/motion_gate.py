@@ -118,10 +118,10 @@ def open_row(row: Bound, folder: Path) -> Shot:
     """Return the shot of a row with a checkpoint at every frame. Files of a torture shape are written into the folder."""
     if row.name.startswith(TORTURE) and (shape := row.name.removeprefix(TORTURE)) in SHAPES:
         vertices, faces = SHAPES[shape]()
-        mesh = trimesh.Trimesh(vertices, faces, process=False).export(file_type="ply", vertex_normal=False)
+        trimesh.Trimesh(vertices, faces, process=False).export(folder / "shape.ply", vertex_normal=False)
         scene = folder / "scene.yaml"
-        for name, data in (("shape.ply", mesh), ("crawler.ant", CRAWLER.encode()), (scene.name, SHAPE_SCENE.encode())):
-            (folder / name).write_bytes(data)
+        for name, text in (("crawler.ant", CRAWLER), (scene.name, SHAPE_SCENE)):
+            (folder / name).write_text(text, encoding="utf-8")
     else:
         scene = Path(row.name) if row.name.endswith(".yaml") else ROOT / "examples" / f"{row.name}.yaml"
     shot, report = open_scene(scene)
@@ -177,10 +177,10 @@ def main() -> int:
     chosen = [row for row in rows if not options.names or row.name.startswith(tuple(options.names))] + scenes
     if options.cache is not None and len(chosen) != 1:
         parser.error("--cache needs one row")
-    messages = []
+    messages: list[str] = []
     print(f"{'row':26}", *(name.rjust(6) for name in MEASURES))
     for row in chosen:
-        saved = options.save / row.name if options.save is not None else None
+        saved = options.save / row.name.lstrip("/") if options.save is not None else None
         measured = measure_row(row, options.cache, saved)
         print_row(row.name, dict(zip(MEASURES, astuple(measured), strict=True)))
         messages += broken_bounds(row, measured)

@@ -137,7 +137,7 @@ class Surroundings:
                 faces.append(np.asarray(self._static[f"mesh.{mesh.name}.faces"], np.int64) + first)
                 first += len(own)
             points = np.concatenate(vertices)
-            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+            scene: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
             scene.add_triangles(points.astype(np.float32), np.concatenate(faces).astype(np.uint32))
             self._scene = scene, points
         return self._scene
@@ -316,7 +316,8 @@ class MotionTrack:
     def _measure_checkpoints(self) -> tuple[float, float]:
         """Return the share of bodies off their ground, and the longest step, of frames with a checkpoint."""
         count, total, step = 0, 0, 0.0
-        numbers, previous = set(self.cache.checkpoints()), {}
+        numbers = set(self.cache.checkpoints())
+        previous: dict[str, Floats] = {}
         for frame in (k for k, number in enumerate(self.numbers) if number in numbers):
             arrays = self.cache.read_checkpoint(self.numbers[frame])
             for species, name in enumerate(self.names):
