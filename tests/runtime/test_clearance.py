@@ -143,7 +143,7 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
     heading /= np.linalg.norm(heading, axis=1)[:, None]
     columns = [tuple(np.ascontiguousarray(v, np.float32) for v in vectors.T) for vectors in (up, heading, np.zeros((n, 3)))]
     zero, rows = np.zeros(n, np.float32), np.arange(n)
-    limits = BodyLimits(zero, zero, np.float32(1), now["size"], shapes, body, np.inf, np.inf)
+    limits = BodyLimits(zero, zero, np.float32(1), now["size"], zero, shapes, body, np.inf, np.inf)
     old, depths, outs = tuple(v.copy() for v in columns[2]), zero.copy(), np.zeros((3, n), np.float32)
     inputs = (
         rows,
@@ -280,6 +280,18 @@ def test_bodies_stay_outside_obstacles_and_as_fast() -> None:
         assert abs(world.motion.summary()["body_inside"] - inside[-1]) < 0.05
     assert inside[0] > 0.01 and inside[1] < 0.001, inside
     assert speeds[1] > 0.88 * speeds[0], "bodies turn and walk round posts that feet could pass closely"
+
+
+def test_step_and_shift_together_move_bodies_little_farther_than_a_step() -> None:
+    flat = extruded([(-40.0, 0.0), (-20.0, 0.0), (0.0, 0.0), (20.0, 0.0), (40.0, 0.0)])
+    world, farthest = walking(flat, 80, obstacles={"post": pillars()}), 0.0
+    population = world.populations["a"]
+    longest = float((population.now["max_speed"] * np.float32(world.dt)).max())
+    for _ in range(36):
+        previous = compute_body_positions(population).copy()
+        step(world)
+        farthest = max(farthest, float(np.linalg.norm(compute_body_positions(population) - previous, axis=1).max()))
+    assert longest < farthest < 1.21 * longest
 
 
 def test_results_do_not_depend_on_threads_rows_or_backends() -> None:

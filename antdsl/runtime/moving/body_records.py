@@ -26,7 +26,7 @@ class BodyLimits(NamedTuple):
     """Limits of bodies in a step.
 
     `max_tilts`: the largest tilt of each agent in this step (radians). `max_turn`: its largest turn (rad/s).
-    `size`: its size (mm). `body`: the number of its body. `dt`: the duration of the step (s).
+    `size`: its size (mm). `max_speed` (mm/s). `body`: the number of its body. `dt`: the duration of the step (s).
     `shapes`: the numbers of a `BodyShape` of 1 mm, for each body of the species.
     `ease`: how far a body may shift even if it need not (body lengths). `max_shift`: the largest shift (body lengths)."""
 
@@ -34,6 +34,7 @@ class BodyLimits(NamedTuple):
     max_turn: Array1[F32]
     dt: F32
     size: Array1[F32]
+    max_speed: Array1[F32]
     shapes: Array2[F64]
     body: Array1[U8]
     ease: F64
@@ -43,13 +44,15 @@ class BodyLimits(NamedTuple):
 class BodyRegisters(NamedTuple):
     """Values that a body retains from step to step.
 
-    `lift`: its shift from the feet (mm). `wait_share`: how strongly its feet wait for it, from 0 to 1.
-    `depth`: its depth inside a surface (body lengths). `outward_direction`: the direction out of the surface that it touched."""
+    `lift`: its shift from the feet (mm). `wait_share`: how strongly its feet wait for it, from 0 to 1; -1 while it retreats.
+    `depth`: its depth inside a surface (body lengths). `outward_direction`: the direction out of the surface that it touched.
+    `idle_time`: for how long (s) its feet have not moved although they should."""
 
     lift: VectorColumns
     wait_share: Array1[F32]
     depth: Array1[F32]
     outward_direction: VectorColumns
+    idle_time: Array1[F32]
 
 
 class BodyRows(NamedTuple):

@@ -42,7 +42,7 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     meshes = world.ground.meshes
     walk = None if not isinstance(meshes, MeshGround) else meshes.build_crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
     if walk is not None and count:
-        limits = BodyLimits(zero, zero, _F(1), now["size"], shapes, body, np.inf, np.inf)
+        limits = BodyLimits(zero, zero, _F(1), now["size"], zero, shapes, body, np.inf, np.inf)
         old = vec.take_rows(lift, rows)
         shift_bodies(
             *contact_faces(world, walk, count, 1),

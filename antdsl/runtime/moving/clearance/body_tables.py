@@ -20,6 +20,7 @@ from antdsl.runtime.moving.contacts.capsules import find_capsule
 from antdsl.runtime.world import Population, World
 
 ROWS_PER_THREAD = 32  # fewer rows are not worth another thread
+_F = np.float32
 _MARGIN_PER_BODY = 0.04  # body lengths that are added at both ends of the capsule
 
 Rows = NDArray[np.int64]
@@ -76,7 +77,18 @@ def read_lift(population: Population, rows: Rows) -> VectorArrays:
     return vec.take_rows(vec.get_vector_registers(population.now, "~lift"), rows)
 
 
+def count_idle(population: Population, rows: Rows, outset: NDArray[np.float64], dt: np.float32) -> NDArray[np.float32]:
+    """Add `dt` seconds to the times for which the feet of `rows` have not moved although they should. Return these times.
+
+    `outset` (n, 3) mm: positions of all agents before the step."""
+    now, position = population.now, population.position
+    walks = vec.length(vec.take_rows(vec.get_vector_registers(now, "velocity"), rows)) != 0
+    walks &= (position[rows] == outset[rows]).all(axis=1)
+    now["~idle"][rows] = idle = np.where(walks, now["~idle"][rows] + dt, _F(0))
+    return idle
+
+
 def read_registers(population: Population) -> BodyRegisters:
     now = population.now
     lift, out = vec.get_vector_registers(now, "~lift"), vec.get_vector_registers(now, "~out")
-    return BodyRegisters(lift, now["~wait"], now["~depth"], out)
+    return BodyRegisters(lift, now["~wait"], now["~depth"], out, now["~idle"])

@@ -26,6 +26,7 @@ from antdsl.runtime.moving.clearance.body_tables import (
     Stands,
     body_shapes,
     contact_faces,
+    count_idle,
     dot_rows,
     face_search,
     read_lift,
@@ -87,6 +88,7 @@ class ClearStep:
     has_bend: NDArray[np.bool_] = field(init=False)
     state: NDArray[np.int32] = field(init=False)
     previous: BodyPoses = field(init=False)
+    outset_positions: NDArray[np.float64] = field(init=False)
     level_headings: tuple[NDArray[np.float32], ...] = field(init=False)
     lifts: VectorArrays = field(init=False)
     climbers: Rows = field(init=False)
@@ -115,7 +117,9 @@ class ClearStep:
         work = partial(select_rows, levels, heading, *stance, read_registers(population), rows, row_levels)
         rows, row_levels = parallel.join_parts(parallel.run_in_parts(work, n, threads), rows, row_levels)
         dt = float(limits[2])
-        bounds = BodyLimits(*limits, now["size"], *body_shapes(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt)
+        bounds = BodyLimits(
+            *limits, now["size"], now["max_speed"], *body_shapes(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt
+        )
         step = ClearStep(world, population, walk, bounds, threads, rows, row_levels)
         step.all_bend_levels, step.has_bend, step.state = levels, has_bend, stance[0]
         return step
@@ -124,16 +128,16 @@ class ClearStep:
         """Shorten the steps (mm) and velocities of agents so that their bodies can follow."""
         if len(self.rows):
             p = self.population
-            up = vec.get_vector_registers(p.now, "up")
+            poses = BodyPoses(vec.get_vector_registers(p.now, "up"), vec.get_vector_registers(p.now, "heading"))
             at = get_footing_arrays(p.footing)
-            inputs = (at, BodyRows(self.rows, self.bend_levels), up, p.normal, step, velocity, self.limits, read_registers(p))
+            inputs = (at, BodyRows(self.rows, self.bend_levels), poses, p.normal, step, velocity, self.limits, read_registers(p))
             self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
 
     def follow(self, previous_poses: BodyPoses, outset: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
         """Turn and shift bodies after the walk. `previous_poses`: poses before it. `outset`: footings, positions and normals
         before it."""
         p, now, n = self.population, self.population.now, len(self.population)
-        self.previous = previous_poses
+        self.previous, self.outset_positions = previous_poses, outset[1]
         (rows,), (climbers,) = (p.get_buffers(name, 1, (n,), np.int64) for name in ("uneven", "climbers"))
         (levels,), (kind,) = (p.get_buffers(name, 1, (n,), np.uint8) for name in ("bends of rows", "lifts"))
         lists = LiftLists(rows, levels, climbers, kind)
@@ -152,11 +156,12 @@ class ClearStep:
             now["~depth"].take(rows),
         )
         self.level_headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
-        idle = self._count_idle(rows, outset[1])
+        idle_times = now["~idle"].take(rows)
+        idle = count_idle(p, rows, outset[1], self.limits.dt) > _MAX_IDLE
         self._aim(rows, self.bend_levels, previous_poses)
         uneven = np.flatnonzero(self.bend_levels == SHARP_BEND_LEVEL)
-        depth, out = self._shift_bodies(rows[uneven], vec.take_rows(self.lifts, uneven))
         old, footing, (position, normal) = depths[uneven], outset[0], (each[rows[uneven]] for each in outset[1:])
+        depth, out = self._shift_bodies(rows[uneven], vec.take_rows(self.lifts, uneven), position)
         cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
         is_lost = (cosine < _LOST_COSINE) & (dot_rows(vec.take_rows(previous_poses.up, rows[uneven]), normal) >= _LOST_COSINE)
         out[:, is_lost] = (position - p.position[rows[uneven]])[is_lost].T
@@ -166,6 +171,7 @@ class ClearStep:
             at = uneven[deeper]
             back = rows[at]
             self._restore_rows(back, (footing.take_rows(back), position[deeper], normal[deeper]))
+            now["~idle"][back] = idle_times[at] + self.limits.dt
             for k, axis in enumerate(AXES):
                 now[f"~out.{axis}"][rows[uneven[too_deep]]] = out[k, too_deep]
             self._stand_up(at)
@@ -184,18 +190,6 @@ class ClearStep:
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (get_footing_arrays(p.footing), poses, self.limits, read_registers(p), rows)
         self._run(partial(lift_bodies, self._surface, *inputs), len(rows))
-
-    def _count_idle(self, rows: Rows, start: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Count for how long the feet of `rows` have not moved although they should. Return which agents must step aside.
-
-        `start`: positions of all agents before the step."""
-        p, now, walks = self.population, self.population.now, np.zeros(len(rows), np.bool_)
-        for axis in AXES:
-            walks |= now[f"velocity.{axis}"][rows] != 0
-        walks &= (p.position[rows] == start[rows]).all(axis=1)
-        idle = np.where(walks, now["~idle"][rows] + self.limits.dt, _F(0))
-        now["~idle"][rows] = idle
-        return idle > _MAX_IDLE
 
     def _move_stuck_bodies(
         self, subset: Rows, old: NDArray[np.float32], turned: NDArray[np.float32], held: list[NDArray[np.float32]], outset: Stands
@@ -225,7 +219,7 @@ class ClearStep:
             for k, axis in enumerate(AXES):
                 now[f"up.{axis}"][rows], now[f"heading.{axis}"][rows] = moved.up[:, k], moved.heading[:, k]
             self._aim(rows, self.bend_levels[subset[left]], self.previous)
-            depth, _ = self._shift_bodies(rows, vec.take_rows(self.lifts, subset[left]))
+            depth, _ = self._shift_bodies(rows, vec.take_rows(self.lifts, subset[left]), position)
             cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows), p.normal[rows])
             is_free = (depth <= most[left]) & (cosine >= _MIN_LEAN_COSINE) & ~moved.is_blocked
             depths[left[is_free]] = depth[is_free]
@@ -269,7 +263,8 @@ class ClearStep:
         self._stand_up(at)
         self._aim(moved, levels, self.previous)
         sharp, depth = np.flatnonzero(levels == SHARP_BEND_LEVEL), np.zeros(len(at), np.float32)
-        depth[sharp], _ = self._shift_bodies(moved[sharp], vec.take_rows(self.lifts, at[sharp]))
+        outset = self.outset_positions[moved[sharp]]
+        depth[sharp], _ = self._shift_bodies(moved[sharp], vec.take_rows(self.lifts, at[sharp]), outset)
         cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), moved), p.normal[moved])
         old_cosine = dot_rows([c[at] for c in columns[:3]], normal[at])
         old = columns[-1][at]
@@ -350,9 +345,15 @@ class ClearStep:
         inputs = (at, BodyRows(rows, levels), previous_poses, poses, self.limits, read_registers(p))
         self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))
 
-    def _shift_bodies(self, rows: Rows, old: VectorArrays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Shift bodies outside the faces around them. Return the remaining depths and the directions out (3, k)."""
+    def _shift_bodies(
+        self, rows: Rows, old: VectorArrays, outset: NDArray[np.float64] | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Shift bodies outside the faces around them. Return the remaining depths and the directions out (3, k).
+
+        `old`: shifts before the step. `outset` (k, 3) mm: positions before it, if feet have moved."""
         p, now = self.population, self.population.now
+        if outset is not None:
+            old = vec.split_columns((np.stack(old, axis=1) - p.position[rows]) + outset, np.float32)
         depths, outs = np.zeros(len(rows), np.float32), np.zeros((3, len(rows)), np.float32)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (
@@ -386,7 +387,9 @@ def settle_clear(world: World, population: Population, rows: Rows) -> bool:
     if walk is None:
         return False
     free = np.full(n, np.inf, np.float32)
-    limits = BodyLimits(np.full(n, np.pi, np.float32), free, _F(1), now["size"], *body_shapes(world, population), np.inf, np.inf)
+    limits = BodyLimits(
+        np.full(n, np.pi, np.float32), free, _F(1), now["size"], free, *body_shapes(world, population), np.inf, np.inf
+    )
     levels = np.full(len(rows), SHARP_BEND_LEVEL, np.uint8)
     ClearStep(world, population, walk, limits, world.options.threads, np.asarray(rows, np.int64), levels).settle_new_bodies()
     for name in ("up", "heading", "position"):

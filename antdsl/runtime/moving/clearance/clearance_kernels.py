@@ -73,6 +73,8 @@ _MIN_WAIT_LAG, _MAX_WAIT_LAG = 0.087, 0.35  # radians; from the first lag on fee
 _KNIFE_SLACK = 0.05  # radians beyond half the turn of a sharp edge, by which a body is off the ground beyond after a step
 _LEAN_SLACK = 0.03  # radians by which a body may lean less than it should when its feet step over an edge
 _MIN_VELOCITY_SHARE = 0.3  # share of the velocity that an agent retains while it waits for its body
+_MAX_STRIDE = 1.2  # of the longest step; feet and shift together move a body no farther
+_RETREAT_SIDE_SHARE = 0.3  # least share of a retreat that leads to the side of the heading
 _RETREAT_SHARE = 0.2  # share of the step by which an agent retreats from a surface that its body touched
 _EDGE_GAP_PER_BODY = 0.002  # body lengths between an edge and waiting feet
 _EDGE_REACH_PER_BODY = 0.05  # body lengths; feet this near to an edge stand at the edge
@@ -129,7 +131,7 @@ def limit_steps(
     search: FaceSearch,
     feet: FootingArrays,
     body_rows: BodyRows,
-    body_up: VectorColumns,
+    poses: BodyPoses,
     normals: Array2[F32],
     step: VectorColumns,
     velocity: VectorColumns,
@@ -155,16 +157,15 @@ def limit_steps(
             continue
         wall, ground, size = read_vector(retained.outward_direction, i), get_row64(normals, i), np.float64(limits.size[i])
         if dot(wall, wall) > 0:
-            displacement = _retreat_from_wall(
-                displacement,
-                length,
-                minus(wall, times(ground, dot(wall, ground))),
-                _RETREAT_SHARE * (length + limits.ease * size),
-            )
+            wall = minus(wall, times(ground, dot(wall, ground)))
+            retreat = _retreat_from_wall(displacement, length, wall, _RETREAT_SHARE * (length + limits.ease * size))
+            displacement = _retreat_on_same_side(displacement, retreat, wall, cross(ground, read_vector(poses.heading, i)))
             for k in range(3):
                 step[k][i] = _F(displacement[k])
                 velocity[k][i], retained.outward_direction[k][i] = step[k][i] / limits.dt, _F(0)
         part = _F(1) - retained.wait_share[i]
+        if dot(wall, wall) > 0 and retained.idle_time[i] <= limits.dt:
+            retained.wait_share[i] = _F(-1)
         if levels[j] == SHARP_BEND_LEVEL:
             f = first[feet.mesh[i]] + feet.face[i]
             row = ROW_FLOATS * f
@@ -179,14 +180,14 @@ def limit_steps(
                 nearby = FacesNearby(search.boxes, faces, count, search.pieces, search.cuts)
                 start = FaceWalker(f, weights, side, (c, s), (c, s))
                 bend = trace_bends(surface, nearby, start, left, _EYE_PER_BODY * size, points)
-                free, up = left, read_vector(body_up, i)
+                free, up = left, read_vector(poses.up, i)
                 for k in range(1, bend.count - 1):
                     n = load_vector(points, POINT_FLOATS * k + NORMAL_AT)
                     turn, most = _compute_angle(own, n), np.float64(limits.max_tilts[i])
                     if _compute_angle(up, n) > max(_MAX_LEAN + most, turn - _find_largest_lean(turn, most)) + _LEAN_SLACK:
                         free = min(free, max(points[POINT_FLOATS * k + DISTANCE_AT] - _EDGE_GAP_PER_BODY * size, 0.0))
                 # A body at its nearest possible distance from the surface beyond an edge cannot cross that edge.
-                turns_away = free < _EDGE_REACH_PER_BODY * size and free < left and retained.wait_share[i] == 0
+                turns_away = free < _EDGE_REACH_PER_BODY * size and free < left and part == _F(1)
                 last = POINT_FLOATS * (bend.count - 1)
                 if points[last + RISE_AT] < 0:
                     free = min(free, max(points[last + DISTANCE_AT] - _VALLEY_GAP_PER_BODY * size, 0.0))
@@ -214,6 +215,20 @@ def _retreat_from_wall(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Ve
     return times(changed, min(max(length, distance) / max(np.sqrt(dot(changed, changed)), 1e-300), 1.0))
 
 
+@inlined
+def _retreat_on_same_side(step: Vec3, retreat: Vec3, wall: Vec3, left: Vec3) -> Vec3:
+    """Return a retreat on the side of the heading on which the step was, and a little to that side, unless that leads into the
+    wall.
+
+    Otherwise a body that turns towards its step would turn the other way, or from side to side. `left`: the direction to the left
+    of the heading."""
+    size, aside = np.sqrt(dot(retreat, retreat)), dot(retreat, left)
+    side = max(abs(aside), _RETREAT_SIDE_SHARE * size) * (1.0 if dot(step, left) >= 0 else -1.0)
+    turned = plus(retreat, times(left, side - aside))
+    turned = times(turned, size / max(np.sqrt(dot(turned, turned)), 1e-300))
+    return turned if dot(turned, wall) >= 0 else retreat
+
+
 @kernel
 def aim_bodies(
     surface: SurfaceTables,
@@ -238,6 +253,8 @@ def aim_bodies(
         stands = read_vector(previous_poses.up, i)
         look = compute_perpendicular_direction(read_vector(previous_poses.heading, i), stands)
         normal, heading = read_vector(current_poses.up, i), read_vector(current_poses.heading, i)
+        if retained.wait_share[i] < 0:
+            heading = turn_heading(look, stands, normal)  # it turns once it has retreated
         long = limits.size[i]
         size = np.float64(long if long > 0 and np.isfinite(long) else _F(0))
         limited = np.isfinite(limits.max_turn[i])
@@ -346,7 +363,8 @@ def shift_bodies(
 
     `ground`: the faces of the ground. `things`: the faces of obstacles.
 
-    `old`: the shift of each of `rows` before the step. A body that would have to shift too far from it counts as deep inside.
+    `old`: the shift of each of `rows` before the step, less the step of its feet. A body that would move too far counts as deep
+    inside.
     `turns`: as in `shift_outside`. `depths`, `outs` (3, k): receive the remaining depth of each of `rows` (body lengths), and the
     direction out."""
     place, normals, pose = stances
@@ -359,8 +377,10 @@ def shift_bodies(
         result = _shift_outside_all(ground, things, begin, shape, stance, read_vector(lift, i), most, turns)
         change = minus(result.shift, read_vector(old, j))
         depths[j] = _F(result.depth / size) if size > 0 else _F(0)
-        if dot(change, change) > limits.max_shift * limits.max_shift * size * size:
-            depths[j] = _F(1)
+        reach = max(limits.max_shift * size, _MAX_STRIDE * np.float64(limits.max_speed[i]) * np.float64(limits.dt))
+        out = result.outward_direction
+        if dot(change, change) > reach * reach:
+            depths[j], out = _F(1), times(change, -1.0)
         for k in range(3):
-            outs[k, j] = _F(result.outward_direction[k])
+            outs[k, j] = _F(out[k])
             lift[k][i] = _F(result.shift[k])
