@@ -25,7 +25,10 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "grammar" / "READM
 DOCUMENTS = [*PAGES, INDEX_OF_CODES, *sorted((ROOT / "docs").glob("*.md"))]
 # A workflow and hooks are run by tests/cli/test_new_project.py; what is written for other systems is not run here.
 THEIRS = ("netlogo", "gaml", "vex")
-BLOCKS = ("ant", "yaml scene", "yaml edits", "yaml workflow", "yaml hooks", "python", "console", "text", "json", "bash", *THEIRS)
+BLOCKS = (
+    *("ant", "yaml scene", "yaml edits", "yaml workflow", "yaml hooks", "toml", "python", "console", "text", "json", "bash"),
+    *THEIRS,
+)
 
 # What a fragment stands in. The names are those of the samples in the language reference.
 WORLD = """ant 1

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from antdsl.diagnostics import Fix, Label
+from antdsl.diagnostics import Fix, Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import Binding, ChangeRate, Dimension, Expr, ReduceExpr, SetExpr, TypeKind, ValueType
 from antdsl.program.names.scope import NameScope, list_names
@@ -118,7 +118,8 @@ def _format_call(function_name: str, slots: Sequence[ArgumentSlot]) -> str:
 
 
 def type_arguments(scope: NameScope, node: CallNode) -> None:
-    """Type the arguments of an invalid call. Names in them then count as used, and their own errors are reported."""
+    """Type the arguments of an invalid call. Names in them then count as used, and their own errors are reported. Errors in
+    `with:` are not: its names may be those of elements, which an invalid call does not determine."""
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
             scope.type_expression(argument.over)
@@ -126,9 +127,10 @@ def type_arguments(scope: NameScope, node: CallNode) -> None:
             scope.type_expression(argument.value.low)
             scope.type_expression(argument.value.high)
         else:
+            is_with = argument.name is not None and argument.name.text == "with"
             known = len(scope.declarations.name_uses)
-            scope.type_expression(argument.value)
-            if argument.name is not None and argument.name.text == "with":
+            (scope.with_changes(report=Report()) if is_with else scope).type_expression(argument.value)
+            if is_with:
                 del scope.declarations.name_uses[known:]  # drops names that were bound during the attempt
 
 
