@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import meshes
 import numpy as np
 import pytest
+import stick_bodies
 from commands import run
-from directed import PROGRAM, open_directed
+from directed import PROGRAM, open_directed, write_mesh
 from empty_scenes import CASES
 from empty_scenes import scene as empty_scene
 from live_client import Message, Page
@@ -29,6 +31,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene, and a cache of its frames next to it."""
     folder = tmp_path_factory.mktemp("shown")
     open_directed(folder, count=30, last=LAST)
+    stick_bodies.write_body(folder, 6, "stick.json")
+    vertices, faces = meshes.terrain(300.0, 24)
+    write_mesh(folder / "high.obj", np.add(vertices, [0, 40, 0]), faces)
     assert run("run", str(folder / "scene.yaml"), "--out", str(folder / "cache"), "--quiet", cwd=folder).returncode == 0
     return folder / "scene.yaml"
 
@@ -119,12 +124,14 @@ EDITS = [
     ("drop", "guards.6", {"onto": "ground"}),
     ("replace", "guards.8", {"colour": "red"}),
     ("replace", "guards.8", {"body": "spider"}),
+    ("replace", "guards.8", {"body": "stick.json"}),
+    ("drop", "guards.6", {"onto": "high.obj"}),
     ("smooth", "guards", {"orient": "9", "position": "9"}),
     ("mirror", "guards", {"axis": "x"}),
 ]
 
 
-@pytest.mark.parametrize("case", sampled(EDITS, [EDITS[3], EDITS[5], EDITS[14]]))
+@pytest.mark.parametrize("case", sampled(EDITS, [EDITS[5], EDITS[15], EDITS[16]]))
 def test_an_edit_is_shown_as_a_cache_has_it_and_others_keep_their_bits(
     page: Page, scene: Path, case: tuple[str, str, dict[str, str]]
 ) -> None:
@@ -200,7 +207,9 @@ def test_a_value_that_is_wrong_is_reported_at_its_key(page: Page) -> None:
         ("kill", "guards", {"frames": "1..3, off: yes"}, "frames", "another key, `off`"),
         ("offset", "guards", {"joint": "tail_9", "rotate": "[0, 30 deg, 0]"}, "", "no body has a joint `tail_9`"),
         ("scale", "guards", {"speed": "3"}, "", "has no key `speed`"),
-        ("replace", "guards", {"body": "nobody.glb"}, "", "the preview reads no files"),
+        ("replace", "guards", {"body": "nobody.glb"}, "body", "nobody.glb"),
+        ("replace", "guards", {"body": "../outside.json"}, "body", "`../outside.json`"),
+        ("drop", "guards", {"onto": "/etc/passwd"}, "onto", "`/etc/passwd`"),
     ]
     for verb, agents, values, key, words in cases:
         answer = draft(page, verb, agents, apply=True, **values)

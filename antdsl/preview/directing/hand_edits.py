@@ -10,6 +10,7 @@ from antdsl.bodies.agents.definition import BodyError
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
 from antdsl.outputs.cache.manifest import Manifest
+from antdsl.outputs.edits.edit_files import read_edit_files
 from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable
 from antdsl.outputs.edits.edit_lines import EDITS_KEY, EditList, PlacedEdit, read_edits
 from antdsl.outputs.edits.edited_cache import EditedCache, apply_edits
@@ -83,10 +84,12 @@ class EditedRun:
             if isinstance(nodes, SequenceNode) and isinstance(nodes.items[0], MappingNode):
                 draft.report_nested_keys(nodes.items[0])
         if draft.report.ok and edits is not None:
+            draft.report.extend(self._read_files(edits)[1])
             for edit in edits.edits:
                 for file in edit.line.list_files(manifest):
-                    message = f"the preview reads no files: it does not show `{file.path}`"
-                    draft.report.warning("cannot-read", message, edits.span(edit, file.key), _NOT_SHOWN[1])
+                    if file.kind == "mesh":
+                        message = f"the preview puts agents on `{file.path}`, but does not draw it"
+                        draft.report.warning("cannot-read", message, edits.span(edit, file.key), _NOT_SHOWN[1])
                 if isinstance(edit.line, OffsetLine):
                     draft.report.warning("cannot-read", _NOT_SHOWN[0], edits.span(edit, "joint"), _NOT_SHOWN[1])
         return draft, draft.report.ok and not draft.missing
@@ -158,13 +161,20 @@ class EditedRun:
                 if document is None:
                     raise NotEditable(report.errors[0].message)
                 placed += document.edits
-        for edit in placed:
-            for file in edit.line.list_files(frames.manifest):
-                raise NotEditable(f"the preview reads no files: it does not show `{file.path}`")
-        ground = Ground(frames, [mesh for mesh in frames.manifest.meshes if mesh.row.is_ground and not mesh.row.is_dug])
         assert document is not None
         listed = replace(document, edits=tuple(placed))
-        return apply_edits(frames, listed, EditInputs(ground, next_ids=self._find_next_ids()))
+        arrays, report = self._read_files(listed)
+        if not report.ok:
+            raise NotEditable(report.errors[0].message)
+        ground = Ground(frames, [mesh for mesh in frames.manifest.meshes if mesh.row.is_ground and not mesh.row.is_dug])
+        return apply_edits(frames, listed, EditInputs(ground, arrays, next_ids=self._find_next_ids()))
+
+    def _read_files(self, edits: EditList) -> tuple[Arrays, Report]:
+        """Return the arrays of the meshes and bodies that edits name, and a report. Files are in the folder of the scene or below
+        it."""
+        frames = self._read_frames()
+        arrays, _, report = read_edit_files(edits, frames.manifest, frames.folder)
+        return arrays, report
 
     def _find_next_ids(self) -> dict[str, int]:
         """Return by species the first id that no simulated agent has."""
