@@ -95,7 +95,7 @@ COMMANDS = (
     CommandEntry(
         "sweep", sweep.sweep, SIMULATE_HEADING, "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept"
     ),
-    CommandEntry("render", render.render, RESULTS_HEADING, "antdsl render walk --frames 48..48 --out walk.png"),
+    CommandEntry("render", render.render, RESULTS_HEADING, "antdsl render walk --frames 48..48 --out stills"),
     CommandEntry("edit", edit.edit, RESULTS_HEADING, "antdsl edit walk --smooth orient:5"),
     CommandEntry("export", export.export, RESULTS_HEADING, "antdsl export walk --to walk.usdc"),
     CommandEntry("jobs", jobs.jobs, SIMULATE_HEADING, "antdsl jobs scene.yaml --chunk 24 --to openjd/scene.yaml"),

@@ -107,9 +107,7 @@ def render(
     scheduler: str = SCHEDULER_OPTION,
     tls: Path = TLS_OPTION,
     no_tls: bool = NO_TLS_OPTION,
-    out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Folder or file of the pictures. [default: pictures in the cache]"
-    ),
+    out: Path = typer.Option(None, "--out", metavar="DIR", help="Folder of the pictures. [default: pictures in the cache]"),
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import parse_frame_range
