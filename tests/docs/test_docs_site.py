@@ -53,6 +53,13 @@ def test_the_first_page_groups_all_pages_in_reading_order(site: Path) -> None:
     assert "theme-toggle" in first
 
 
+def test_a_page_has_one_title() -> None:
+    """A second one would be another entry in the sidebar, for the same page."""
+    for page in (*(ROOT / "docs").rglob("*.md"), ROOT / "grammar" / "README.md"):
+        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+        assert len(re.findall(r"^# ", text, re.MULTILINE)) == 1, page
+
+
 @pytest.fixture
 def pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Installed pages: the settings and two pages. The user's folders are below the test's."""
