@@ -139,7 +139,7 @@ def meanings() -> list[tuple[str, ...]]:
     document = Workspace().put_document(FOLDER / "other.ant", PROGRAM)
     start = PROGRAM.index("scratch")
     end = PROGRAM.index("\n", start)
-    return [each.key for each in document.index.occurrences if start <= document.start(each.span) < end]
+    return [each.key for each in document.index.occurrences if start <= document.find_start(each.span) < end]
 
 
 def main() -> None:

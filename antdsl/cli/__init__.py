@@ -239,11 +239,9 @@ def _run_command_line() -> int:
         print("interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED
     except Exception as problem:
-        if (cause := find_machine_failure(problem)) is not None:
-            end = make_failure_error(cause)
-            print(end.message, end.hint, sep="\n", file=sys.stderr)
-            return end.code
-        if (end := make_missing_package_error(problem)) is not None:
+        cause = find_machine_failure(problem)
+        end = make_missing_package_error(problem) if cause is None else make_failure_error(cause)
+        if end is not None:
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
         from antdsl.machine_code.llvm_compiler import MachineCodeUnavailable

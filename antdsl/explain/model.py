@@ -161,8 +161,7 @@ class NearbyObject:
 class ObservedSet:
     """A set that the agent searched.
 
-    `asked`: its text in the program. `of`: the species or items. `count`: the number of members. `nearest`: the nearest
-    members."""
+    The fields are its text in the program, the species or items, the number of members, and the nearest members."""
 
     asked: str
     of: str

@@ -39,7 +39,7 @@ def build_schema_text() -> str:
     return json.dumps(build_schema(), indent=1) + "\n"
 
 
-def _list_models(model: type) -> Iterator[type]:
+def _list_models(model: type[ScenePart]) -> Iterator[type[ScenePart]]:
     """Yield the subclasses of a model, at all levels."""
     for child in model.__subclasses__():
         yield child
@@ -57,7 +57,7 @@ def _loosen(part: Any) -> Any:
     if part.get("type") == "array":
         items = {"items": _loosen(part["items"])} if "items" in part else {}
         return {"anyOf": [{"type": "array", **items}, _SCALAR_SCHEMA]}
-    loose_part = {}
+    loose_part: dict[str, Any] = {}
     for keyword, value in part.items():
         if keyword == "properties":
             loose_part[keyword] = {key: _describe(key, _loosen(schema)) for key, schema in value.items()}

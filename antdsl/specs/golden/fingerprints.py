@@ -294,7 +294,7 @@ def _find_member_name(column: FingerprintColumn, row: int) -> str:
 
 
 def _name_differing(world: World, program: Program, name: str, recorded_digest: str) -> str:
-    """Return the names of the agents whose digits in a digest differ; "" if the digest is about other agents."""
+    """Return the names of the agents with differing digits in a digest; "" if the digest is about other agents."""
     population = world.populations[name]
     rows, digest = choose_sample_indices(len(population)), digest_agents(world, population, program)
     if len(digest) != len(recorded_digest):
