@@ -51,6 +51,11 @@ def test_calls_and_missing_spaces_are_reported_for_each_verb(tmp_path: Path, for
         ("{attract: ant, to: {of: ant}}", "a name, such as `leaf`"),
         ("{path: ant, along: [0, 0, 0], frames: 1..9}", "points: `[[0, 0, 0], [50, 0, 0]]`"),
         ("{look: ant, at: {head:leaf}}", "write `head: leaf`"),
+        ("{look: ant, at: leaf}", "write `{head: leaf}`"),
+        ("{thin: ant, to: 200 %}", "a larger `count` in the crowd"),
+        ("{hold: {of: guards, in: {around: guards.7, radius: 50 mm}}}", "write `near: guards.7, within: 50 mm` instead of `in`"),
+        ("{hold: guards, in: {around: front, radius: 50 mm}}", "write `near: front, within: 50 mm` instead of `in`"),
+        ("{reach: guards.1..2, target: [guards.2, guards.1], frame: 9}", "write a line for each"),
         ("[hold, ant]", "write `{hold: guards, frames: 10..20}`"),
     ],
 )

@@ -16,7 +16,7 @@ from antdsl.outputs.edits.verb_table import VERB_BY_WORD
 from antdsl.outputs.edits.verbs.smoothing import Window
 from antdsl.scene.crowds.crowd_model import BodyText
 from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
-from antdsl.scene.notes.note_values import FrameCount, FrameNumber, Share, SpeedShare
+from antdsl.scene.notes.note_values import FrameCount, FrameNumber, Share, SpeedShare, ThinShare
 from antdsl.scene.notes.notes_model import NOTE_MODELS, LookTargets
 from antdsl.scene.notes.selectors import AgentConditions, NearTarget, Region, SelectorKeys
 from antdsl.scene.notes.stagger import StaggerValue
@@ -81,6 +81,7 @@ _KINDS: tuple[tuple[Any, KeyKind], ...] = (
     (FrameNumber, KeyKind("frame", "", "120", "the frame")),
     (FrameCount, KeyKind("count", "frames", "6", "a number of frames")),
     (Share, KeyKind("share", "", "50 %", "a share from 0 % to 100 %")),
+    (ThinShare, KeyKind("share", "", "50 %", "the share of agents that stay")),
     (SpeedShare, KeyKind("share", "", "50 %", "a share of the speed")),
     (PositiveLength, KeyKind("length", "mm", "50 mm", "a length")),
     (NearTarget, KeyKind("target", "", "[0, 0, 0]", "a point, an item, a camera or agents")),

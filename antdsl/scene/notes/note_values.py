@@ -17,6 +17,18 @@ FrameCount = Annotated[int, BeforeValidator(parse_integer_between(0, _MAX_EASE_F
 Share = Annotated[float, BeforeValidator(parse_share)]
 
 
+def _parse_thin_share(value: Any) -> float:
+    """Return a share of agents that stay. A greater one is an error: notes add no agents."""
+    quantity = parse_any_quantity(value)
+    if quantity.dim == Dimension() and quantity.number > 1:
+        words = f"`{quantity.text}` is more than all: a note adds no agents"
+        raise make_error(words, "write a larger `count` in the crowd, or duplicate agents of the cache by an edit")
+    return parse_share(value)
+
+
+ThinShare = Annotated[float, BeforeValidator(_parse_thin_share)]
+
+
 def _parse_share_range(value: Any) -> tuple[float, float]:
     """Return the shares from A to B of a list `[A, B]`."""
     if not isinstance(value, list) or len(value) != 2:

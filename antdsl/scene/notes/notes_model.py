@@ -14,8 +14,9 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.crowds.casting_model import FacingDirection
 from antdsl.scene.flow_mistakes import explain_joined_entry
+from antdsl.scene.notes.look_targets import LookTargets as LookTargets
 from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
-from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, SpeedShare
+from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, SpeedShare, ThinShare
 from antdsl.scene.notes.note_values import FrameCount as FrameCount
 from antdsl.scene.notes.note_values import FrameNumber as FrameNumber
 from antdsl.scene.notes.note_values import Share as Share
@@ -38,12 +39,6 @@ from antdsl.scene.values import (
 
 _EDITS_HELP = "verbs that change a finished cache, such as `kill` and `move`, are those of `antdsl edit`"
 NOTE_TAG_SUFFIX = "-note"  # of the tag of a verb's model
-
-
-_Direction = Annotated[FacingDirection, Tag("direction")]
-_NearTarget = Annotated[NearTarget, Tag("near")]
-_LookTarget = Annotated[_Direction | _NearTarget, Discriminator(lambda value: "direction" if isinstance(value, dict) else "near")]
-LookTargets = dict[SceneName, _LookTarget]
 Target = PointValue | AgentName | FacingDirection
 
 
@@ -353,7 +348,7 @@ class ThinNote(Note, SelectorKeys):
 
     verb = "thin"
     agents: Selector = Field(alias="thin")
-    to: Share
+    to: ThinShare
 
 
 NOTE_MODELS: dict[str, type[Note]] = {model.verb: model for model in (

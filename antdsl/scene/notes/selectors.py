@@ -75,10 +75,21 @@ class Box(ScenePart):
     opposite: PointValue = Field(alias="to")
 
 
+def _suggest_near(name: str) -> str:
+    return f"write `near: {name}, within: 50 mm` instead of `in`"
+
+
+def _reject_agents(value: Any) -> Any:
+    """Return a value unchanged. Raises an error that pydantic reports for an agent such as `guards.7`."""
+    if isinstance(value, str) and "." in value and _NAME_PATTERN.fullmatch(value):
+        raise make_error(f"`{value}` is an agent, not an item", _suggest_near(value))
+    return value
+
+
 class Ball(ScenePart):
     """All points within `radius` of a point or an item."""
 
-    around: PointOrName
+    around: Annotated[PointOrName, BeforeValidator(_reject_agents)]
     radius: PositiveLength
 
 
@@ -107,6 +118,13 @@ def _parse_target_name(value: Any) -> AgentName:
     return parse_agent_name(value)
 
 
+def _require_single_target(value: Any) -> Any:
+    """Return a value unchanged. Raises an error that pydantic reports for a list of names."""
+    if isinstance(value, list) and any(isinstance(each, str) and each[:1].isalpha() for each in value):
+        raise make_error("this is more than one target", "write a line for each of them")
+    return value
+
+
 def _find_near_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "agent-or-item"
 
@@ -114,6 +132,7 @@ def _find_near_tag(value: Any) -> str:
 NearTarget = Annotated[
     Annotated[PointValue, Tag("point")] | Annotated[AgentName, BeforeValidator(_parse_target_name), Tag("agent-or-item")],
     Discriminator(_find_near_tag),
+    BeforeValidator(_require_single_target),
 ]
 
 
@@ -251,7 +270,10 @@ def find_problems(
             what = "no crowd line, species, item or camera is named"
             yield from find_name_problems(selector.near, names, (*path, "near"), names.items | names.cameras, what)
         if isinstance(selector.region, Ball) and isinstance(selector.region.around, str):
-            yield from find_unknown_name(selector.region.around, names.items, "no item is named", (*path, "in", "around"))
+            around = selector.region.around
+            problems = find_unknown_name(around, names.items, "no item is named", (*path, "in", "around"))
+            is_other = around in names.cameras or around in names.species or around in names.lines
+            yield from (each._replace(help=_suggest_near(around)) if is_other else each for each in problems)
         for key, known, words in (
             ("state", names.states, "no species has a state"),
             ("in_view", names.cameras, "no camera is named"),
