@@ -173,8 +173,9 @@ def _measure_turns(runners: dict[str, StepFunction], worlds: dict[str, World], s
         world.cpu_seconds.clear()
     names = list(runners)
 
-    def measure_step_seconds(number: int) -> tuple[float, float]:
-        run = runners[names[number]]
+    def measure_step_seconds(runner_index: int) -> tuple[float, float]:
+        """Return the CPU time and the wall time of a step of a runner, in seconds."""
+        run = runners[names[runner_index]]
         worked, passed = process_time(), perf_counter()
         for _ in range(steps):
             run()

@@ -216,8 +216,8 @@ class RayScene(ProximityQueries):
         The result has the numbers of these rays, ascending, ray parameters (in lengths of `displacement`), faces over all meshes,
         and corner weights.
 
-        Hits within the tolerance of a ray's start are ignored. So Open3D searches slightly farther than the end. It searches
-        again behind each reported face that the ray does not hit: the ray starts from that face, or misses it by less than the
+        Hits within the tolerance of a ray's start do not count. Open3D's search therefore extends slightly past the ray's end.
+        It is repeated behind a reported face that does not count: the ray starts on that face, or misses it by less than the
         tolerance."""
         no_hits = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
         if self._is_empty:

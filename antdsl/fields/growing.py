@@ -19,7 +19,7 @@ _MIN_ADDED_CAPACITY = 1024
 _NO_KEY = -1
 _ISOLATED_VOXEL = -(1 << 60)  # number of a voxel without neighbours
 _MAX_NEIGHBOUR_CELLS = 27 * 6  # maximum number of cells in 3³ voxels
-VoxelIndex = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
+VoxelKeysAndCells = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
 class GrowingCells(SurfaceCells):
@@ -158,7 +158,7 @@ def _compute_squared_distance(position: Array2[F64], cell: I64, x: F64, y: F64, 
 
 @kernel
 def fill_nearest_cells(
-    direct_table: Array1[I32], numbers: VoxelIndex, size: Array1[I64], position: Array2[F64], cells: Array1[I64], k: I64,
+    direct_table: Array1[I32], numbers: VoxelKeysAndCells, size: Array1[I64], position: Array2[F64], cells: Array1[I64], k: I64,
     missing_cell: I64, table: Array2[I32],
 ) -> None:  # fmt: skip
     """Write the `k` nearest cells in the 27 voxels around each of `cells` to its row of `table`, ascending by number.

@@ -59,7 +59,7 @@ class CellsAboveThreshold:
 def write_changed_cells(
     values: Array1[F64], threshold: F32, is_above: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
-    """Write the cells of which the entry in `is_above` is outdated to `changed`, from index `begin` on.
+    """Compare cells with `is_above`. Write the cells with an outdated entry into `changed`, from index `begin` on.
 
     Returns `begin`, and the number of cells written. Cells from `begin` to before `end` are compared.
     `is_above`: whether the amount of each cell, in float32, is at least `threshold`."""

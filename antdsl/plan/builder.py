@@ -115,9 +115,9 @@ class PlanBuilder:
         """Return the node of a BOOL constant."""
         return self.true if x else self.false
 
-    def add_row(self, x: int) -> PlanNode:
+    def add_row(self, index: int) -> PlanNode:
         """Return the node of an I32 constant: the index of a state, or the row of an item."""
-        return self("const.i32", attrs=(int(x),))
+        return self("const.i32", attrs=(int(index),))
 
     def add_agent_id(self, x: int) -> PlanNode:
         """Return the node of an I64 constant: the id of an agent."""

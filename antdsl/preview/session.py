@@ -230,7 +230,7 @@ class Session:
         return Outcome(report, "from the next frame on", text, did)
 
     def switch_field(self, name: str, is_on: bool) -> Outcome:
-        """Switch a field on or off. Off means that deposits stay below a millionth and vanish after one step."""
+        """Switch a field on or off. While it is off, deposits are scaled to less than a millionth and vanish after one step."""
         off = make_silencing_settings(name)
         if name not in self.shot.plan.fields:
             return make_error_outcome(f"no program has a field `{name}`")

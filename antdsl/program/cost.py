@@ -98,11 +98,11 @@ def _find_ids_inside_sets(root: object) -> set[int]:
         id(inner)
         for part in iterate_parts(root)
         if isinstance(part, (model.ReduceExpr, model.SetExpr))
-        for inner in _iterate_member_parts(part)
+        for inner in _iterate_parts_evaluated_per_member(part)
     }
 
 
-def _iterate_member_parts(part: model.ReduceExpr | model.SetExpr) -> Iterator[object]:
+def _iterate_parts_evaluated_per_member(part: model.ReduceExpr | model.SetExpr) -> Iterator[object]:
     body = part.body if isinstance(part, model.ReduceExpr) else part.condition
     return iterate_parts(body) if body is not None else iter(())
 

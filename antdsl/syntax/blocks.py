@@ -57,7 +57,7 @@ class MappedText:
         return offset + min(position - self.part_starts[part], length)
 
     def span(self, start: int, end: int) -> Span:
-        """Return the span in the source of the text from position `start` to `end`."""
+        """Return the source span of the text between the positions `start` and `end`."""
         first = self.find_source_offset(start)
         if end <= start:
             return Span(self.source, first, first)

@@ -153,7 +153,10 @@ def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Defin
     if get_file_ending(base.file) not in (*GLTF_ENDINGS, *USD_ENDINGS):
         kinds = ", ".join(f".{kind}" for kind in (*GLTF_ENDINGS, *USD_ENDINGS))
         files.report.error(
-            "wrong-kind", f"`{base.file[-80:]}` has no joints", place, f"use a file of one of these types: {kinds}"
+            "wrong-kind",
+            f"a file of this type cannot hold joints: `{base.file[-80:]}`",
+            place,
+            f"use a file of one of these types: {kinds}",
         )
         return None
     definition = files.read_body(base.file, place, base.prim or "", base.rate or 0.0)

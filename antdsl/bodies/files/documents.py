@@ -231,7 +231,12 @@ def _read_typed_value(kind: Node, inner: Node, report: Report) -> TypedValue | N
     """Return a metadata value with an explicit type; None after an error."""
     name, value = kind.value, _read_value(inner, report)
     if not isinstance(name, str) or not name:
-        report.error("wrong-value", f"expected the name of a type here, not {kind.kind}", kind.marked_span, 'write `"…"`')
+        report.error(
+            "wrong-value",
+            f"the name of a type must be a text, not {kind.kind}",
+            kind.marked_span,
+            'write it in quotes, such as `"float"`',
+        )
         return None
     if name not in _COMPONENTS_BY_TYPE:
         report_unknown_name(report, kind.span, "type of metadata", name, _COMPONENTS_BY_TYPE, is_warning=True)

@@ -111,11 +111,11 @@ def format_cost_table(programs: CheckedPrograms) -> Iterator[str]:
 def _make_state_rows(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
     """Yield the rows of a species: each state, and its queries of senses, fields and random draws."""
     for part in estimate_costs(program, species):
-        words = "; ".join(_list_uses(part))
+        words = "; ".join(_list_counted_operations(part))
         yield part.name, f"{part.weight:,.0f}", f"{part.operation_count:,}", words or "-"
 
 
-def _list_uses(part: StateCost) -> Iterator[str]:
+def _list_counted_operations(part: StateCost) -> Iterator[str]:
     """Yield, for each kind of query that a state has, the kind and its queries."""
     for kind in ("senses", "fields", "draws"):
         words = [use.description for use in part.uses if use.kind == kind]

@@ -221,7 +221,7 @@ def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
 
 
 def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition, shape: Shape) -> None:
-    """Write the inputs of a blend shape, each as a BlendShape weighted by the channel of the same name."""
+    """Write each input of a blend shape as a USD BlendShape prim. The channel of the same name is its weight."""
     blend, skel = shape.blend, import_pxr_module("UsdSkel")
     assert blend is not None
     targets: list[Any] = []

@@ -126,7 +126,7 @@ def _check_condition(test: Expr, report: Report) -> None:
             rate = _format_chance_rate(part)
             report.warning(
                 "draw-in-condition",
-                f"{quote_source(part.span)} draws a new number in every step",
+                f"{quote_source(part.span)} draws a new number in every step, so the result depends on the frames per second",
                 part.span,
                 f"write `{rate}`, which is as likely at {FILM_FPS} frames a second" if rate
                 else "write `chance 20 %/s`, or draw once: an attribute, set in `enter`",

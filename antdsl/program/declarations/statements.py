@@ -262,7 +262,7 @@ def _find_amount_type(scope: NameScope, name: nodes.Name, purpose: str) -> Value
 
 
 def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own_type: ValueType) -> bool:
-    """Return whether the item has the attribute with the same dimension; report an error if not."""
+    """Return whether the item has an attribute of this name with the dimension of `own_type`. Report an error if not."""
     if item_expr.type.kind is TypeKind.BAD:
         return False
     if item_expr.type.kind is not TypeKind.ITEM:

@@ -336,10 +336,10 @@ def _check_first(scope: NameScope, node: nodes.Call, operation: OperationExpr) -
     if operation.type.kind not in (*OPTIONAL_KINDS, TypeKind.BAD):
         scope.report.error(
             "wrong-kind",
-            f"`first` needs things that may be none, but {quote_source(node.arguments[0].span)} "
-            f"is {describe_type(operation.type)}",
+            f"`first` picks the first thing that exists, but {quote_source(node.arguments[0].span)} "
+            f"is {describe_type(operation.type)}, which always exists",
             node.span,
-            "write `first(nearest(food, with: load > 0), nearest(food))` or `max(a, b)`",
+            "for things write `first(nearest(food, with: load > 0), nearest(food))`; for the larger number write `max(a, b)`",
         )  # fmt: skip
 
 

@@ -301,7 +301,7 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags,
         open_ &= ~(volume.sample(points) < -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
-    land = WalkableSurface(points, triangles, open_, _find_surface_links(points, of, np.unique(triangles[open_]), areas))
+    land = WalkableSurface(points, triangles, open_, _link_points_of_surfaces(points, of, np.unique(triangles[open_]), areas))
     axis1, axis2 = table.axis1.take(face, axis=1), table.axis2.take(face, axis=1)
     return CrossableGround(lattice, land, point, axis1, axis2, areas, is_chosen)
 
@@ -322,7 +322,7 @@ def _find_blocked_triangles(world: World, triangles: Index, points: Floats, norm
     return cut
 
 
-def _find_surface_links(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
+def _link_points_of_surfaces(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
     """Return pairs (k, 2) of near points of different surfaces: at most about the length of a triangle's edge apart."""
     from scipy.spatial import cKDTree
 

@@ -125,7 +125,7 @@ def compute_rest_positions(world: World, footing: Footing, place: NDArray[np.flo
 
 
 def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: VectorArrays) -> VectorArrays:
-    """Return vectors near agents, given at the ground's rest pose, rotated to its current pose (three float32 arrays each)."""
+    """Rotate vectors from the ground's rest pose to its current pose at each agent: three float32 arrays in, three out."""
     ground = get_moving_ground(world)
     if ground is None:
         return vectors

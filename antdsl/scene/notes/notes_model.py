@@ -298,7 +298,7 @@ class ConfineNote(RegionNote):
 
 class AttractNote(RegionNote):
     """Agents go to a point, an item, a camera, a mesh or other agents: fully
-    from half of `radius` on, beyond it not at all."""
+    within half of `radius`, weaker farther out, not at all beyond `radius`."""
 
     verb = "attract"
     agents: Selector = Field(alias="attract")
@@ -308,7 +308,7 @@ class AttractNote(RegionNote):
 
 class RepelNote(RegionNote):
     """Agents go away from a point, an item, a camera, a mesh or other agents: fully
-    from half of `radius` on, beyond it not at all."""
+    within half of `radius`, weaker farther out, not at all beyond `radius`."""
 
     verb = "repel"
     agents: Selector = Field(alias="repel")

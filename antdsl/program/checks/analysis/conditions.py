@@ -57,7 +57,7 @@ class ConditionReader:
     """Converts the conditions of one species to lists of cases, and caches the results.
 
     - `range_by_key`: by the key of an expression, a range that always contains its number.
-    - `key_by_id`, `range_by_id`, `cached_cases`: caches by the `id()` of an expression or binding.
+    - `key_by_id`, `range_by_expr_id`, `cached_cases`: caches by the `id()` of an expression or binding.
     - `retained_parts`: the objects with these ids. They must not be freed, because another object could get the same id."""
 
     params: Mapping[str, Param]
@@ -65,7 +65,7 @@ class ConditionReader:
     key_by_id: dict[int, str] = field(default_factory=dict)
     retained_parts: list[object] = field(default_factory=list)
     # A let may be used in many places and may use other lets, so each is analysed only once.
-    range_by_id: dict[int, Interval] = field(default_factory=dict)
+    range_by_expr_id: dict[int, Interval] = field(default_factory=dict)
     cached_cases: dict[tuple[int, bool], ConditionCases] = field(default_factory=dict)
 
     def read_cases(self, test: Expr | None, is_true: bool = True) -> ConditionCases:
@@ -106,11 +106,14 @@ class ConditionReader:
             if self.make_key(left) > self.make_key(right):
                 left, right, name = right, left, _SWAPPED_COMPARISONS[name]
             key = f"{self.make_key(left)} - {self.make_key(right)}"
-            a, b = compute_range(left, self.params, self.range_by_id), compute_range(right, self.params, self.range_by_id)
+            a, b = (
+                compute_range(left, self.params, self.range_by_expr_id),
+                compute_range(right, self.params, self.range_by_expr_id),
+            )
             return self._make_comparison_cases(key, Interval(a.low - b.high, a.high - b.low), 0.0, name)
         subject, edge, name = _isolate_variable(left, edge, name)
         return self._make_comparison_cases(
-            self.make_key(subject), compute_range(subject, self.params, self.range_by_id), edge, name
+            self.make_key(subject), compute_range(subject, self.params, self.range_by_expr_id), edge, name
         )
 
     def _make_comparison_cases(self, key: str, known_range: Interval, limit: float, name: str) -> ConditionCases:

@@ -144,7 +144,7 @@ def accumulate_pairs(
 
 
 def find_reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tuple[int, ...]]:
-    """Return the sets of the given reductions, with the slots of their operands."""
+    """Map each set that the given reductions run over to the slots of the operands of these reductions."""
     known = {each.subject: each.inputs for each in instructions[0].scope.code if each.kind is InstructionKind.PAIRS}
     slots_by_set: dict[ir.PlanNode, tuple[int, ...]] = {}
     for each in instructions:

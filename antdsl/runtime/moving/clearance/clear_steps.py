@@ -35,7 +35,7 @@ from antdsl.runtime.moving.clearance.body_tables import (
 )
 from antdsl.runtime.moving.clearance.clearance_kernels import aim_bodies, limit_steps, shift_bodies
 from antdsl.runtime.moving.clearance.obstacle_clearance import mark_near_obstacles
-from antdsl.runtime.moving.contacts.body_contacts import SHIFT_TURNS
+from antdsl.runtime.moving.contacts.body_contacts import MAX_SHIFT_ROUNDS
 from antdsl.runtime.moving.obstacles import slide_rows
 from antdsl.runtime.moving.postures import has_posture
 from antdsl.runtime.moving.slopes import has_slope_limit
@@ -364,7 +364,7 @@ class ClearStep:
             old,
             depths,
             outs,
-            SHIFT_TURNS,
+            MAX_SHIFT_ROUNDS,
         )
         ground, things = contact_faces(self.world, self.walk, len(rows), self.threads)
         self._run(partial(shift_bodies, ground, things, *inputs), len(rows))

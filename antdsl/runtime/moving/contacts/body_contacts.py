@@ -12,7 +12,7 @@ from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, inlined, ke
 from antdsl.numerics.kernel_vectors import Vec3, dot, find_nearest_weights, load_vector, minus, plus, times
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 
-SHIFT_TURNS = 4  # shifts of a body out of its contacts before the depth is measured
+MAX_SHIFT_ROUNDS = 4  # shifts of a body out of its contacts before the depth is measured
 _ANCHOR_HEIGHT_PER_BODY = 0.004  # body lengths above the feet; the middle must be visible from this point
 _AXIS_POINTS = 9  # points on the axis of a capsule from which the nearest face is searched
 _SLACK_PER_BODY = 0.004  # body lengths; a shallower overlap needs no shift

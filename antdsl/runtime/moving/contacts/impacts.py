@@ -52,7 +52,7 @@ class PathSearch(NamedTuple):
     starts: Array1[I32]
     cells: I64
     shifts: Array1[I64]
-    is_own: BOOL
+    is_self_search: BOOL
 
 
 class PathPairs(NamedTuple):
@@ -199,7 +199,7 @@ def list_path_pairs(
         (x, y, z, extent), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]
         for span in range(search.shifts.size):
             key = asking_keys[at] + search.shifts[span]
-            first = find_span_start(search.agents, search.starts, search.cells, search.is_own, at, span, key)
+            first = find_span_start(search.agents, search.starts, search.cells, search.is_self_search, at, span, key)
             last = find_span_end(search.agents, search.starts, search.cells, key)
             for n in range(first, last):
                 b = rows[n]
