@@ -170,7 +170,7 @@ LINES = (
 class Extremes(random_sensing.Sensing):
     """`text` is a program with the species `a` and `other`, `kind` what is special about its world."""
 
-    numbers, pushes, conditions, statements, declared = NUMBERS, PUSHES, CONDITIONS, LINES, DECLARED
+    numbers, pushes, conditions, statements, declarations = NUMBERS, PUSHES, CONDITIONS, LINES, DECLARED
     KINDS = ("still", "moving", "detail", "loose")
 
     def __init__(self, seed: int) -> None:

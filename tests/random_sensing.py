@@ -117,7 +117,7 @@ TARGETS = ("p", "q", "r", "previous", "choose { p: 1; q: luck + 1; r: count(neig
 class Sensing:
     """`text` is a program with the species `a` and `other`."""
 
-    numbers, pushes, conditions, declared = NUMBERS, PUSHES, CONDITIONS, ""
+    numbers, pushes, conditions, declarations = NUMBERS, PUSHES, CONDITIONS, ""
 
     def __init__(self, seed: int) -> None:
         self.rng = random.Random(seed)

@@ -115,11 +115,11 @@ RIGS = [
     (rig('{"a": "b"}'), "wrong-value", '"b"', "write `[ … ]`"),
     (rig('{"a": [1]}'), "wrong-value", "[", None),
     (rig('{"": []}'), "wrong-value", '""', None),
-    ('{"rig_version": 2, "transforms": {"a": []}}', "wrong-value", "2", "write `1`, if the file is in that form"),
-    ('{"rig_version": true, "transforms": {"a": []}}', "wrong-value", "true", "write `1`, if the file is in that form"),
+    ('{"rig_version": 2, "transforms": {"a": []}}', "wrong-value", "2", "write `1` if the file has this form"),
+    ('{"rig_version": true, "transforms": {"a": []}}', "wrong-value", "true", "write `1` if the file has this form"),
     ('{"rig_version": 1}', "missing-key", "{", 'add `"transforms": {}`'),
     ('{"rig_version": 1, "transform": {"a": []}}', "unknown-key", '"transform"', 'write `"transforms"`'),
-    ("[]", "wrong-value", "[", None),
+    ("[]", "wrong-value", "[", "write `{ … }`"),
     (rig('{"a": []}', ', "channels": {"c": {"transform": "A"}}'), "unknown-name", '"A"', 'write `"a"`'),
     (rig('{"a": []}', ', "channels": {"c": {"default_value": "1"}}'), "wrong-value", '"1"', None),
     (rig('{"a": []}', ', "channels": {"c": {"default_value": 1e39}}'), "out-of-range", "1e39", None),
@@ -128,7 +128,7 @@ RIGS = [
     (rig('{"arm": []}', f', "antdsl_rest": {{"arms": {STILL}}}'), "unknown-key", '"arms"', 'write `"arm"`'),
 ]  # fmt: skip
 LAYERS = [
-    ('{"version": 1, "name": "x"}', "wrong-value", "1", "write `2`, if the file is in that form"),
+    ('{"version": 1, "name": "x"}', "wrong-value", "1", "write `2` if the file has this form"),
     ('{"version": 2, "name": 3}', "wrong-value", "3", 'write `"…"`'),
     ('{"version": 2, "name": "x", "static": [{"transform": "a"}]}', "missing-key", "{", 'add `"shape": "…"`'),
     ('{"version": 2, "name": "x", "static": [{"transform": "", "shape": "s"}]}', "wrong-value", '""', None),
@@ -149,17 +149,17 @@ GROUPS = [
     ('{"version": 2, "name": "x", "members": [{"name": "a", "weight": 1.5}]}', "out-of-range", "1.5", "write `1`"),
     ('{"version": 2, "name": "x", "members": [{"name": "a", "weight": -0.1}]}', "out-of-range", "-0.1", "write `0`"),
     ('{"version": 2, "name": "x", "members": [{"name": "a"}, {"name": "a"}]}', "duplicate-name", '"a"', "keep one of them"),
-    ('{"version": 2, "name": "x", "channels": ["a"]}', "wrong-value", '"a"', None),
+    ('{"version": 2, "name": "x", "channels": ["a"]}', "wrong-value", '"a"', "write `{ … }`"),
     ('{"version": 2, "name": "x", "members": {}}', "wrong-value", "{", "write `[ … ]`"),
 ]
 METADATAS = [
     ('{"a": {"type": "int", "value": 2.5}}', "wrong-value", "2.5", "write `2`, or the type `float`"),
     ('{"a": {"type": "vector3", "value": [1, 2]}}', "wrong-value", "[", None),
     ('{"a": {"type": "string", "value": 1}}', "wrong-value", "1", None),
-    ('{"a": {"type": 1, "value": 1}}', "wrong-value", "1", 'write `"…"`'),
+    ('{"a": {"type": 1, "value": 1}}', "wrong-value", "1", 'write it in quotes, such as `"float"`'),
     ('{"a": true}', "wrong-value", "true", "write `1`"),
     ('{"a": null}', "wrong-value", "null", "leave the key out"),
-    ("[1]", "wrong-value", "[", None),
+    ("[1]", "wrong-value", "[", 'write `{"name": 1}`'),
 ]
 CASES = [
     (text, READERS[kind], *rest)

@@ -20,7 +20,7 @@ from antdsl.highlighting.textmate import GRAMMAR_FILES, SCOPE_NAME, build_gramma
 from antdsl.source import Source
 from antdsl.syntax.blocks import SourceLine, cut_lines, map_text
 from antdsl.syntax.brackets import pair_brackets
-from antdsl.syntax.parser import _load_tools
+from antdsl.syntax.parser import _load_parser_and_builder
 from antdsl.syntax.scan import TokenScan, scan
 from antdsl.syntax.words import BODY_RULE_BY_LINE
 
@@ -59,7 +59,7 @@ def real(path: Path) -> Cut:
 
 def keyword_places(scanned: TokenScan, lines: list[SourceLine], rule: str) -> Iterator[int]:
     """Where words begin that the parser took for keywords."""
-    parser, builder = _load_tools()
+    parser, builder = _load_parser_and_builder()
     for line in lines:
         text = map_text(scanned, line)
         first = text.text.split()[0]

@@ -40,7 +40,7 @@ def keys(text: str, word: str, nth: int = 0) -> list[tuple[str, ...]]:
     place = -1
     for _ in range(nth + 1):
         place = text.index(word, place + 1)
-    return [each.key for each in document.occurrences if document.start(each.span) == place]
+    return [each.key for each in document.occurrences if document.find_start(each.span) == place]
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_the_first_of_two_declarations_counts() -> None:
     workspace = Workspace()
     document = workspace.put_document(Path("/nowhere/a.ant"), text)
     (target,) = find_definition(workspace, document, text.index("pace > 1"))
-    assert document.start(target.span) == text.index("pace = 1")
+    assert document.find_start(target.span) == text.index("pace = 1")
 
 
 def test_unknown_behaviours_do_not_resolve_to_the_library() -> None:
@@ -110,7 +110,7 @@ def test_references_inside_the_library_are_not_listed() -> None:
     workspace = Workspace()
     document = workspace.put_document(Path("/nowhere/ant.ant"), PROGRAM)
     uses = find_references(workspace, document, PROGRAM.index("one: item"))
-    assert sorted(document.start(each.span) for each in uses) == [
+    assert sorted(document.find_start(each.span) for each in uses) == [
         PROGRAM.index("one: item"), PROGRAM.index("one) <"), PROGRAM.index("one else")
     ]  # fmt: skip
 

@@ -82,10 +82,11 @@ def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, opened: 
     offset = document.text.text.index(name)
     texts: dict[Path, str] = {}
     for each in sorted(
-        rename_symbol(workspace, document, offset, "other"), key=lambda occurrence: -occurrence.document.start(occurrence.span)
+        rename_symbol(workspace, document, offset, "other"),
+        key=lambda occurrence: -occurrence.document.find_start(occurrence.span),
     ):
         path, text = each.document.path, texts.get(each.document.path, each.document.text.text)
-        texts[path] = text[: each.document.start(each.span)] + "other" + text[each.document.end(each.span) :]
+        texts[path] = text[: each.document.find_start(each.span)] + "other" + text[each.document.find_end(each.span) :]
     for path, text in texts.items():
         workspace.put_document(path, text)  # open in the editor, and not saved
         assert not re.search(rf"\b{name}\b(?!\.)", text), text
@@ -133,15 +134,15 @@ def test_large_folders_are_not_searched_for_each_request(tmp_path: Path, monkeyp
     files = workspace.Workspace([tmp_path])
     first = tmp_path / "one.ant"
     first.write_text("ant 1\n", encoding="utf-8")
-    assert files.files() == [first.resolve()] == files.files() and len(searched) == 1
+    assert files.list_files() == [first.resolve()] == files.list_files() and len(searched) == 1
     second = tmp_path / "two.ant"
     second.write_text("ant 1\n", encoding="utf-8")
-    assert len(files.files()) == 1, "a search that took 2 s holds for 40 s"
+    assert len(files.list_files()) == 1, "a search that took 2 s holds for 40 s"
     clock[0] += 50
-    assert len(files.files()) == 2
+    assert len(files.list_files()) == 2
     first.unlink()
     files.invalidate_file_list()
-    assert files.files() == [second.resolve()]
+    assert files.list_files() == [second.resolve()]
 
 
 def test_names_in_all_spec_lines_are_resolved(tmp_path: Path) -> None:
@@ -150,6 +151,6 @@ never: state == s held 1 s * pace
 when any(n in neighbours(size): n.pace > 0) eventually: true"""
     text = f'{PROGRAM}spec "a" on "base.yaml" {{\nagainst "child.yaml"\neach bug {{\n{lines}\n}}\n}}\n'
     document = Workspace().put_document(tmp_path / "bug.ant", text)
-    keys = [each.key for each in document.occurrences if document.start(each.span) > len(PROGRAM)]
+    keys = [each.key for each in document.occurrences if document.find_start(each.span) > len(PROGRAM)]
     assert keys.count(("state", "bug", "main", "s")) == 2 and keys.count(("own", "bug", "pace")) == 3
     assert [key[1] for key in keys if key[0] == "file"] == [str(tmp_path / "base.yaml"), str(tmp_path / "child.yaml")]

@@ -141,7 +141,7 @@ CALLS = {  # mistakes in a line, and what to write instead
         ("edits: [{kill: {near: lef, within: 5 mm}}]", "did you mean `leaf`"),
         ("edits: [{kill: {state: fly}}]", "no species has a state"),
         ("edits: [kill]", "expected an edit"),
-        ("edits: {kill: bug}", "a list `edits`"),
+        ("edits: {kill: bug}", "no list `edits`"),
         ("kill: bug", "is not a key of edits"),
         ("# none yet", "the file of edits is empty"),
         ("# none yet", "write `edits:`"),

@@ -32,7 +32,7 @@ def test_constants_are_computed_as_float32(a, b):
         expected = {"add": x + y, "sub": x - y, "mul": x * y, "div": x / y, "sqrt": np.sqrt(x), "floor": np.floor(x), "neg": -x}
     build = PlanBuilder()
     for op, value in expected.items():
-        args = (build.number(a),) if op in ("sqrt", "floor", "neg") else (build.number(a), build.number(b))
+        args = (build.add_number(a),) if op in ("sqrt", "floor", "neg") else (build.add_number(a), build.add_number(b))
         node = build(op, *args)
         if node.op != "const" or (value == 0 and node.attrs[0] == 0):
             continue  # the sign of a zero is free

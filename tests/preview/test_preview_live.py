@@ -119,7 +119,7 @@ def test_changes_by_hand_are_reported_with_their_line(live: Live) -> None:
 def test_a_bug_in_a_handler_ends_nothing(live: Live, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     page = Page(live)
     page.frame_arrays(1)
-    monkeypatch.setattr(Session, "layer", lambda *_: 1 / 0)
+    monkeypatch.setattr(Session, "switch_layer", lambda *_: 1 / 0)
     refused = page.ask_and_wait("layer", species="forager", layer="x", on=True)
     assert "bug in antdsl" in refused["message"]
     assert "ZeroDivisionError" in capsys.readouterr().err

@@ -421,7 +421,7 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
     assert timed.facts.is_timed and not usual.facts.is_timed
     profile = meter.profile()
     assert profile.frames == 5 and profile.frames_by_backend == {"machine code": 5}
-    stages = sum(len(code.names) for code in timed.block_codes.values())
+    stages = sum(len(code.function_names) for code in timed.block_codes.values())
     spent = sum(each.ms for each in profile.lines)
     assert (
         profile.lines[0].text == "let seen = feelers(on, count: 1, reach: reach)"

@@ -84,12 +84,12 @@ cameras:
   wide: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm}
   chase: {follow: rows.1, by: [10, 20, 30], smooth: 0.5 s}
 notes:
-  - {hold: rows.0, frames: 1..2, ease: 3, look_at: {head: [1, 2, 3]}, share: 50 %, seed: 3}
+  - {hold: rows.0, frames: 1..2, ease: 3, look_at: {head: [1, 2, 3]}, share: 50 %, seed: 3, stagger: {random: 2}}
   - {set: rows, to: {load: 3}, frames: 1..2, ease: 2}
   - {reach: rows.1, target: [9, 8, 7], frame: 2, ease: 4}
-  - {path: rows.2, along: [[1, 2, 3], [4, 5, 6]], frames: 1..2, apart: 3 mm}
-  - {release: rows, frame: 2, spread: 3}
-  - {slow: {share: 40 %}, in: {from: [1, 2, 3], to: [4, 5, 6]}, speed: 30 %, falloff: 6 mm, strength: 70 %}
+  - {path: rows.2, along: [[1, 2, 3], [4, 5, 6]], frames: 1..2, apart: 3 mm, stagger: {from: [1, 2, 3], speed: 3 mm/s}}
+  - {release: rows, frame: 2, stagger: {each: 3}}
+  - {slow: {near: [1, 2, 3], farthest: 3, share: 40 %}, in: {from: [1, 2, 3], to: [4, 5, 6]}, speed: 30 %, falloff: 6 mm, strength: 70 %}
   - {forbid: rows, in: {along: line, width: 8 mm}}
   - {attract: rows, to: [3, 2, 1], radius: 40 mm}
   - {repel: rows, from: [30, 2, 1], radius: 40 mm}

@@ -37,7 +37,7 @@ def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> No
 def test_a_file_that_is_edited_has_the_same_limits(words: str) -> None:
     parts = IncrementalParser()
     parts.parse(Source("large.ant", "ant 1\n" + SPECIES.format("a") + SPECIES.format("b")))
-    with patch("antdsl.syntax.parser._FileParser.lines", autospec=True, side_effect=_FileParser.lines) as reading:
+    with patch("antdsl.syntax.parser._FileParser.parse_lines", autospec=True, side_effect=_FileParser.parse_lines) as reading:
         edited_result = parts.parse(Source("large.ant", LARGE[words]))
     assert (
         reading.call_count <= limits.MAX_FILE_STATEMENTS + limits.MAX_FILE_SPECIES
