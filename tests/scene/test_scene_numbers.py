@@ -89,13 +89,14 @@ notes:
   - {reach: rows.1, target: [9, 8, 7], frame: 2, ease: 4}
   - {path: rows.2, along: [[1, 2, 3], [4, 5, 6]], frames: 1..2, apart: 3 mm, stagger: {from: [1, 2, 3], speed: 3 mm/s}}
   - {release: rows, frame: 2, stagger: {each: 3}}
-  - {slow: {near: [1, 2, 3], farthest: 3, share: 40 %}, in: {from: [1, 2, 3], to: [4, 5, 6]}, speed: 30 %, falloff: 6 mm, strength: 70 %}
+  - {slow: {share: 40 %}, in: {from: [1, 2, 3], to: [4, 5, 6]}, speed: 30 %, falloff: 6 mm, strength: 70 %}
   - {forbid: rows, in: {along: line, width: 8 mm}}
   - {attract: rows, to: [3, 2, 1], radius: 40 mm}
   - {repel: rows, from: [30, 2, 1], radius: 40 mm}
   - {lane: rows, along: [[1, 2, 3], [4, 5, 6]], width: 9 mm}
   - {part: rows, for: rock, distance: 9 mm}
   - {thin: rows, to: 90 %, near: [1, 2, 3], within: 500 mm, most: 40}
+  - {thin: rows, to: 90 %, near: [1, 2, 3], farthest: 40}
 set: {walker.pace: 30 mm/s}
 fields: {trail: {start: 2, around: [1, 2, 3], radius: 30 mm}}
 camera: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm}
