@@ -119,7 +119,10 @@ def notes(*lines: str, problem: str = "", op: str = "notes") -> dict[str, Any]:
     return {"op": op, "lines": listed, "problem": "", "file": "walk.yaml" if op == "notes" else "edits.yaml"}
 
 
-def directed(line: str, *problems: tuple[str, str], applied: bool = False, listed: str = "notes") -> dict[str, Any]:
+def directed(
+    line: str, *problems: tuple[str, str], applied: bool = False, listed: str = "notes", **choices: list[str]
+) -> dict[str, Any]:
     """The answer to a draft. `problems`: keys with messages."""
     findings = [{"key": key, "severity": "error", "message": message, "help": ""} for key, message in problems]
-    return {"op": "directed", "list": listed, "line": line, "ok": not problems, "applied": applied, "problems": findings}
+    answer = {"op": "directed", "list": listed, "line": line, "ok": not problems, "applied": applied, "problems": findings}
+    return answer | {"choices": choices}

@@ -122,6 +122,7 @@ EDITS = [
     ("face", "guards", {"to": "leaf"}),
     ("pin", "guards.4", {"to": "[[-100, 0, 0], [100, 0, 0]]", "speed": "20 mm/s"}),
     ("drop", "guards.6", {"onto": "ground"}),
+    ("offset", "guards.2", {"joint": "head", "rotate": "[0, 30 deg, 0]", "by": "[1 mm, 0, 0]", "frames": "20..30"}),
     ("replace", "guards.8", {"colour": "red"}),
     ("replace", "guards.8", {"body": "spider"}),
     ("replace", "guards.8", {"body": "stick.json"}),
@@ -131,7 +132,7 @@ EDITS = [
 ]
 
 
-@pytest.mark.parametrize("case", sampled(EDITS, [EDITS[5], EDITS[15], EDITS[16]]))
+@pytest.mark.parametrize("case", sampled(EDITS, [EDITS[5], EDITS[13], EDITS[16], EDITS[17]]))
 def test_an_edit_is_shown_as_a_cache_has_it_and_others_keep_their_bits(
     page: Page, scene: Path, case: tuple[str, str, dict[str, str]]
 ) -> None:
@@ -154,7 +155,12 @@ def test_an_edit_is_shown_as_a_cache_has_it_and_others_keep_their_bits(
             rows = [k for k, i in enumerate(ids) if int(i) in plain["ant/id"] and int(i) not in selected]
             theirs = np.searchsorted(plain["ant/id"], ids[rows])
             assert np.array_equal(own[rows], other[theirs]), name
-        changed |= bool(selected) or len(ids) != len(plain["ant/id"]) or "ant/tint" in arrays or "ant/body" in arrays
+        offsets = {name: expected[name] for name in expected if name.startswith("joints.")}
+        sent = {name: array for name, array in arrays.items() if name.startswith("ant/offset/")}
+        assert [array.tobytes() for array in sent.values()] == [array.tobytes() for array in offsets.values()]
+        changed |= (
+            bool(selected) or bool(offsets) or len(ids) != len(plain["ant/id"]) or "ant/tint" in arrays or "ant/body" in arrays
+        )
         assert ("ant/body" in arrays) == (len(edited.manifest.species[0].bodies) > 1)
     assert changed, "the edit has an effect"
     assert page.last("status")["hash"] == page.hash_at(LAST) and not page.last("status")["edited"]
@@ -215,10 +221,18 @@ def test_a_value_that_is_wrong_is_reported_at_its_key(page: Page) -> None:
         answer = draft(page, verb, agents, apply=True, **values)
         assert not answer["applied"], answer
         assert any(words in each["message"] for each in answer["problems"] if each["key"] == key), answer
-    answer = draft(page, "offset", "guards", joint="head", rotate="[0, 30 deg, 0]")
-    assert answer["ok"] and answer["problems"][0]["severity"] == "warning"
     assert draft(page, "dance", "guards")["op"] == draft(page, "merge", "guards")["op"] == "refused"
     assert page.last("edits")["lines"] == []
+
+
+def test_joints_to_choose_from_are_those_of_the_bodies_of_the_agents(page: Page) -> None:
+    own = draft(page, "offset", "guards.8")["choices"]["joint"]
+    assert "head" in own and draft(page, "offset", "nobody")["choices"]["joint"] == []
+    assert draft(page, "kill", "guards.8")["choices"] == {}
+    assert draft(page, "replace", "guards.8", apply=True, body="stick.json")["applied"]
+    other = draft(page, "offset", "guards.8")["choices"]["joint"]
+    assert "thigh_left_0" in set(other) - set(own) and "head" not in other
+    assert draft(page, "offset", "guards.7..8")["choices"]["joint"] == list(dict.fromkeys(own + other))
 
 
 def test_edits_follow_an_edited_program_and_frames_that_are_simulated_later(page: Page, scene: Path) -> None:

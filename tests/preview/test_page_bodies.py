@@ -44,7 +44,7 @@ from antdsl.bodies.skinned_mesh import compute_blend_targets
 from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.action_arrays import compute_blend_weights, make_stance_arrays, pack_clips
-from antdsl.preview.viewing.body_packets import BodyOutfit, find_traits, make_rig_packet
+from antdsl.preview.viewing.body_packets import BodyOutfit, find_depth_order, find_traits, make_rig_packet
 from antdsl.runtime.feet.feet_state import Feet
 from antdsl.runtime.feet.trunk import compute_slope_quaternions
 
@@ -264,6 +264,36 @@ def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
     page.page.wait_for_timeout(300)
     for row in range(count):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
+
+
+def test_joints_have_the_offsets_of_edits_as_antdsl_has_them(page: Stage) -> None:
+    body, plays, count, random = crane(), machines(12), 12, np.random.default_rng(8)
+    body = replace(body, variation=Variation({"arms": (0.6, 1.8)}))
+    looks = random.normal((0.5, 0, 0), 1, (count, 3))
+    looks = np.rint(127 * looks / np.linalg.norm(looks, axis=1, keepdims=True)).astype(np.int8)
+    directions = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
+    offsets = {}
+    for joint in ("j3", "j5"):
+        turns = random.normal(size=(count, 4))
+        turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+        offsets[joint] = np.concatenate([random.normal(0, 0.2, (count, 3)), turns], axis=1).astype(np.float32)
+    lean = leans(count)[:, :2].astype(np.float32) / 127
+    driven = DrivenPose({}, {"arms": directions}, VariationDraws(np.arange(10, 10 + count), 3, "ant"), lean, offsets)
+    level = PosedBody(body, PLAYS)
+    expected, plain = (
+        in_bones(body, level, level.compute_poses(plays, count, driven_pose=each).world_transforms)
+        for each in (driven, replace(driven, joint_offsets={}))
+    )
+    assert np.abs(expected - plain).max() > 0.3
+    worn, order = BodyOutfit(body, PLAYS, (), ("arms",), True), find_depth_order(build_clip_table(body))
+    other = trait_arrays(worn, plays, driven) | {"look/arms": looks}
+    edited = {f"offset/{order[int(joint[1:])]}": offset for joint, offset in offsets.items()}
+    page.tell(scene(camera=CAMERA), texts(), status(), make_rig_packet("ant", worn, ("main", "arms")))
+    for number, extra_arrays, bones_of in ((20, edited, expected), (21, {}, plain), (22, edited, expected)):
+        page.tell(frame(plays, number, other | extra_arrays))
+        page.page.wait_for_timeout(600)
+        for row in range(count):
+            assert np.abs(bones(page, 10 + row) - bones_of[row]).max() < 1e-3, (number, row)
 
 
 def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:

@@ -153,6 +153,11 @@ def test_an_edit_is_written_checked_and_listed(browser: Browser) -> None:
         page.find("note-remove").last.click()
         answers = [(each["list"], each["key"], each["action"]) for each in page.requests_of("line")]
         assert answers == [("edits", 0, "off"), ("edits", 1, "remove")]
+        page.find("direct-verb").select_option("offset")
+        page.tell(directed("{offset: guards}", ("joint", "missing"), listed="edits", joint=["neck", "head"]))
+        page.find("direct-choices-joint").locator("option").nth(1).wait_for(state="attached")
+        choices = page.find("direct-choices-joint").locator("option").evaluate_all("all => all.map((each) => each.value)")
+        assert choices == ["neck", "head"] and page.find("direct-key-joint").get_attribute("list")
 
 
 def test_what_is_written_is_checked_applied_and_listed(browser: Browser) -> None:

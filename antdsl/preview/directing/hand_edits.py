@@ -6,14 +6,20 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from antdsl.bodies.agents.definition import BodyError
 from antdsl.diagnostics import Report
-from antdsl.outputs.cache.cache_reader import Arrays, CacheError
+from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
+from antdsl.outputs.cache.frame_agents import make_agent_keys
 from antdsl.outputs.cache.manifest import Manifest
+from antdsl.outputs.cache_bodies import CacheBodies
+from antdsl.outputs.edits.cache_selection import Selection
 from antdsl.outputs.edits.edit_files import read_edit_files
 from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable
 from antdsl.outputs.edits.edit_lines import EDITS_KEY, EditList, PlacedEdit, read_edits
 from antdsl.outputs.edits.edited_cache import EditedCache, apply_edits
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.outputs.edits.verbs.joints import OffsetLine
 from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.pipeline import Shot
@@ -26,7 +32,7 @@ from antdsl.scene.document import MappingNode, SequenceNode
 
 EDITS_FILE = "edits.yaml"  # where users write edits
 _PREFIX = f"{EDITS_KEY}:\n  - "
-_NOT_SHOWN = ("the preview does not show offsets of joints", "copy the line: `antdsl edit` applies it")
+_MESH_HELP = "copy the line: `antdsl edit` applies it"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +95,30 @@ class EditedRun:
                 for file in edit.line.list_files(manifest):
                     if file.kind == "mesh":
                         message = f"the preview puts agents on `{file.path}`, but does not draw it"
-                        draft.report.warning("cannot-read", message, edits.span(edit, file.key), _NOT_SHOWN[1])
-                if isinstance(edit.line, OffsetLine):
-                    draft.report.warning("cannot-read", _NOT_SHOWN[0], edits.span(edit, "joint"), _NOT_SHOWN[1])
+                        draft.report.warning("cannot-read", message, edits.span(edit, file.key), _MESH_HELP)
         return draft, draft.report.ok and not draft.missing
+
+    def list_joints(self, agents: str) -> list[str]:
+        """Return the joints of the bodies of the selected agents in the session's frame, for the value of `offset`.
+
+        `agents`: a selector as in a line. Empty without agents, and if the text or the frame has an error."""
+        view = self.find_view()
+        frames: Cache = self._read_frames() if view is None else view
+        edits, _ = _read_line(f"{{{OffsetLine.verb}: {agents}, joint: head, by: [0, 0, 0]}}", frames.manifest)
+        if edits is None or not isinstance(line := edits.edits[0].line, OffsetLine):
+            return []
+        number = self.session.frame
+        try:
+            keys = make_agent_keys(frames.frame(number))
+            keys = keys[Selection(line.selector, frames, number).find(keys)]
+        except CacheError:
+            return []
+        bodies, names = CacheBodies(frames.manifest, frames.read_static()), dict[str, None]()
+        for species in np.unique(keys % SPECIES_PER_KEY).tolist():
+            ids = keys[keys % SPECIES_PER_KEY == species] // SPECIES_PER_KEY
+            for body in np.unique(bodies.numbers(species, ids)).tolist():
+                names |= dict.fromkeys(bodies.definition(species, body).rig.names)
+        return list(names)
 
     def replace_edits(self, edits: HandEdits, frame: int) -> str:
         """Replace the edits. Return the reason why they cannot be applied to a frame; then nothing changes. Empty on success."""

@@ -33,7 +33,8 @@ def draft_line(live: Live, request: requests.DraftLine, client: Client) -> None:
         raise RequestRefused(f"`{request.verb}` is not a verb of {request.list}")
     draft, is_valid, findings, is_applied = (_draft_note if request.list == "notes" else _draft_edit)(live, request, form)
     problems = [{**each, "message": live.screen.names.shorten_paths(each["message"])} for each in draft.list_problems(findings)]
-    answer = {"line": draft.text, "ok": is_valid, "applied": is_applied, "problems": problems}
+    choices = {"joint": live.screen.edited.list_joints(request.agents)} if form.find_key("joint") and request.agents else {}
+    answer = {"line": draft.text, "ok": is_valid, "applied": is_applied, "problems": problems, "choices": choices}
     client.tell({"op": "directed", "list": request.list, **answer})
 
 

@@ -33,7 +33,14 @@ from antdsl.outputs.cache.pose_arrays import (
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import SpeciesPoses
-from antdsl.preview.viewing.body_packets import BodyOutfit, BodyTraits, build_posed_body, find_traits, list_outfits
+from antdsl.preview.viewing.body_packets import (
+    BodyOutfit,
+    BodyTraits,
+    build_posed_body,
+    find_depth_order,
+    find_traits,
+    list_outfits,
+)
 from antdsl.runtime import Population, World
 from antdsl.runtime.body_rows import find_body_numbers
 
@@ -127,6 +134,7 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
     - `SPECIES/plays/MACHINE`: the clips of a machine, as from `pack_clips`.
     - `SPECIES/wears` uint32[n]: a bit for each worn layer.
     - `SPECIES/look/GROUP` int8[n, 3]: a direction, 127 is 1.
+    - `SPECIES/offset/K` float32[n, 7]: what edits add to joint K in the order by depth, as in caches.
     - `SPECIES/lean` int8[n, 3]: turn, slope, 0; 127 is 1.
     - `SPECIES/trait/K` float32[n, 3]: three of the body traits, in order.
     - `SPECIES/feet` and `SPECIES/stance`: if feet are computed.
@@ -177,7 +185,21 @@ def _make_display_arrays(actions: SpeciesActions, body_outfit: BodyOutfit) -> Ar
     if body_outfit.blends_lean:
         leans = np.nan_to_num(stored[f"leans.{species}"])
         arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(leans))]), -1, 1)).astype(np.int8)
-    return arrays
+    return arrays | _make_offset_arrays(actions, body_outfit)
+
+
+def _make_offset_arrays(actions: SpeciesActions, body_outfit: BodyOutfit) -> Arrays:
+    prefix = f"joints.{actions.species}."
+    offsets = {name.removeprefix(prefix): each for name, each in actions.stored_arrays.items() if name.startswith(prefix)}
+    numbers = _number_joints(body_outfit.definition) if offsets else {}
+    return {f"offset/{numbers[joint]}": array for joint, array in offsets.items() if joint in numbers}
+
+
+@lru_cache(maxsize=8)
+def _number_joints(definition: Definition) -> Mapping[str, int]:
+    """Return the numbers of joints in the order by depth, by name."""
+    table = build_clip_table(definition)
+    return dict(zip(table.rig.names, find_depth_order(table).tolist(), strict=True))
 
 
 def _make_trait_arrays(actions: SpeciesActions, body_outfit: BodyOutfit, machines: tuple[MachineClips, ...]) -> Arrays:

@@ -198,7 +198,7 @@ def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tu
         part = rows[:, at : at + width * joints].reshape(len(rows), width, joints)
         sample[:, :, texel, :width] = part.transpose(0, 2, 1)
         at += width * joints
-    place = _find_depth_order(table)
+    place = find_depth_order(table)
     parents = np.asarray(table.rig.parents)[table.joint_order]
     ones = np.ones(joints, np.float32)
     weights = [ones if not name else table.compute_group_weights(definition.groups[name])[0] for name in groups]
@@ -273,7 +273,7 @@ def _make_trait_vertex_arrays(level: PosedBody, body_traits: BodyTraits) -> Arra
     return {"target": np.array([targets.get(each, none) for each in body_traits.targets], np.float32), "paint": paint}
 
 
-def _find_depth_order(table: ClipTable) -> NDArray[np.int32]:
+def find_depth_order(table: ClipTable) -> NDArray[np.int32]:
     """Return, for each joint of the rig, its index in the order by depth."""
     place = np.empty(len(table.joint_order), np.int32)
     place[table.joint_order] = np.arange(len(table.joint_order))
@@ -285,7 +285,7 @@ def _make_leg_arrays(legs: LegSolver | None, table: ClipTable) -> Arrays:
     knee bends."""
     if legs is None:
         return {}
-    leg_array, place = np.zeros((legs.count, 2, 4), np.float32), _find_depth_order(table)
+    leg_array, place = np.zeros((legs.count, 2, 4), np.float32), find_depth_order(table)
     leg_array[:, 0, :3] = [place[[each.upper, each.lower, each.foot]] for each in legs.chains]
     leg_array[:, 1, :3] = legs.get_straight_axes()
     return {"leg": leg_array}
@@ -310,7 +310,7 @@ def _make_mesh_arrays(body: PosedBody, table: ClipTable) -> Arrays:
     - `bone` uint8 or uint16[v, 4]; `weight` uint8[v, 4].
     - `joint` int32[B] by depth and `inverse` float32[B, 3, 4] of the bones."""
     mesh = body.mesh
-    place = np.append(_find_depth_order(table), -1)  # of a bone without a joint: -1
+    place = np.append(find_depth_order(table), -1)  # of a bone without a joint: -1
     colour = np.sqrt(np.clip(np.column_stack([body.material_colours, np.square(body.tint_weights)]), 0, 1))
     return {
         "position": mesh.points,

@@ -127,7 +127,7 @@ def _gather_actions(
 def _find_owner(name: str) -> str:
     """Return the species or body to which an array of a frame belongs, such as `feet.ant#0.P`; empty for other arrays."""
     parts = name.split(".")
-    return parts[1] if len(parts) > 1 and parts[0] in ("clips", "wears", "channels", "looks", "leans", "feet") else ""
+    return parts[1] if len(parts) > 1 and parts[0] in ("clips", "wears", "channels", "looks", "leans", "feet", "joints") else ""
 
 
 def find_edited_outfits(view: EditedCache, world: World, shot: Shot) -> Mapping[str, Mapping[str, BodyOutfit]]:

@@ -69,6 +69,7 @@ export interface Directed {
   ok: boolean;
   applied: boolean;
   problems: LineProblem[];
+  choices: Record<string, string[]>; // by key: values that fit the agents
 }
 
 /** A place that the user clicked: an item, an agent, or a point relative to the origin of positions (mm). */

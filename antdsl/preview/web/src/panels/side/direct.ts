@@ -195,6 +195,7 @@ class LineForm {
     write(this.wrong, words("agents"));
     write(this.whole, words(""));
     this.fields?.showProblems(words);
+    this.fields?.setChoices(answer?.choices ?? {});
     setText(this.line, answer?.line ?? "");
     this.apply.disabled = this.copy.disabled = !answer?.ok;
   }

@@ -9,6 +9,8 @@ export interface Fields {
   values(): Record<string, string>;
   /** Show the problems of each key, by their text. */
   showProblems(words: (key: string) => string): void;
+  /** Replace the values to choose from, by key. Other keys keep theirs. */
+  setChoices(choices: Record<string, string[]>): void;
   /** Show which key waits for a click in the view. */
   showPicking(): void;
   /** Fill in the current frame where the user has written none. Return whether a value changed. */
@@ -20,6 +22,7 @@ interface Field {
   element: HTMLElement;
   input: HTMLInputElement;
   wrong: HTMLElement;
+  names: HTMLDataListElement;
   showPicking: (() => void) | undefined;
 }
 
@@ -44,6 +47,9 @@ export function makeFields(store: Store, list: List, verb: Verb, changed: () => 
       Object.fromEntries(all.map(({ key, input }) => [key.name, input.value.trim()]).filter(([, value]) => value !== "")),
     showProblems: (words) => {
       for (const { key, wrong } of all) write(wrong, words(key.name));
+    },
+    setChoices: (choices) => {
+      for (const { key, names } of all) if (choices[key.name]) names.replaceChildren(...options(choices[key.name] ?? []));
     },
     showPicking: () => {
       for (const each of all) each.showPicking?.();
@@ -79,7 +85,7 @@ function makeField(store: Store, verb: Verb, key: VerbKey, changed: () => void):
     spellcheck: "false",
     maxlength: 2000,
     placeholder: key.default || `${key.required ? "" : "– "}${key.example}`,
-    list: key.choices.length ? list : null,
+    list,
     title: key.help,
     test: `direct-key-${key.name}`,
   });
@@ -88,10 +94,14 @@ function makeField(store: Store, verb: Verb, key: VerbKey, changed: () => void):
     changed();
   });
   const wrong = problem(`direct-wrong-${key.name}`);
-  const names = key.choices.length ? el("datalist", { id: list }, ...key.choices.map((value) => el("option", { value }))) : null;
+  const names = el("datalist", { id: list, test: `direct-choices-${key.name}` }, ...options(key.choices));
   const pick = makePick(store, key, input, changed);
   const row = el("div", { class: "control" }, labelled(key.name, input), pick?.button);
-  return { key, input, wrong, showPicking: pick?.show, element: el("div", { class: "field" }, row, names, wrong) };
+  return { key, input, wrong, names, showPicking: pick?.show, element: el("div", { class: "field" }, row, names, wrong) };
+}
+
+function options(values: string[]): HTMLElement[] {
+  return values.map((value) => el("option", { value }));
 }
 
 interface Pick {

@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import type { Feet } from "../herds/feet";
 import type { Gaze } from "../herds/gaze";
+import type { Offsets } from "../herds/offsets";
 import { Pass } from "./passes";
 import type { Plays } from "../herds/plays";
 import { BENT, BONES, JOINTS, LEGS } from "./poseshaders";
@@ -15,6 +16,7 @@ export interface Acting {
   plays: Plays;
   feet: Feet;
   gaze: Gaze;
+  offsets: Offsets;
 }
 
 /** Rows of numbers as a texture that grows, four numbers per texel. */
@@ -45,6 +47,7 @@ export class Poser {
   private readonly plays = new Lines();
   private readonly stances = new Lines();
   private readonly gazes = new Lines();
+  private readonly offsets = new Lines();
   private rows = 0; // capacity in rows of agents
   private perRow = 1;
   private known = "";
@@ -73,7 +76,7 @@ export class Poser {
       plays: null,
       ...gaze,
     };
-    const legs = { ...gaze, legAt: rig.legAt, unitLength: rig.length, ...rig.bending };
+    const legs = { ...gaze, offsets: null, offsetJoints: 0, legAt: rig.legAt, unitLength: rig.length, ...rig.bending };
     this.joints = new Pass(renderer, JOINTS, 4, rig.joints, { ...all, ...clips });
     this.legs = rig.legs ? new Pass(renderer, LEGS, 3, rig.legs, { ...all, ...legs, legs: rig.legs }) : null;
     this.bent = rig.legs ? new Pass(renderer, BENT, 3, rig.legs, { ...all, ...legs, legs: rig.legs }) : null;
@@ -108,8 +111,8 @@ export class Poser {
 
   /** Pose agents at `t` of the way: the first `count` rows, or the `chosen` ones. Does nothing if nothing has
    * changed. */
-  pose({ plays, feet, gaze }: Acting, count: number, t: number, chosen: readonly number[] | null): void {
-    const pose = `${plays.version} ${feet.version} ${gaze.version} ${count} ${chosen ? chosen.join() : ""}`;
+  pose({ plays, feet, gaze, offsets }: Acting, count: number, t: number, chosen: readonly number[] | null): void {
+    const pose = `${plays.version} ${feet.version} ${gaze.version} ${offsets.version} ${count} ${chosen ? chosen.join() : ""}`;
     const now = `${pose} ${t}`;
     if (now === this.known || count === 0 || this.skin.bones === 0) return;
     this.known = now;
@@ -118,9 +121,10 @@ export class Poser {
       this.filled = pose;
       this.plays.fill(plays.data, plays.width, count, chosen);
       if (gaze.width) this.gazes.fill(gaze.data, gaze.width, count, chosen);
+      if (offsets.width) this.offsets.fill(offsets.data, offsets.width, count, chosen);
       if (feet.hasData) this.stances.fill(feet.data, feet.width, count, chosen);
     }
-    this.run({ count, perRow: this.perRow, t }, feet.hasData);
+    this.run({ count, perRow: this.perRow, t, offsetJoints: offsets.joints.length }, feet.hasData);
   }
 
   /** Return the matrices of all bones of an agent in its last pose, row by row: for tests. */
@@ -133,13 +137,13 @@ export class Poser {
 
   dispose(): void {
     for (const pass of [this.joints, this.legs, this.bent, this.bones]) pass?.dispose();
-    for (const lines of [this.plays, this.stances, this.gazes]) lines.texture.dispose();
+    for (const lines of [this.plays, this.stances, this.gazes, this.offsets]) lines.texture.dispose();
   }
 
-  private run(values: { count: number; perRow: number; t: number }, stand: boolean): void {
+  private run(values: { count: number; perRow: number; t: number; offsetJoints: number }, stand: boolean): void {
     this.joints.run({ ...values, plays: this.plays.texture, gazes: this.gazes.texture });
     const [moves, turns, scales, shears] = this.joints.textures;
-    const local = { ...values, moves, turns, scales, shears, gazes: this.gazes.texture };
+    const local = { ...values, moves, turns, scales, shears, gazes: this.gazes.texture, offsets: this.offsets.texture };
     const { legs, bent } = this;
     if (!legs || !bent || !stand) {
       this.bones.run({ ...local, legs: 0 });

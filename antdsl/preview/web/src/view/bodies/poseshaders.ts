@@ -190,8 +190,8 @@ float traitOf(sampler2D gazes, int row, int gazeTexels, int first, int number, f
   return mix(a[number % 3], b[number % 3], t);
 }`;
 
-/** Joints in the agent's space, rotated to its gaze as in antdsl/bodies/agents/driving.py, and scaled as in
- * antdsl/bodies/agents/varied_bodies.py. */
+/** Joints in the agent's space, rotated to its gaze and with the offsets of edits as in antdsl/bodies/agents/driving.py, and
+ * scaled as in antdsl/bodies/agents/varied_bodies.py. */
 const WORLD = /* glsl */ `
 ${TRAIT}
 uniform sampler2D gazes;
@@ -202,9 +202,34 @@ uniform int lookAt;
 uniform int targets;
 uniform int sizes;
 uniform int scaleAt;
+uniform sampler2D offsets;
+uniform int offsetJoints;
 vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }
 
-mat4 looking(mat4 m, int joint) {
+mat4 turn(mat4 m, vec4 q, vec3 about) {
+  return mat4(vec4(turned(q, m[0].xyz), 0.0), vec4(turned(q, m[1].xyz), 0.0), vec4(turned(q, m[2].xyz), 0.0),
+    vec4(turned(q, m[3].xyz - about) + about, 1.0));
+}
+
+/** A joint without offsets, the offsets of the joint and of those above it, and the size of the joint. */
+struct Posed { mat4 joint; mat4 moved; float size; };
+mat4 placed(Posed posed) { return posed.moved * posed.joint; }
+
+/** Adds the offsets of a joint, which turn about its position and move all joints below it. */
+void displace(inout Posed posed, int joint) {
+  float scale = length(vec3(base[0].x, base[1].x, base[2].x));
+  for (int k = 0; k < offsetJoints; k++) {
+    int here = 4 * (agent * offsetJoints + k);
+    vec4 a = at(offsets, here), b = at(offsets, here + 1), c = at(offsets, here + 2), d = at(offsets, here + 3);
+    if (int(round(a.w)) != joint) continue;
+    vec4 q = unit(mix(b, dot(b, d) < 0.0 ? -d : d, t));
+    posed.moved = turn(posed.moved, vec4((q.xyz * base) / scale, q.w), placed(posed)[3].xyz);
+    posed.moved[3].xyz += (mix(a.xyz, c.xyz, t) * base) / (scale * scale) * posed.size;
+  }
+}
+
+void follow(inout Posed posed, int joint) {
+  mat4 m = posed.joint * local(joint);
   vec3 ahead = normalize(vec3(base[0].x, base[1].x, base[2].x));
   for (int k = 0; k < looks; k++) {
     float weight = at(table, lookAt + k * joints + joint).x;
@@ -214,15 +239,18 @@ mat4 looking(mat4 m, int joint) {
     way /= max(length(way), 1e-12);
     vec4 q = 1.0 + dot(ahead, way) < 1e-6 ? vec4(0.0, 0.0, 0.0, 1.0) : unit(vec4(cross(ahead, way), 1.0 + dot(ahead, way)));
     q = unit(mix(vec4(0.0, 0.0, 0.0, 1.0), q, weight));
-    m = mat4(vec4(turned(q, m[0].xyz), 0.0), vec4(turned(q, m[1].xyz), 0.0), vec4(turned(q, m[2].xyz), 0.0), m[3]);
+    m = turn(m, q, m[3].xyz);
   }
+  posed.joint = m;
+  displace(posed, joint);
   for (int k = 0; k < sizes; k++) {
     float weight = at(table, scaleAt + k * joints + joint).x;
     if (weight == 0.0) continue;
     float size = 1.0 + weight * (traitOf(gazes, agent, gazeTexels, looks + leans, targets + k, t) - 1.0);
     m = mat4(vec4(m[0].xyz * size, 0.0), vec4(m[1].xyz * size, 0.0), vec4(m[2].xyz * size, 0.0), m[3]);
+    posed.size *= size;
   }
-  return m;
+  posed.joint = m;
 }
 
 int chain[64];
@@ -244,13 +272,13 @@ uniform int legAt;
 void main() {
   if (outside()) discard;
   ivec3 leg = ivec3(round(at(table, legAt + 2 * item).xyz));
-  mat4 m = mat4(1.0);
+  Posed posed = Posed(mat4(1.0), mat4(1.0), 1.0);
   for (int k = above(leg.z) - 1; k >= 0; k--) {
-    m = looking(m * local(chain[k]), chain[k]);
-    if (chain[k] == leg.x) first = m[3];
-    if (chain[k] == leg.y) second = m[3];
+    follow(posed, chain[k]);
+    if (chain[k] == leg.x) first = placed(posed)[3];
+    if (chain[k] == leg.y) second = placed(posed)[3];
   }
-  third = m[3];
+  third = placed(posed)[3];
 }`;
 
 const STANCES = /* glsl */ `
@@ -334,11 +362,6 @@ uniform sampler2D legTurns;
 uniform sampler2D kneeTurns;
 uniform sampler2D footMoves;
 
-mat4 turn(mat4 m, vec4 q, vec3 about) {
-  return mat4(vec4(turned(q, m[0].xyz), 0.0), vec4(turned(q, m[1].xyz), 0.0), vec4(turned(q, m[2].xyz), 0.0),
-    vec4(turned(q, m[3].xyz - about) + about, 1.0));
-}
-
 /** Returns the matrix of a joint with bent legs. \`part\`: 0 outside legs, else 3 times the leg plus 1 thigh, 2 shank, 3 foot. */
 mat4 standing(mat4 m, int part) {
   vec3 down = upward() * texelFetch(footMoves, place(0, legs), 0).w;
@@ -359,8 +382,9 @@ void main() {
   if (outside()) discard;
   int bone = 4 * item;
   vec4 own = at(bones, bone);
-  mat4 made = mat4(1.0);
-  for (int k = above(int(round(own.x))) - 1; k >= 0; k--) made = looking(made * local(chain[k]), chain[k]);
+  Posed posed = Posed(mat4(1.0), mat4(1.0), 1.0);
+  for (int k = above(int(round(own.x))) - 1; k >= 0; k--) follow(posed, chain[k]);
+  mat4 made = placed(posed);
   bool stands = legs > 0 && own.x > -0.5;
   if (stands) made = standing(made, int(round(own.y)));
   made = mat4(base) * made * transpose(mat4(at(bones, bone + 1), at(bones, bone + 2), at(bones, bone + 3), vec4(0.0, 0.0, 0.0, 1.0)));

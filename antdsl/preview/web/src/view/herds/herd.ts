@@ -3,6 +3,7 @@
 import type { NumberArray, Packet, Species } from "../../protocol";
 import { Feet } from "./feet";
 import { Gaze } from "./gaze";
+import { Offsets } from "./offsets";
 import { NONE, Plays } from "./plays";
 
 /** The drawn values of agents, one row in each array. Positions and sizes in mm, directions as signed bytes. */
@@ -73,6 +74,7 @@ export class Herd {
   readonly plays = new Plays();
   readonly feet = new Feet();
   readonly gaze = new Gaze();
+  readonly offsets = new Offsets();
   clock = 0; // seconds since frame 0
   private machines: string[] = [];
   private idle: Acts["idle"] = null;
@@ -147,6 +149,7 @@ export class Herd {
     this.feet.take(this.column("feet"), this.column("stance"), this.count, this.from, t);
     const looks = this.gaze.groups.map((group) => this.column(group));
     this.gaze.take(looks, this.count, this.from, t);
+    this.offsets.take(this.arrays, this.key, this.count, this.from, t);
   }
 
   /** Return the clips of agents without clips from machines. Each agent has its own offset to the time of the frame. */
