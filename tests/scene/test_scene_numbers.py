@@ -94,6 +94,7 @@ notes:
   - {attract: rows, to: [3, 2, 1], radius: 40 mm}
   - {repel: rows, from: [30, 2, 1], radius: 40 mm}
   - {lane: rows, along: [[1, 2, 3], [4, 5, 6]], width: 9 mm}
+  - {confine: rows, in: {in_view: wide, across: [1 %, 33 %], up: [2 %, 50 %]}, falloff: 6 mm}
   - {part: rows, for: rock, distance: 9 mm}
   - {thin: rows, to: 90 %, near: [1, 2, 3], within: 500 mm, most: 40}
   - {thin: rows, to: 90 %, near: [1, 2, 3], farthest: 40}
