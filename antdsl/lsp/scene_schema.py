@@ -35,8 +35,16 @@ def build_schema() -> dict[str, Any]:
 
 
 def build_schema_text() -> str:
-    """Return the schema as the text of its file."""
-    return json.dumps(build_schema(), indent=1) + "\n"
+    """Return the schema as the text of its file, with one line for each key of a scene and each definition."""
+    schema = build_schema()
+    lines = []
+    for keyword, value in schema.items():
+        if keyword in ("properties", "$defs"):
+            rows = ",\n".join(f"  {json.dumps(name)}: {json.dumps(part)}" for name, part in value.items())
+            lines.append(f"{json.dumps(keyword)}: {{\n{rows}\n }}")
+        else:
+            lines.append(f"{json.dumps(keyword)}: {json.dumps(value)}")
+    return "{\n " + ",\n ".join(lines) + "\n}\n"
 
 
 def _list_models(model: type[ScenePart]) -> Iterator[type[ScenePart]]:
