@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import commands
 import numpy as np
 import pytest
-from directed import Track, follow, open_directed, row_of
+from directed import Track, follow, open_directed, row_of, start
 
-from antdsl.runtime import World
+from antdsl.pipeline import open_scene
+from antdsl.runtime import World, step
 
 
 def find_stops(track: Track) -> np.ndarray:
@@ -64,3 +66,42 @@ def test_agents_reach_a_target_and_change_and_look_one_after_the_other(tmp_path:
         mood = track.of("mood", 10 + k)
         assert track.frames[int((mood == 5).argmax())] == 20 + 10 * k
         assert looks[20 + k] == list(range(20 + 10 * k, 26 + 10 * k))
+
+
+def test_a_note_waits_for_a_target_that_appears_later(tmp_path: Path) -> None:
+    """The target appears in frame 30: the nearest agents stop first, though the note begins, with its ease, before that."""
+    open_directed(tmp_path)
+    scene = tmp_path / "scene.yaml"
+    place = "{on: ground, around: [20, 0, 20], radius: 1 mm}"
+    scene.write_text(f"""{scene.read_text()}
+  - {{name: queen, species: ant, from: a.ant, frames: 30..30, rate: 24 /s, place: {place}}}
+notes:
+  - {{hold: guards, frames: 24..90, ease: 4, stagger: {{each: 1, from: queen, ends: together}}}}
+""")
+    shot, report = open_scene(scene)
+    assert shot is not None, report.diagnostics
+    world = start(shot)
+    positions = [world.populations["ant"].position.copy()]
+    while world.frame < 88:
+        step(world)
+        population = world.populations["ant"]
+        positions.append(population.position[population.find_rows(np.arange(60))].copy())
+    speed = np.linalg.norm(np.diff(positions, axis=0), axis=2) / world.dt
+    stops = (speed < 0.1).argmax(axis=0)
+    assert world.populations["ant"].ids.max() == 60 and stops.min() >= 28
+    distance = np.linalg.norm(positions[29] - np.array([20, 0, 20]), axis=1)
+    assert np.corrcoef(np.argsort(np.argsort(distance)), stops)[0, 1] > 0.9
+
+
+def test_a_cache_with_looks_has_readable_checkpoints(tmp_path: Path) -> None:
+    """Members of archives have names without blanks."""
+    open_directed(
+        tmp_path, "{look: guards.1, at: {head: leaf}, frames: 3..5}", "{play: guards.2, clip: walk, frames: 3..5}", last=6
+    )
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(scene.read_text() + "output: {checkpoint: 2}\n")
+    assert commands.run("run", "scene.yaml", "--out", "cache", cwd=tmp_path).returncode == 0
+    result = commands.run("info", "cache", "--verify", cwd=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr
+    result = commands.run("explain", "cache", "--species", "ant", "--agent", "1", "--frame", "5", cwd=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.randomness import draw_uniform
 from antdsl.numerics.records import match_ids
-from antdsl.runtime.notes.targets import find_goal
+from antdsl.runtime.notes.targets import TargetPoints, find_goal
 from antdsl.runtime.world import World
 from antdsl.scene.notes.notes_model import Note
 from antdsl.scene.notes.stagger import Stagger
@@ -27,12 +27,13 @@ def find_delays(
     """Return by species the delays of agents in frames; 0 without a `stagger`.
 
     `memory`: gets the ids and delays (n, 2) of all agents of the note, in the order of ids, below names with its `key`. A delay
-    stays. Agents without one get theirs from their position at the start of this step."""
+    stays. Agents without one get theirs from their position at the start of this step, or wait until the target exists."""
     if note.delay_rule is None:
         return {name: np.zeros(len(own), np.int64) for name, own in rows.items()}
     ids = {name: world.populations[name].ids[own] for name, own in rows.items()}
     known = {name: memory.get(_name_delays(key, name), np.empty((0, 2), np.int64)) for name in rows}
-    new = {name: np.sort(own[~match_ids(own, known[name][:, 0])[1]]) for name, own in ids.items()}
+    is_measurable = _has_target(world, note.delay_rule)
+    new = {name: np.sort(own[is_measurable & ~match_ids(own, known[name][:, 0])[1]]) for name, own in ids.items()}
     delays = _compute_delays(world, note.delay_rule, new, sum(map(len, known.values())))
     result = {}
     for name, own in known.items():
@@ -40,8 +41,18 @@ def find_delays(
             own = np.concatenate([own, np.stack([new[name], delays[name]], axis=1)])
             own = own[np.argsort(own[:, 0])]
         memory[_name_delays(key, name)] = own
-        result[name] = own[match_ids(ids[name], own[:, 0])[0], 1]
+        known_rows, is_known = match_ids(ids[name], own[:, 0])
+        result[name] = np.full(len(ids[name]), _MAX_DELAY)
+        result[name][is_known] = own[known_rows[is_known], 1]
     return result
+
+
+def _has_target(world: World, stagger: Stagger) -> bool:
+    """Return whether the origin of a stagger exists now, or is not needed."""
+    if stagger.origin is None:
+        return True
+    goal = find_goal(world, stagger.origin)
+    return not isinstance(goal, TargetPoints) or len(goal.points) > 0
 
 
 def find_greatest_delay(world: World, key: str, memory: Mapping[str, NDArray[Any]]) -> int:
@@ -73,7 +84,7 @@ def _compute_delays(world: World, stagger: Stagger, ids: Mapping[str, Delays], k
 
 
 def _measure_distances(world: World, stagger: Stagger, species: str, ids: Delays) -> NDArray[np.float64]:
-    """Return how far (mm) agents are from the origin of a stagger; 0 without one, or if it does not exist."""
+    """Return how far (mm) agents are from the origin of a stagger; 0 without one."""
     if stagger.origin is None or not len(ids):
         return np.zeros(len(ids))
     population = world.populations[species]

@@ -34,8 +34,8 @@ _COLOUR = (0.6, 0.6, 0.6)
 
 
 def name_event(machine: str, state: str) -> str:
-    """Return the name of the event that brings a machine into a state. Names of a program have no blanks."""
-    return f"note {machine}.{state}"
+    """Return the name of the event that brings a machine into a state. Names of a program have no `#`."""
+    return f"note#{machine}.{state}"
 
 
 def name_look_target(group: str) -> str:
