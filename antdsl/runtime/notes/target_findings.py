@@ -20,7 +20,7 @@ from antdsl.scene.notes.notes_model import ConfineNote, ForbidNote, Note, PathNo
 from antdsl.scene.notes.selection import select_rows
 from antdsl.scene.notes.selectors import AgentName
 
-_EASE_HELP = "let the note begin earlier, `ease: 48`, or slow what comes in"
+_EASE_STEP = 24  # frames by which a note should begin earlier
 _HELP = "write a later frame, choose nearer agents, or give them a larger `max_speed`"
 
 
@@ -69,12 +69,14 @@ def report_missed_targets(scene: Scene, world: World) -> Report:
         subject = f"`{miss.species}.{miss.agent}`" + (f" and {miss.late_count - 1:,} others" if miss.late_count > 1 else "")
         first = f"`{miss.species}.{miss.agent}`"
         words = f"{subject} missed the target of this note: {first} was {miss.distance:.1f} mm away from it"
+        help = _HELP
         if isinstance(miss.note, ForbidNote | ConfineNote):
             side = "inside" if isinstance(miss.note, ForbidNote) else "outside"
             words = (
                 f"{subject} were still {side} the region in frame {miss.note.first_frame:.0f}: {first} by {miss.distance:.1f} mm"
             )
-        help = _EASE_HELP if isinstance(miss.note, ForbidNote | ConfineNote) else _HELP
+            ease = miss.note.ease_frames + _EASE_STEP
+            help = f"let the note begin earlier, `ease: {ease:.0f}`, or slow what comes in"
         report.warning("far-target", words, scene.span("notes", scene.model.notes.index(miss.note)), help)
     return report
 
