@@ -163,7 +163,7 @@ class MotionMeasures:
         for _, _, standing, half, share in counts:
             if half > self.max_half_chord:
                 self.max_half_chord = half
-                self.tilt_max = max(self.tilt_max, float(_convert_half_chord_to_degrees(np.array([half], np.float32))[0]))
+                self.tilt_max = max(self.tilt_max, float(_compute_degrees(np.array([half], np.float32))[0]))
             self.step_max = max(self.step_max, share)
             self.standing += standing
         return parallel.join_parts(counts, window.straightness)[0]
@@ -244,7 +244,7 @@ _CHECKPOINT_FIELDS = tuple(each.name for each in fields(MotionMeasures))[:-3]  #
 _WINDOW_COLUMNS = tuple(each.name for each in fields(PathWindow) if each.init)
 
 
-def _convert_half_chord_to_degrees(half_chord: NDArray[np.float32]) -> NDArray[np.float32]:
+def _compute_degrees(half_chord: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the angle (degrees) between two unit vectors, from half the length of the chord that joins their ends."""
     return np.asarray(np.degrees(2 * np.arcsin(half_chord)))
 
@@ -261,12 +261,10 @@ def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
     low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats have the same order as their bits
         middle = (low + high) >> 1
-        is_reached = _find_bins(_convert_half_chord_to_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
+        is_reached = _find_bins(_compute_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
         low, high = np.where(is_reached, low, np.minimum(middle + 1, high)), np.where(is_reached, middle, high)
     least = np.concatenate([[0.0], low.astype(np.int32).view(np.float32), [np.inf]]).astype(np.float32)
-    return least, _find_bins(
-        _convert_half_chord_to_degrees(np.arange(_BIN_LOOKUP_CELLS + 1, dtype=np.float32) / np.float32(_BIN_LOOKUP_CELLS))
-    )
+    return least, _find_bins(_compute_degrees(np.arange(_BIN_LOOKUP_CELLS + 1, dtype=np.float32) / np.float32(_BIN_LOOKUP_CELLS)))
 
 
 def _compute_percentile_99(counts: NDArray[Any]) -> float:
