@@ -195,7 +195,7 @@ EMIT_COLUMNS = _make_columns(
     ("event", "i2", (), "an index into the manifest's `events`"))
 CONTACT_COLUMNS = _make_columns(
     "events.contact.", "event",
-    ("species", "i2", (), "if `output` requests it, for two bodies that overlap: the species of one"),
+    ("species", "i2", (), "if the scene has `output: {events: [contact]}`, for two bodies that overlap: the species of one"),
     ("id", "i8", (), "its id"),
     ("P", "f4", (3,), "the contact point"),
     ("N", "f4", (3,), "the direction from the other"),
