@@ -32,8 +32,9 @@ def find_delays(
         return {name: np.zeros(len(own), np.int64) for name, own in rows.items()}
     ids = {name: world.populations[name].ids[own] for name, own in rows.items()}
     known = {name: memory.get(_name_delays(key, name), np.empty((0, 2), np.int64)) for name in rows}
-    is_measurable = _has_target(world, note.delay_rule)
-    new = {name: np.sort(own[is_measurable & ~match_ids(own, known[name][:, 0])[1]]) for name, own in ids.items()}
+    new = {name: np.sort(own[~match_ids(own, known[name][:, 0])[1]]) for name, own in ids.items()}
+    if any(map(len, new.values())) and not _has_target(world, note.delay_rule):
+        new = {name: own[:0] for name, own in new.items()}
     delays = _compute_delays(world, note.delay_rule, new, sum(map(len, known.values())))
     result = {}
     for name, own in known.items():
