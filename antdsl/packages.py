@@ -18,11 +18,10 @@ INSTALL_ADVICE: Final = "install antdsl with everything it needs: `pip install a
 
 def find_missing_distribution(problem: BaseException) -> str | None:
     """Return the distribution that an exception, or one of its causes, found missing. None for any other exception."""
-    while isinstance(problem, ImportError):
-        module = (problem.name or "").split(".")[0]
-        if isinstance(problem, ModuleNotFoundError) and module in DISTRIBUTION_BY_MODULE:
+    cause: BaseException | None = problem
+    while isinstance(cause, ImportError):
+        module = (cause.name or "").split(".")[0]
+        if isinstance(cause, ModuleNotFoundError) and module in DISTRIBUTION_BY_MODULE:
             return DISTRIBUTION_BY_MODULE[module]
-        if problem.__cause__ is None:
-            return None
-        problem = problem.__cause__
+        cause = cause.__cause__
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
@@ -17,16 +18,27 @@ FrameCount = Annotated[int, BeforeValidator(parse_integer_between(0, _MAX_EASE_F
 Share = Annotated[float, BeforeValidator(parse_share)]
 
 
-def _parse_thin_share(value: Any) -> float:
-    """Return a share of agents that stay. A greater one is an error: notes add no agents."""
-    quantity = parse_any_quantity(value)
-    if quantity.dim == Dimension() and quantity.number > 1:
-        words = f"`{quantity.text}` is more than all: a note adds no agents"
-        raise make_error(words, "write a larger `count` in the crowd, or duplicate agents of the cache by an edit")
-    return parse_share(value)
+def _parse_share_up_to_all(excess: str, advice: str) -> Callable[[Any], float]:
+    """Return a parser of shares up to 100 %. `excess`: what is wrong with a greater one. `advice`: what to write instead."""
+
+    def parse(value: Any) -> float:
+        quantity = parse_any_quantity(value)
+        if quantity.dim == Dimension() and quantity.number > 1:
+            raise make_error(f"`{quantity.text}` is {excess}", advice)
+        return parse_share(value)
+
+    return parse
 
 
+_parse_thin_share = _parse_share_up_to_all(
+    "more than all: a note adds no agents", "write a larger `count` in the crowd, or duplicate agents of the cache by an edit"
+)
+_parse_speed_share = _parse_share_up_to_all(
+    "faster than these agents can move: `max_speed` is their limit",
+    "give them a greater one, `{set: …, to: {max_speed: 60 mm/s}}`, or retime the cache by an edit",
+)
 ThinShare = Annotated[float, BeforeValidator(_parse_thin_share)]
+SpeedShare = Annotated[float, BeforeValidator(_parse_speed_share)]
 
 
 def _parse_share_range(value: Any) -> tuple[float, float]:
@@ -40,15 +52,3 @@ def _parse_share_range(value: Any) -> tuple[float, float]:
 
 
 ShareRange = Annotated[tuple[float, float], BeforeValidator(_parse_share_range)]
-
-
-def _parse_speed_share(value: Any) -> float:
-    """Return a share of a speed. A greater one is an error: no note takes an agent over its own limit."""
-    quantity = parse_any_quantity(value)
-    if quantity.dim == Dimension() and quantity.number > 1:
-        words = f"`{quantity.text}` is faster than these agents can move: `max_speed` is their limit"
-        raise make_error(words, "give them a greater one, `{set: …, to: {max_speed: 60 mm/s}}`, or retime the cache by an edit")
-    return parse_share(value)
-
-
-SpeedShare = Annotated[float, BeforeValidator(_parse_speed_share)]
