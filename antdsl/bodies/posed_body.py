@@ -97,6 +97,11 @@ class PosedBody:
         colours = compute_vertex_colours(variation, driven_pose.variation_draws, np.array([STATE_MATERIAL]), own)
         return np.broadcast_to(colours[:, 0], (count, 3))
 
+    def list_worn_layers(self) -> list[str]:
+        """Return the names of the drawn layers except the base layer."""
+        base = find_base_layer(self._full_definition).name
+        return [name for name in self.layers if name in self._full_definition.layers and name != base]
+
     @cached_property
     def reach(self) -> float:
         """Return the distance from the origin to the farthest point of the box of the rest pose, in body lengths."""

@@ -11,7 +11,9 @@ import mathutils
 
 source, picture, frame = sys.argv[1], sys.argv[2], int(sys.argv[3])
 bpy.ops.wm.read_factory_settings(use_empty=True)
-bpy.ops.wm.usd_import(filepath=source)
+# Blender before 4.4 does not convert units
+options = bpy.ops.wm.usd_import.get_rna_type().properties.keys()
+bpy.ops.wm.usd_import(filepath=source, **({} if "apply_unit_conversion_scale" in options else {"scale": 0.001}))
 scene = bpy.context.scene
 scene.frame_set(frame)
 drawn = bpy.context.evaluated_depsgraph_get()

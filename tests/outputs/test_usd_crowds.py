@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -137,7 +138,7 @@ def skinned(stage, path: str, time: float) -> np.ndarray:  # type: ignore[no-unt
 
 
 def test_an_agent_with_a_skeleton_is_an_instance_posed_as_in_pictures(people: Cache, tmp_path: Path) -> None:
-    stage = exported(people, tmp_path / "out.usdc")
+    stage = exported(people, tmp_path / "out.usdc", target="houdini")
     agents = [prim for prim in stage.GetPrimAtPath("/World/walker").GetChildren() if prim.GetName().startswith("agent_")]
     assert len(agents) == PEOPLE and all(prim.IsInstance() for prim in agents)
     assert len(stage.GetPrototypes()) == 1, "one definition"
@@ -170,8 +171,14 @@ def test_definitions_are_loaded_when_they_are_drawn(people: Cache, tmp_path: Pat
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"skeletons": 0}, {"copies": True, "chunk": 4}, {"shutter": (-0.5, 0.5), "samples": 2, "skeletons": 0, "chunk": 4}],
-    ids=["skeletons", "bank", "copies", "chunks"],
+    [
+        {"target": "blender", "chunk": 4},
+        {"target": "houdini"},
+        {"target": "usdview", "chunk": 4},
+        {"skeletons": 0},
+        {"shutter": (-0.5, 0.5), "samples": 2, "skeletons": 0, "chunk": 4},
+    ],
+    ids=["blender", "houdini", "usdview", "bank", "chunks"],
 )
 def test_validators_find_nothing(people: Cache, breeders: Cache, tmp_path: Path, options: dict[str, object]) -> None:
     for cache in (people, breeders):
@@ -211,6 +218,25 @@ def test_velocities_lead_to_the_next_frame(people: Cache, tmp_path: Path) -> Non
                 )
 
 
+@pytest.mark.parametrize("target", ["blender", "houdini"])
+def test_velocities_of_agents_with_skeletons_lead_to_the_next_frame(people: Cache, tmp_path: Path, target: str) -> None:
+    from pxr import UsdGeom
+
+    stage = exported(people, tmp_path / "out.usdc", target=target, shutter=(0, 0.5), samples=2)
+    fps = stage.GetTimeCodesPerSecond()
+    for name in range(PEOPLE):
+        prim = stage.GetPrimAtPath(f"/World/walker/agent_{name}")
+        api, place = UsdGeom.PrimvarsAPI(prim), prim.GetAttribute("xformOp:translate")
+        velocity, spin = (api.GetPrimvar(each).GetAttr() for each in ("velocity", "angularVelocity"))
+        assert velocity.GetTimeSamples() == spin.GetTimeSamples() == place.GetTimeSamples()
+        for frame in range(1, FRAMES):
+            start, end = (np.array(place.Get(time)) for time in (frame, frame + 1))
+            assert np.allclose(start + np.array(velocity.Get(frame)) / fps, end, atol=1e-5)
+            first, second = (people.frame(each)["orient"][name : name + 1] for each in (frame, frame + 1))
+            turn = np.radians([spin.Get(frame)]) / fps
+            assert np.abs((rotate_orientations(unit(first), turn) * unit(second)).sum()) > 1 - 1e-6
+
+
 def unit(orient: np.ndarray) -> np.ndarray:
     wide = orient.astype(np.float64)
     return wide / np.linalg.norm(wide, axis=1, keepdims=True)
@@ -247,6 +273,7 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(paths[numbers[k]]))
             used.add(paths[numbers[k]])
             assert np.linalg.norm(np.array(mesh.GetPointsAttr().Get()) - points[k], axis=1).mean() < 0.03
+            assert re.fullmatch(rf"walker(_[a-z]+_\d\d)*_{states[state[k]].name}", mesh.GetPrim().GetName())
             colour = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").Get()
             assert np.allclose(colour[0], decode_srgb(np.array(states[state[k]].colour)), atol=1e-6)
             assert mesh.GetNormalsAttr().HasValue() and mesh.GetNormalsInterpolation() == "vertex"
@@ -327,7 +354,7 @@ def same(mine: object, theirs: object) -> bool:
 def test_copies_have_their_colours_themselves(people: Cache, tmp_path: Path) -> None:
     from pxr import UsdGeom
 
-    stage = exported(people, tmp_path / "out.usda", copies=True)
+    stage = exported(people, tmp_path / "out.usda", target="blender")
     prim = stage.GetPrimAtPath("/World/walker/agent_0")
     assert not prim.IsInstance()
     colours = [UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")]
@@ -500,7 +527,7 @@ def test_missing_features_of_usdskel_are_reported() -> None:
 def test_who_takes_up_a_load_is_an_instance_of_the_body_that_has_one(carriers: Cache, tmp_path: Path, chunk: int) -> None:
     from pxr import Usd, UsdGeom
 
-    stage = exported(carriers, tmp_path / "out.usdc", chunk=chunk)
+    stage = exported(carriers, tmp_path / "out.usdc", target="usdview", chunk=chunk)
     turns = 0
     for frame in carriers.frames():
         wears = carriers.frame(frame)["wears.carrier"].astype(bool)
@@ -512,6 +539,7 @@ def test_who_takes_up_a_load_is_an_instance_of_the_body_that_has_one(carriers: C
             assert ("crumb" in below) == loaded, (frame, number, below)
         turns += int((wears != carriers.frame(1)["wears.carrier"].astype(bool)).sum())
     assert turns, "somebody takes up a load"
+    assert [prim.GetName() for prim in stage.GetPrimAtPath("/bodies").GetAllChildren()] == ["carrier", "carrier_with_load"]
     assert not found_by_validators(stage)
 
 

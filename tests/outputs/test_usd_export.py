@@ -220,4 +220,21 @@ def test_wrong_commands_are_reported(
     assert command(monkeypatch, "export", cache, "--to", file, "--frames", "90..95") == 3
     assert command(monkeypatch, "export", str(tmp_path), "--to", file) == 3
     assert list(tmp_path.iterdir()) == []
-    assert "Traceback" not in capsys.readouterr().err
+    assert command(monkeypatch, "export", cache, "--to", file, "--for", "maya") == 2
+    assert command(monkeypatch, "export", cache, "--to", file, "--as", "xforms", "--for", "houdini") == 2
+    printed = capsys.readouterr().err
+    assert "Traceback" not in printed and "`maya` is none of blender, houdini, usdview" in printed and "--for" in printed
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_export_ends_with_the_program_that_it_is_for(
+    shot_and_cache: tuple[Shot, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from pxr import Usd
+
+    for target, is_instance in (("blender", False), ("houdini", True), ("usdview", True)):
+        words = () if target == "blender" else ("--for", target)
+        assert command(monkeypatch, "export", str(shot_and_cache[1]), "--to", str(tmp_path / f"{target}.usdc"), *words) == 0
+        assert capsys.readouterr().out.splitlines()[-1].startswith(f"written for {target};")
+        stage = Usd.Stage.Open(str(tmp_path / f"{target}.usdc"))
+        assert stage.GetPrimAtPath("/World/walker/agent_0").IsInstance() == is_instance

@@ -78,8 +78,12 @@ def export(
     chunk: int = typer.Option(
         None, "--chunk", metavar="N", min=1, max=100_000, help="USD: number of frames per file of values. [default: one file]"
     ),
-    copies: bool = typer.Option(
-        None, "--copies", help="USD: write agents with skeletons as copies instead of instances, for Blender."
+    target: str = typer.Option(
+        None,
+        "--for",
+        metavar="PROGRAM",
+        help="USD: write for blender, houdini or usdview. Agents with skeletons are copies for Blender, else instances. "
+        "[default: blender]",
     ),
     close: bool = typer.Option(None, "--close", help="USD: write bodies in close-up quality."),
     tolerance: str = typer.Option(
@@ -103,6 +107,7 @@ def export(
     from antdsl.outputs.exports import EXPORT_FORMATS, AgentSubset, find_export
     from antdsl.outputs.gallery import Gallery
     from antdsl.outputs.numbered_files import ExportUnavailable
+    from antdsl.outputs.usd.stage import DEFAULT_TARGET, POSES_INSTANCES_BY_TARGET
     from antdsl.scene.geometry.usd import UsdError
     from antdsl.shots.exports import make_export_tasks
 
@@ -127,7 +132,7 @@ def export(
         "shutter": parse_shutter(shutter),
         "samples": samples,
         "chunk": chunk,
-        "copies": copies,
+        "target": target,
         "close": close,
         "tolerance": parse_tolerance(tolerance),
     }
@@ -137,8 +142,11 @@ def export(
             f"`{each.extensions[0]}` as `{w}`" for each in EXPORT_FORMATS for w in each.forms if name in each.list_option_names(w)
         ]
         raise typer.BadParameter(
-            f"`{to.name}` as `{word}` does not support this option; {', '.join(forms)} does", param_hint=f"--{name}"
+            f"`{to.name}` as `{word}` does not support this option; {', '.join(forms)} does",
+            param_hint="--for" if name == "target" else f"--{name}",
         )
+    if target is not None and target not in POSES_INSTANCES_BY_TARGET:
+        raise typer.BadParameter(f"`{target}` is none of {', '.join(POSES_INSTANCES_BY_TARGET)}", param_hint="--for")
     if show not in (None, "states"):
         raise typer.BadParameter(f"cannot show `{show}`: write `states`", param_hint="--show")
     if show is not None and word not in export.coloured_forms:
@@ -197,3 +205,6 @@ def export(
         print_note(f"{files}: frames {cache_frames[0]}..{cache_frames[-1]}, {len(gallery.manifest.species)} species")
         for note in notes or ():
             print_note(f"note: {note}")
+        if "target" in export.list_option_names(word):
+            others = " and ".join(f"`--for {each}`" for each in POSES_INSTANCES_BY_TARGET if each != (target or DEFAULT_TARGET))
+            print_note(f"written for {target or DEFAULT_TARGET}; {others} write for other programs")

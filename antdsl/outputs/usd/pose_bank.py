@@ -29,6 +29,7 @@ from antdsl.outputs.usd.values import (
     Array,
     StageOutput,
     add_mesh,
+    make_unique,
     to_identifier,
     to_vector_array,
 )
@@ -45,10 +46,11 @@ class PrototypeBank:
     """The poses of one species, as class prims, and its prototypes below the path of its instancer."""
 
     def __init__(self, stage_output: StageOutput, species: SpeciesEntry, close: bool = False) -> None:
-        self._stage, self._name, self._uses_close_bodies = stage_output.stage, stage_output.name("species", species.name), close
+        self._out, self._stage, self._species, self._uses_close_bodies = stage_output, stage_output.stage, species.name, close
         self._bodies: list[tuple[PosedBody, _PoseBody]] = []
         self._prototype_by_key: dict[tuple[int, ...], int] = {}
         self._path_by_pose: dict[tuple[int, ...], str] = {}
+        self._prototype_names = set[str]()
         self.paths: list[str] = []
         self.max_reach = 0.0
         states = species.machines[0].states if species.machines else ()
@@ -79,7 +81,7 @@ class PrototypeBank:
         """Yield, for each worn body: the rows of its agents, the distinct keys, and the index of each agent's key among them.
 
         A key consists of the body, the state, and the codes of the played clips."""
-        state = np.full(len(agents.ids), -1) if agents.state is None else agents.state
+        state = np.full(len(agents.ids), -1) if agents.state is None or self._colours is None else agents.state
         for crowd, rows in agents.parts:
             if crowd.body is None:
                 continue
@@ -87,15 +89,15 @@ class PrototypeBank:
             body_codes, *on_parts = compute_clip_codes(crowd.body, crowd, speed)
             columns = [state[rows], body_codes, *(on_parts if len(self.paths) < _MAX_PROTOTYPES else ())]
             kinds, which = _find_unique_rows(np.stack(columns, axis=1).astype(np.int64))
-            body = self._find_or_add_body(crowd.body)
+            body = self._find_or_add_body(crowd.body, crowd.body_key)
             yield rows, [(body, *kind) for kind in kinds.tolist()], which
 
-    def _find_or_add_body(self, body: PosedBody) -> int:
-        """Return the number of a body in the bank, which is added at its first use."""
+    def _find_or_add_body(self, body: PosedBody, key: str) -> int:
+        """Return the number of a body in the bank, which is added at its first use. `key`: the key of the body."""
         for number, (known, _) in enumerate(self._bodies):
             if known is body:
                 return number
-        name = self._name + (f"_{len(self._bodies) + 1}" if self._bodies else "")
+        name = self._out.name_body(self._species, body, key)
         self._bodies.append((body, _PoseBody(self._stage, name, body, self._uses_close_bodies)))
         return len(self._bodies) - 1
 
@@ -103,21 +105,25 @@ class PrototypeBank:
         """Return the path of the mesh for a body with the clip codes `played`. It is written at its first use."""
         key = (body, *played)
         if key not in self._path_by_pose:
-            self._path_by_pose[key], reach = self._bodies[body][1].write_pose(len(self._path_by_pose), list(played))
+            self._path_by_pose[key], reach = self._bodies[body][1].write_pose(list(played))
             self.max_reach = max(self.max_reach, reach)
         return self._path_by_pose[key]
 
     def _find_or_write_prototype(self, body: int, state: int, *played: int) -> int:
-        """Return the index of the prototype of a pose in the colour of a state. It is written at its first use."""
+        """Return the index of the prototype of a pose, in the colour of a state if `state` is not -1.
+
+        It is written at its first use."""
         key = (body, state, *played)
         if key not in self._prototype_by_key:
             self._prototype_by_key[key] = len(self.paths)
-            named = self._states[state] if 0 <= state < len(self._states) else "none"
-            path = f"{ROOT_PATH}/{self._name}/prototypes/p{len(self.paths):04d}_{named}"
+            pose = self._find_or_write_pose(body, *played)
+            words = pose.split("/")[2:] + ([self._states[state]] if 0 <= state < len(self._states) else [])
+            folder = f"{ROOT_PATH}/{self._out.name('species', self._species)}/prototypes"
+            path = f"{folder}/{make_unique('_'.join(words), self._prototype_names)}"
             colour = self._bodies[body][0].compute_natural_colours(NO_DRIVEN_POSE, 1)
             if self._colours is not None:
                 colour = self._colours[[state if 0 <= state < len(self._colours) else 0]]
-            add_coloured_mesh(self._stage, path, self._find_or_write_pose(body, *played)).Set(to_vector_array(colour))
+            add_coloured_mesh(self._stage, path, pose).Set(to_vector_array(colour))
             self.paths.append(path)
         return self._prototype_by_key[key]
 
@@ -150,8 +156,9 @@ class _PoseBody:
         self._body_mesh = MaterialBodyMesh(body.with_clips(list_bank_clips(posed_body)))
         stage.CreateClassPrim(self._path)
         self._materials = MaterialBinder(stage, f"{MATERIALS_PATH}/{name}", posed_body.definition.materials)
+        self._clips, self._pose_names = [each.clip for each in list_bank_clips(posed_body)], set[str]()
 
-    def write_pose(self, number: int, clip_codes: list[int]) -> tuple[str, float]:
+    def write_pose(self, clip_codes: list[int]) -> tuple[str, float]:
         """Write the mesh of a pose. Return its path, and the distance of its farthest point from the origin in body lengths."""
         machines = [
             make_single_clips(np.array([p // (POSES_PER_CLIP + 1) - 1]), np.array([p % (POSES_PER_CLIP + 1) / POSES_PER_CLIP]))
@@ -159,10 +166,16 @@ class _PoseBody:
         ]
         poses: Poses = self._body_mesh.body.compute_poses(machines, 1)
         points, normals = (each[0] for each in self._body_mesh.body.compute_shape_points(poses))
-        path = f"{self._path}/pose_{number:04d}"
+        path = f"{self._path}/{self._name_pose(clip_codes)}"
         usd_mesh = add_mesh(self._stage, path, points, self._body_mesh.faces, normals, self._body_mesh.uvs)
         self._materials.bind_faces(usd_mesh, self._body_mesh.names, self._body_mesh.material)
         return path, float(np.linalg.norm(points, axis=1).max(initial=0.0))
+
+    def _name_pose(self, clip_codes: list[int]) -> str:
+        """Return a name with the clips of a pose and the steps of their cycles, such as `walk_05`."""
+        played = (divmod(code, POSES_PER_CLIP + 1) for code in clip_codes if code)
+        words = [f"{self._clips[number - 1]}_{step:02d}" for number, step in played]
+        return make_unique(to_identifier("_".join(words) or "rest"), self._pose_names)
 
 
 def list_bank_clips(body: PosedBody) -> list[PlayedClip]:

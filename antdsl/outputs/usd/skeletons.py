@@ -23,6 +23,7 @@ from antdsl.outputs.usd.values import (
     StageOutput,
     ValueSamples,
     Visibility,
+    make_unique,
     to_identifier,
     write_state_names,
 )
@@ -32,13 +33,13 @@ _MAX_IGNORED_SHEAR = 1e-4  # shear of a joint; larger values are reported, becau
 
 
 class SkeletonWriter:
-    """Writer of the agents of one species as instances, each with its animation as a sibling.
+    """Writer of the agents of one species, each with its animation as a sibling.
 
-    With `copies`, agents are full copies, and their meshes have the state colours. Some programs need this, because they do not
-    pose instances or inherit primvars."""
+    With `has_instances`, agents are instances of their body. Otherwise they are copies, and their meshes have the colours of
+    agents, for programs that do not pose instances or inherit primvars."""
 
     def __init__(
-        self, stage_output: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False
+        self, stage_output: StageOutput, species: SpeciesEntry, number: int, has_instances: bool = True, close: bool = False
     ) -> None:
         self._out, self._species, self._number, stage = stage_output, species, number, stage_output.stage
         self._path = f"{ROOT_PATH}/{stage_output.name('species', species.name)}"
@@ -49,7 +50,7 @@ class SkeletonWriter:
         self._hideable_agents: set[tuple[int, int]] = set()
         self._named_agents, self._file_number = set[int](), stage_output.file_number
         self._first: float | None = None
-        self._has_shear, self._copies, self._uses_close_bodies = False, copies, close
+        self._has_shear, self._has_instances, self._uses_close_bodies = False, has_instances, close
 
     @property
     def notes(self) -> list[str]:
@@ -68,7 +69,7 @@ class SkeletonWriter:
         for part, (crowd, rows) in enumerate(agents.parts):
             if crowd.body is None:
                 continue
-            body, definition = self._find_or_write_body(crowd.body)
+            body, definition = self._find_or_write_body(crowd.body, crowd.body_key)
             joints = _sample_joints(time_sample, self._number, part, body)
             self._has_shear = self._has_shear or joints.has_shear
             channels = [body.definition.rig.find_channel(name) for name in definition.channels]
@@ -91,15 +92,15 @@ class SkeletonWriter:
             assert self._first is not None
             path = f"agent_{name}" if name not in self._named_agents else f"agent_{name}_{body.number}"
             self._named_agents.add(name)
-            agent = _AgentPrim(self._out, self._path, path, name, body, self._species, self._first, time, self._copies)
+            agent = _AgentPrim(self._out, self._path, path, name, body, self._species, self._first, time, self._has_instances)
             self._agents[name, body.number] = agent
         return self._agents[name, body.number]
 
-    def _find_or_write_body(self, body: PosedBody) -> tuple[PosedBody, SkelDefinition]:
-        """Return a body and its written definition. It is written at its first use."""
+    def _find_or_write_body(self, body: PosedBody, key: str) -> tuple[PosedBody, SkelDefinition]:
+        """Return a body and its written definition. It is written at its first use. `key`: the key of the body."""
         if id(body) not in self._bodies:
             number = len(self._bodies) + 1
-            name = self._out.name("species", self._species.name) + (f"_{number}" if self._bodies else "")
+            name = self._out.name_body(self._species.name, body, key)
             looks = MaterialBinder(self._out.stage, f"{MATERIALS_PATH}/{name}", body.definition.materials)
             definition = write_definition(self._out.stage, f"{BODIES_PATH}/{name}", body, looks, self._uses_close_bodies)
             definition.number = number
@@ -170,7 +171,7 @@ class _AgentPrim:
         species: SpeciesEntry,
         first: float,
         time: float,
-        copies: bool,
+        has_instances: bool,
     ) -> None:
         geom, skel, types, vt, gf = (
             import_pxr_module("UsdGeom"),
@@ -201,28 +202,40 @@ class _AgentPrim:
         )
         self._scales = stage_output.add_samples(root.AddScaleOp(single), lambda v: gf.Vec3f(*v.tolist()), np.float32)
         prim.GetPayloads().AddInternalPayload(body.path)
-        prim.SetInstanceable(not copies)
+        prim.SetInstanceable(has_instances)
         skel.BindingAPI.Apply(prim).CreateAnimationSourceRel().SetTargets([moves.GetPath()])
         prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
         self._api = geom.PrimvarsAPI(root)
         colour = self._api.CreatePrimvar("displayColor", types.Color3fArray, "constant")
-        tinted = (stage.OverridePrim(f"{parent_path}/{path}/{below}") for below in body.tinted_meshes if copies)
+        tinted = (stage.OverridePrim(f"{parent_path}/{path}/{below}") for below in body.tinted_meshes if not has_instances)
         tints = [geom.PrimvarsAPI(each).CreatePrimvar("displayColor", types.Color3fArray, "constant") for each in tinted]
         self._colour = [
             stage_output.add_samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *tints)
         ]
+        self._velocities = [
+            stage_output.add_samples(
+                self._api.CreatePrimvar(name, types.Vector3f, "constant"),
+                lambda v: gf.Vec3f(*v.tolist()),
+                np.float32,
+                always=True,
+            )
+            for name in ("velocity", "angularVelocity")
+        ]
+        self._used_names = {"displayColor", "state", "velocity", "angularVelocity"}
         self._names = [state.name for state in species.machines[0].states] if species.machines else []
         self._numbers: dict[str, ValueSamples] = {}
         self._previous_values = (np.zeros(4), None)
         self._visibility = Visibility(stage_output, root, first, time)
 
     def write_placement(self, time: float, agents: SpeciesSample, row: int, colour: NDArray[np.floating]) -> None:
-        """Write position, orientation, scale, colour, state and numbers at a time."""
+        """Write position, orientation, scale, velocities, colour, state and numbers at a time."""
         self._translations.set(time, agents.position[row])
         turn = agents.orient[row] * (-1.0 if agents.orient[row] @ self._previous_values[0] < 0 else 1.0)
         self._previous_values = (turn, self._previous_values[1])
         self._rotations.set(time, turn)
         self._scales.set(time, np.full(3, agents.scale[row]))
+        for samples, values in zip(self._velocities, (agents.velocity[row], agents.angular_velocity[row]), strict=True):
+            samples.set(time, values)
         for samples in self._colour:
             samples.set(time, colour)
         if agents.state is not None and 0 <= agents.state[row] < len(self._names):
@@ -252,7 +265,8 @@ class _AgentPrim:
                 primvar = self._api.CreatePrimvar("state", types.Token, "constant")
                 self._numbers[name] = self._out.add_samples(primvar, lambda v: names[int(v[0])], np.int64)
             else:
-                primvar = self._api.CreatePrimvar(to_identifier(name), types.Int if is_integer else types.Float, "constant")
+                written = make_unique(to_identifier(name), self._used_names)
+                primvar = self._api.CreatePrimvar(written, types.Int if is_integer else types.Float, "constant")
                 self._numbers[name] = self._out.add_samples(
                     primvar, (lambda v: int(v[0])) if is_integer else (lambda v: float(v[0]))
                 )

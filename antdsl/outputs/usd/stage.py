@@ -9,12 +9,12 @@ between the two can be interpolated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,9 @@ from antdsl.scene.scene_model import UNIT_MM
 
 _DEFAULT_CLIP_SET = "default"  # the name of a prim's first set of clips
 MAX_SKELETON_AGENTS = 200  # maximum number of agents of a species with separate skeletons
+# Whether each program poses instances of a skeleton. Blender leaves them in their bind pose; Karma, Arnold and Storm pose them.
+POSES_INSTANCES_BY_TARGET: Mapping[str, bool] = MappingProxyType({"blender": False, "houdini": True, "usdview": True})
+DEFAULT_TARGET = next(iter(POSES_INSTANCES_BY_TARGET))
 _FRAMES_PER_SAVE = 24  # frames in memory before the file is saved
 _SAME_TIME_FRAMES = 1e-6  # frames
 
@@ -59,10 +62,11 @@ class UsdOptions(XformOptions):
 
     `skeletons`: the largest number of agents of a species for which each agent has its own skeleton. More agents are instances
         from a bank of poses.
-    `copies`: whether agents with skeletons are full copies, not instances."""
+    `target`: the program to write for, a key of `POSES_INSTANCES_BY_TARGET`. Agents with skeletons are instances for a program
+        that poses these, else copies."""
 
     skeletons: int = MAX_SKELETON_AGENTS
-    copies: bool = False
+    target: str = DEFAULT_TARGET
 
 
 _DEFAULT_OPTIONS = UsdOptions()
@@ -81,7 +85,7 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
     def choose_writer(number: int) -> Callable[..., CrowdWriter]:
         if most[number] > options.skeletons:
             return partial(InstancerWriter, close=options.close)
-        return partial(SkeletonWriter, copies=options.copies, close=options.close)
+        return partial(SkeletonWriter, has_instances=POSES_INSTANCES_BY_TARGET[options.target], close=options.close)
 
     return _export_stage(gallery, frames, path, options, choose_writer)
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.scene.geometry.usd import import_pxr_module
 
@@ -100,12 +101,21 @@ class StageOutput:
         self.file_number = 0
         self._used_names = {"items", "fields", "camera", "lights", "looks", "world"}
         self._name_by_thing: dict[tuple[str, str], str] = {}
+        self._body_names = set[str]()
 
     def name(self, kind: str, name: str) -> str:
         """Return the name of a prim below the root for a thing, with a number if another thing has this name."""
         if (kind, name) not in self._name_by_thing:
             self._name_by_thing[kind, name] = make_unique(to_identifier(name), self._used_names)
         return self._name_by_thing[kind, name]
+
+    def name_body(self, species: str, body: PosedBody, key: str) -> str:
+        """Return a name for a body of a species that tells it from the other ones, such as `worker_with_crumb`.
+
+        `key`: the key of the body. If the species has several bodies, the name of the body is a part of the result."""
+        words = [self.name("species", species), *([body.name] if key not in ("", species) else [])]
+        words += [part for layer in body.list_worn_layers() for part in ("with", layer)]
+        return make_unique(to_identifier("_".join(words)), self._body_names)
 
     def add_samples(
         self, attribute: Any, convert: Callable[[Array], Any], array_type: Any = np.float64, *, always: bool = False
