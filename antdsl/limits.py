@@ -31,6 +31,7 @@ MAX_STEERING_LAYERS: Final = 32
 MAX_FUZZY_RULES: Final = 64  # of one `fuzzy`
 MAX_ATTRIBUTES: Final = 256
 MAX_FIELDS: Final = 64
+MAX_MEASURES: Final = 256
 MAX_PAIR_VALUES: Final = 16  # others about which one agent stores a value per pair
 MAX_TOUCHED_AGENTS: Final = 8  # others of a species that one agent can know to touch
 

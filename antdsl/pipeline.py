@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
     from antdsl.diagnostics import Diagnostic
     from antdsl.plan.ir import Plan
+    from antdsl.plan.lowering.spec_plans import MeasuresPlan, SpecPlan
     from antdsl.plan.lowering.writer import BodyProportions
     from antdsl.program.expectations import SpecChange
     from antdsl.program.memo import CheckMemo
@@ -37,7 +38,7 @@ class RunChoices:
     """Choices of the user in addition to the scene.
 
     `grants`: the folder of each granted root, by name.
-    `frames`, `seed`, `params`: values that override those of the scene.
+    `frames`, `seed`, `until`, `params`: values that override those of the scene.
     `changes`: what a spec also sets: params and settings of fields.
     `notes`: further notes, each a line such as `{hold: guards, frames: 10..20}`."""
 
@@ -47,6 +48,7 @@ class RunChoices:
     params: Mapping[str, str] = field(default_factory=dict)
     changes: tuple[SpecChange, ...] = ()  # what a spec also sets: params and settings of fields
     notes: tuple[str, ...] = ()  # lines such as `{hold: guards, frames: 10..20}`
+    until: str | None = None  # a condition in the words of specs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +58,8 @@ class Shot:
     `inputs`: a hash, by name, of everything that the result depends on.
     `loaded`: the texts of the program.
     `bodies`: the definition of each species with a body from a file, by species.
-    `proportions`: the proportions of each species that sets its height, by species."""
+    `proportions`: the proportions of each species that sets its height, by species.
+    `measures`, `until`: the plans of the program's measures and of the condition that ends the run; None without one."""
 
     scene: Scene
     program: Program
@@ -66,6 +69,13 @@ class Shot:
     loaded: LoadedSources
     bodies: Mapping[str, Definition] = field(default_factory=dict)
     proportions: Mapping[str, BodyProportions] = field(default_factory=dict)
+    measures: MeasuresPlan | None = None
+    until: SpecPlan | None = None
+
+    @property
+    def measure_names(self) -> tuple[str, ...]:
+        """Return the names of the measures, in text order."""
+        return () if self.measures is None else tuple(self.measures.nodes)
 
     @property
     def frames(self) -> FrameRange:
@@ -134,6 +144,7 @@ def open_scene(
     path = Path(path)
     from antdsl import passes, plan
     from antdsl.bodies.crowd_bodies import load_crowd_bodies
+    from antdsl.measures.scene_measures import lower_scene_measures
     from antdsl.scene.checks.scene_checks import resolve_layer_order
     from antdsl.scene.field_settings import replace_field_settings
     from antdsl.scene.notes.note_programs import add_note_machines
@@ -173,7 +184,14 @@ def open_scene(
     inputs |= {f"camera {name}": scene.hash_camera(name) for name in sensed_cameras}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     final_plan = lowered if raw else passes.optimise(lowered, thorough=thorough)
-    return Shot(scene, program, final_plan, setting, inputs, loaded, bodies.definitions, bodies.proportions), report
+    measures, until, findings = lower_scene_measures(scene, program, loaded, final_plan)
+    report.extend(findings)
+    if not report.ok:
+        return None, report
+    shot = Shot(
+        scene, program, final_plan, setting, inputs, loaded, bodies.definitions, bodies.proportions, measures, until
+    )  # fmt: skip
+    return shot, report
 
 
 def _find_undrawn_things(scene: Scene) -> frozenset[str]:
@@ -193,6 +211,7 @@ def _read_scene(
     match.
 
     `data`: the text of the scene in an editor; None to read the file. `texts`: texts that override files on disk."""
+    from antdsl.measures.scene_measures import check_until
     from antdsl.scene.checks.scene_checks import match_scene
     from antdsl.scene.load import load_scene, load_text
     from antdsl.scene.overrides import read_overrides
@@ -207,7 +226,7 @@ def _read_scene(
         return None, None, loaded, report
     if data is None:  # an editor's text is read without the meshes of its world
         _notify_format_reader(scene)
-    scene = scene.replace_values(frames=choices.frames, seed=choices.seed)
+    scene = scene.replace_values(frames=choices.frames, seed=choices.seed, until=choices.until)
     for number, line in enumerate(scene.model.crowd):
         if line.source not in {other.source for other in scene.model.crowd[:number]}:
             loaded.add_scene_program(line.source, scene.roots, scene.span("crowd", number, "from"))
@@ -223,6 +242,7 @@ def _read_scene(
     if program is not None and findings.ok:
         report.extend(match_scene(scene, program))
         read_overrides(scene, program, choices.params, report)
+        report.extend(check_until(scene, loaded, is_option=choices.until is not None))
     return scene, program, loaded, report
 
 

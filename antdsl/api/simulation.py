@@ -89,6 +89,7 @@ class Simulation:
     `report`: the warnings about the scene. `world`: the run time's own world, without any guarantee."""
 
     def __init__(self, shot: Shot, report: Report, threads: int = 1) -> None:
+        from antdsl.measures import RunMeasures
         from antdsl.runtime import BindError, Options, bind, step
 
         self._shot, self.report = shot, report
@@ -100,6 +101,8 @@ class Simulation:
             raise AntdslError.from_report(error.report) from None
         for _ in range(shot.scene.model.preroll):
             self._advance(partial(step, self.world))
+        self._measures = RunMeasures(shot.measures, shot.until, self.world)
+        self._measures.record_frame(self.world)
 
     @property
     def frame(self) -> int:
@@ -141,6 +144,11 @@ class Simulation:
     def fields(self) -> Mapping[str, Field]:
         """The pheromone fields, by name."""
         return MappingProxyType({name: Field(self, name) for name in self.world.fields})
+
+    @property
+    def measures(self) -> Mapping[str, float | int | None]:
+        """The program's measures of this frame by name, in base units; None for a value that is not finite."""
+        return MappingProxyType(dict(self._measures.values))
 
     @property
     def params(self) -> Mapping[str, float]:
@@ -188,6 +196,7 @@ class Simulation:
             raise AntdslError(f"{count} frames cannot be simulated", "write 0 or more")
         for _ in range(count):
             self._advance(partial(step, self.world))
+            self._measures.record_frame(self.world)
             for observer in tuple(self._observers):
                 observer(self)
         return self
@@ -207,8 +216,9 @@ class Simulation:
             raise
 
     def run(self, until: Callable[[Simulation], bool] | None = None) -> Simulation:
-        """Simulate to the last frame of the scene, or until `until` returns True after a step. Return the simulation."""
-        while self.frame < self.last_frame:
+        """Simulate to the last frame of the scene, or to the first in which its `until` holds, or until the function `until`
+        returns True after a step. Return the simulation."""
+        while self.frame < self.last_frame and not self._measures.is_over:
             self.step()
             if until is not None and until(self):
                 break

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 class SweepResult:
     """The runs of a sweep. `runs`: one dictionary for each: scene, varied values, seed and all measures.
 
-    `failures`: a message for each run that failed; these are not in `runs`."""
+    `failures`: a message for each run that failed; these are not in `runs`.
+    `series`: the measures of the program in each frame of each run, as columns of equal length by name."""
 
     runs: tuple[Mapping[str, Any], ...]
     failures: tuple[str, ...] = ()
+    series: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.runs)
@@ -30,6 +32,11 @@ class SweepResult:
     def to_pandas(self) -> Any:
         """Return a DataFrame with one row per run. Raises AntdslError without pandas."""
         return import_pandas().DataFrame(list(self.runs))
+
+    def series_to_pandas(self) -> Any:
+        """Return a DataFrame with one row per run and frame, and the measures of the program as columns. Raises AntdslError
+        without pandas."""
+        return import_pandas().DataFrame(dict(self.series))
 
     def __repr__(self) -> str:
         failed = f", {len(self.failures)} failed" if self.failures else ""
@@ -42,7 +49,7 @@ def sweep(
     seeds: int | Iterable[SupportsIndex] = 5,
     vary: Mapping[str, Sequence[str | float]] | None = None,
     frames: tuple[SupportsIndex, SupportsIndex] | None = None,
-    until_empty: Sequence[str] = (),
+    until: str | None = None,
     processes: int | None = None,
     on_result: Callable[[Mapping[str, Any]], object] | None = None,
 ) -> SweepResult:
@@ -50,7 +57,8 @@ def sweep(
 
     `scenes`: one path or several. `seeds`: a number (1 to N), or the seeds themselves.
     `vary`: the values of params and of fields' settings, such as `{"walker.pace": ["20 mm/s", "40 mm/s"]}`, with their units.
-    `frames` (first, last): replace those of the scene. `until_empty`: a run ends when these amounts are 0, such as `food.load`.
+    `frames` (first, last), `until`: replace those of the scene. `until`: a condition that ends a run, in the words of specs, such
+    as `total(food.load) == 0`.
     `processes`: by default, one for each core. `on_result`: a function that is called with each run as it ends.
 
     Raises AntdslError with the report if a scene, a name or a value is wrong. Nothing has run then."""
@@ -59,13 +67,12 @@ def sweep(
     from antdsl.executors import ProcessEngine
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.sweeps import build_jobs, make_variations, run_jobs
+    from antdsl.sweeps.series import collect_series, without_series
 
     paths = [scenes] if isinstance(scenes, str) or not isinstance(scenes, Sequence) else list(scenes)
     for name, values in (vary or {}).items():
         if isinstance(values, str) or not isinstance(values, Iterable):
             raise AntdslError(f"`{name}` needs a list of values", f"write [{values!r}]")
-    if isinstance(until_empty, str):
-        until_empty = (until_empty,)
     if processes is not None and processes < 1:
         raise AntdslError(f"a sweep cannot run in {processes} processes", "write 1 or more")
     names = list(vary or {})
@@ -74,22 +81,21 @@ def sweep(
     if not paths or not numbers or not points:
         raise AntdslError("there is nothing to run", "name a scene, a seed and a value for each param")
     jobs, report = build_jobs(
-        make_variations([Path(path) for path in paths], points),
-        numbers,
-        frames=read_frames(frames),
-        stop_amounts=tuple(until_empty),
-        grants={},
+        make_variations([Path(path) for path in paths], points), numbers, frames=read_frames(frames), until=until, grants={}
     )
     if not report.ok:
         raise AntdslError.from_report(report)
     workers = min(processes or count_available_cores(), len(jobs))
-    runs, failures = dict[str, Mapping[str, Any]](), []
+    cells, measures, failures = dict[str, Mapping[str, Any]](), dict[str, Mapping[str, Any]](), []
     for outcome in run_jobs(jobs, ProcessEngine(workers, max(1, count_available_cores() // workers))):
         if outcome.measures is None:
             failures.append(f"{outcome.job.name}: {outcome.problem}")
             continue
         job = outcome.job
-        runs[job.key] = {"scene": Path(job.scene).stem, **dict(job.params), "seed": job.seed, **outcome.measures}
+        cells[job.key] = {"scene": Path(job.scene).stem, **dict(job.params), "seed": job.seed}
+        measures[job.key] = outcome.measures
         if on_result is not None:
-            on_result(runs[job.key])
-    return SweepResult(tuple(runs[job.key] for job in jobs if job.key in runs), tuple(failures))
+            on_result({**cells[job.key], **without_series(outcome.measures)})
+    keys = [job.key for job in jobs if job.key in measures]
+    runs = tuple({**cells[key], **without_series(measures[key])} for key in keys)
+    return SweepResult(runs, tuple(failures), collect_series([(cells[key], measures[key]) for key in keys]))

@@ -27,6 +27,26 @@ def parse_pairs(words: Iterable[str], flag: str) -> dict[str, str]:
     return mapping
 
 
+UNTIL_OPTION = typer.Option(
+    None,
+    "--until",
+    metavar="CONDITION",
+    help="End with the first frame in which a condition of specs holds: 'total(food.load) == 0'. Overrides the scene.",
+)
+
+
+def parse_until(text: str | None) -> str | None:
+    """Return the condition of `--until` in one line; None for None. Raises BadParameter for an empty text."""
+    if text is None:
+        return None
+    from antdsl.scene.values import parse_condition
+
+    try:
+        return parse_condition(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--until") from None
+
+
 STDIN_PATH = Path("-")
 
 

@@ -32,7 +32,7 @@ _STUDY_OPTIONS = {
     "design_seed": "`--design-seed`",
     "seeds": "`--seeds`",
     "frames": "`--frames`",
-    "until": "`--until-empty`",
+    "until": "`--until`",
     "until_known": "`--until-known`",
     "root": "`--root`",
     "again": "`--again`",
@@ -76,7 +76,7 @@ def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
     assert chosen is not None
     job_options: dict[str, Any] = {
         "frames": parse_frame_range(request.frames),
-        "stop_amounts": tuple(request.until_empty),
+        "until": request.until,
         "grants": parse_grants(request.root),
     }
     numbers = _parse_seeds(request.seeds)

@@ -69,7 +69,7 @@ class CacheHistory:
 
     def restore_world(self, point: int) -> World | None:
         try:
-            arrays, _ = read_checkpoint(self.cache, point)
+            arrays, *_ = read_checkpoint(self.cache, point)
             options = Options(threads=self.threads, on_fault="quarantine", feet=self.has_feet)
             world = bind(self.shot.plan, self.shot.setting, options)
             restore_checkpoint(world, arrays)

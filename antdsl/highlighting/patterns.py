@@ -60,7 +60,9 @@ SCOPE_AND_TOKEN_BY_CLASS: dict[str, tuple[str, str]] = {
     "bracket": ("punctuation", "Punctuation"),
 }
 
-DECLARING_WORDS = ("species", "behaviour", "field", "machine", "state", "param", "let", "latch", "fuzzy", "keep", "start")
+DECLARING_WORDS = (
+    "species", "behaviour", "field", "machine", "state", "param", "let", "latch", "fuzzy", "keep", "start", "measure",
+)  # fmt: skip
 # Words inside a line. Some are also names; where an argument is named or called, the sign after them decides.
 INNER_WORDS = (
     "when", "interrupt", "within", "as", "on", "any", "except", "for", "each", "held", "after", "take", "from", "all", "to",

@@ -30,7 +30,7 @@ from antdsl.syntax.words import WORD_SETTING_VALUES
 _LANGUAGE_WORDS = frozenset(
     {*RUN_VALUE_TYPES, *SENSE_TYPE_BY_NAME, *STATE_WORDS, "self", "true", "false", "it", "at_start", "motion"}
 )
-_CALLED_WORDS = frozenset({*BUILTINS_BY_NAME, *REDUCER_HELP, *AGGREGATE_WORDS, "at_start"})
+_CALLED_WORDS = frozenset({*BUILTINS_BY_NAME, *REDUCER_HELP, *AGGREGATE_WORDS, "at_start", "time_of"})
 
 
 @dataclass(frozen=True, slots=True)

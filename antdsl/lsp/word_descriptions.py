@@ -33,6 +33,7 @@ VALUE_HELP = {
     **{row.name: WordHelp(row.help, row.sample) for row in find_words("name")},
     "into": WordHelp("the attribute that receives the dug amount", "carve hill(radius: 2 mm, into: soil)"),
     "other": WordHelp("the value of the number in the reference run", "sooner: total(food.load) == 0"),
+    "time_of": WordHelp("the time at which a condition first holds", "measure empty = time_of(total(food.load) == 0)"),
     "at_start": WordHelp("the value of the comparison's other side at the start", "always: total(food.load) <= at_start"),
     "motion": WordHelp("measures of motion, such as `motion.turn_p99`", "finally: motion.turn_p99 < 200 deg/s"),
 }
@@ -89,6 +90,7 @@ FORM_HELP = {
     "species": "a kind of animal",
     "behaviour": "a named push or value",
     "spec": "expectations about a run",
+    "measure": "a number or a condition that each run reports",
     "keep": "a value that is remembered from step to step",
     "for": "the duration of the run",
     "seeds": "the seeds of the runs",
@@ -220,6 +222,7 @@ SCENE_KEY_HELP = {
     "up": WordHelp("the axis that points up: `x`, `y`, `z`", "up: y"),
     "fps": WordHelp("frames a second", "fps: 24"),
     "frames": WordHelp("first and last frame, `1..240`", "frames: 1..240"),
+    "until": WordHelp("ends the run with the first frame in which it holds", "until: total(food.load) == 0"),
     "preroll": WordHelp("steps before the first frame, not written", "preroll: 48"),
     "substeps": WordHelp("the number of movement steps per frame", "substeps: 2"),
     "stick": WordHelp("how agents stay on meshes: by `triangles` or by `rays`", "stick: triangles"),

@@ -11,8 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.measures import RunMeasures
 from antdsl.outputs.cache.body_arrays import StoredBodies
 from antdsl.outputs.cache.cache_reader import Cache, CacheError, make_checkpoint_path
 from antdsl.outputs.cache.cache_writer import (
@@ -29,6 +31,7 @@ from antdsl.outputs.cache.manifest import EditsEntry, find_relative_path
 from antdsl.outputs.cache.scene_positions import find_scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.cache_start import hash_start_frame, start_from_cache
+from antdsl.outputs.measure_files import MeasureFile
 from antdsl.outputs.provenance import collect_provenance
 from antdsl.outputs.shot_manifest import make_shot_manifest
 from antdsl.pipeline import Shot
@@ -46,6 +49,8 @@ from antdsl.runtime import (
 from antdsl.runtime.profiling import StepMeter
 from antdsl.scene.crowds.crowd_model import collect_body_weights
 from antdsl.scene.values import FrameRange
+
+_TIME_DECIMALS = 6  # of seconds in the file of measures
 
 
 @dataclass(slots=True, eq=False)
@@ -74,11 +79,14 @@ class Recording:
     edits: EditsEntry | None = None  # of the cache that the run continues
     scene_path: str | None = None  # path from the cache to its scene, if it differs from the path between the files in use
     step_meter: StepMeter | None = None  # measures the steps after the first
+    measures: RunMeasures | None = None  # from the first frame on
+    stored_measures: NDArray[np.float64] | None = None  # those of the checkpoint from which the run continues
 
     @property
     def is_complete(self) -> bool:
-        """Return whether the last frame of the shot was passed to the writer."""
-        return self.frame == self.shot.frames.last
+        """Return whether the last frame of the run was passed to the writer: that of the shot, or the first in which its `until`
+        holds."""
+        return self.frame == self.shot.frames.last or (self.measures is not None and self.measures.is_over)
 
     def add_time(self, label: str, start_time: float) -> None:
         """Add the time since `start_time` to the seconds of the work called `label`."""
@@ -192,7 +200,7 @@ def _restore_checkpoint(recording: Recording, cache: Cache, frame: int, line: Ha
     if why is not None:
         return why
     try:
-        arrays, recording.surface_error = read_checkpoint(cache, frame)
+        arrays, recording.surface_error, recording.stored_measures = read_checkpoint(cache, frame)
         restore_checkpoint(world, arrays)
     except CacheError as problem:
         return str(problem)
@@ -219,7 +227,10 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
     update = {"scene_path": scene_path, "inputs": dict(recording.inputs), "edits": recording.edits}
     manifest = manifest.model_copy(update=update)
     made_with = partial(collect_provenance, name, shot.frames, shot.setting.seed, recording.inputs)
-    with CacheWriter(recording.folder, manifest, made_with, recording.add_measures) as writer:
+    with (
+        CacheWriter(recording.folder, manifest, made_with, recording.add_measures) as writer,
+        MeasureFile(recording.folder, shot.measure_names, recording.resumed_from) as measure_file,
+    ):
         static = {**recording.static_arrays, **stored_bodies.arrays}
         writer.begin(world, static, maker, recording.retained_lines, recording.damaged_checkpoints, recording.surface_error)
         if recording.resumed_from is None:
@@ -232,14 +243,20 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
             collect_emissions(world)  # events of the preroll do not belong to the first frame
             world.timings.clear()
             world.cpu_seconds.clear()
-            _write_frame(recording, writer)
+        measures = recording.measures = RunMeasures(shot.measures, shot.until, world)
+        if recording.resumed_from is None:
+            _write_frame(recording, measures, writer, measure_file)
             yield recording
-        while recording.frame is not None and recording.frame < shot.frames.last and not recording.stop_requested:
+        else:
+            if recording.stored_measures is not None:
+                measures.restore_stored_values(recording.stored_measures)
+            measures.record_frame(world)
+        while not recording.is_complete and not recording.stop_requested:
             _run_timed_step(recording, "step")
-            _write_frame(recording, writer)
+            _write_frame(recording, measures, writer, measure_file)
             yield recording
         if recording.frame is not None and not _is_checkpoint(recording, recording.frame):
-            writer.submit_checkpoint(world)
+            writer.submit_checkpoint(world, measures.save_stored_values())
 
 
 def _run_timed_step(recording: Recording, label: str) -> None:
@@ -267,12 +284,17 @@ def _is_checkpoint(recording: Recording, frame: int) -> bool:
     return (frame - recording.shot.frames.first) % recording.shot.scene.model.output.checkpoint == 0
 
 
-def _write_frame(recording: Recording, writer: CacheWriter) -> None:
-    """Pass the current frame to the writer, with a checkpoint if one is due, and add the time."""
+def _write_frame(recording: Recording, measures: RunMeasures, writer: CacheWriter, measure_file: MeasureFile) -> None:
+    """Pass the current frame to the writer, with a checkpoint if one is due, and add the time. Write the measures of the
+    frame."""
     world = recording.world
     began = time.perf_counter()
+    measures.record_frame(world)
+    measure_file.write_frame(
+        world.frame, round((world.frame - recording.shot.frames.first) * world.dt, _TIME_DECIMALS), measures.values
+    )
     writer.submit_frame(world)
     if _is_checkpoint(recording, world.frame):
-        writer.submit_checkpoint(world)
+        writer.submit_checkpoint(world, measures.save_stored_values())
     recording.frame = world.frame
     recording.add_time("hand_over", began)

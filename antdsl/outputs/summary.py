@@ -40,6 +40,7 @@ def summarise_run(recording: Recording) -> dict[str, Any]:
         "max_surface_error": recording.surface_error,
         "motion": world.motion.summary(),
         **({} if world.detail_levels is None else {"lod": world.detail_levels.summary(world)}),
+        **({"measures": dict(recording.measures.values)} if recording.measures is not None and recording.measures.values else {}),
         "state_hash": recording.last_state_hash,
         "peak_memory": measure_peak_memory(),
     }

@@ -11,6 +11,7 @@ from antdsl.program import model
 from antdsl.program.cascading_errors import add_all_locations, drop_cascading_errors
 from antdsl.program.checks import CHECKS, ERROR_FREE_CHECKS, PER_SPECIES_CHECKS, PER_STATE_CHECKS, Check, CheckContext
 from antdsl.program.declarations.behaviours import check_behaviour
+from antdsl.program.declarations.measures import check_measures, declare_measures
 from antdsl.program.declarations.species import complete_species, draft_species
 from antdsl.program.declarations.specs import check_spec
 from antdsl.program.declarations.world import check_field, check_world_species, declare_fields, declare_world
@@ -51,8 +52,9 @@ def check(
     for each in names:
         declare_world(declared, each)
     fields = [(each, field) for each in names for field in declare_fields(declared, each)]
+    file_by_measure = declare_measures(declared, names)
     outside = update_outside_number(declared, _make_key_of_outside_declarations(declared, loader))
-    program = _assemble_program(declared, names, fields)
+    program = _assemble_program(declared, names, fields, file_by_measure)
     declared.outside_number = outside
     _check_behaviours(declared, [*names, *_find_used_modules(names)])
     checked = CheckContext(program, declared, names)
@@ -141,7 +143,10 @@ def _make_type_key(species: SpeciesNames) -> Hashable:
 
 
 def _assemble_program(
-    declarations: Declarations, names: Sequence[FileNames], fields: Iterable[tuple[FileNames, nodes.FieldDecl]]
+    declarations: Declarations,
+    names: Sequence[FileNames],
+    fields: Iterable[tuple[FileNames, nodes.FieldDecl]],
+    file_by_measure: Mapping[str, FileNames],
 ) -> model.Program:
     made_fields = {node.name.text: field for file, node in fields if (field := check_field(declarations, file, node)) is not None}
     drafts = []
@@ -155,7 +160,9 @@ def _assemble_program(
     species = {work.names.name: complete_species(work) for work in drafts}
     params = {param.name: param for each in species.values() for param in each.params}
     written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
-    known = (*params.values(), *(b for each in species.values() for b in (*each.lets, *each.latches)))
+    measures = check_measures(declarations, file_by_measure)
+    bindings = (b for each in species.values() for b in (*each.lets, *each.latches))
+    known = (*params.values(), *bindings, *declarations.measures.values())
     for file in names:
         _check_spec_names(declarations, file)
     specs = tuple(
@@ -166,7 +173,7 @@ def _assemble_program(
     )
     return model.Program(
         species, dict(declarations.things), made_fields, params, tuple(declarations.events), specs,
-        tuple(file.node for file in names),
+        tuple(file.node for file in names), measures=measures,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Data classes of a checked spec: its expectations and their times, and the expressions that only specs can have."""
+"""Data classes of checked specs and measures: expectations and their times, and expressions that only these can have."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.syntax import nodes
 class AggregateExpr(Expr):
     """A number or bool about a complete population.
 
-    - `reducer`: total, mean, min, max, share, count, any or every.
+    - `reducer`: total, mean, min, max, share, count, any or every. The total or mean of vectors is a vector.
     - `population`: a type of kind SPECIES, ITEMS, FIELD or SOLID. The total of a solid is its volume.
     - `elements`: the names bound to the current agent or item.
     - `where`, `body`: expressions about one agent or item."""
@@ -36,6 +36,31 @@ class ReferenceRunValue(Expr):
     agent."""
 
     value: Expr
+
+
+@expression_class
+class TimeOf(Expr):
+    """The time from the first frame to the first frame in which a condition holds; infinite until then."""
+
+    condition: Expr
+
+
+@expression_class
+class MeasureValue(Expr):
+    """The value of a declared measure."""
+
+    name: str
+    value: Expr
+
+
+@expression_class
+class Measure:
+    """A declared measure: a number or a condition about the complete run. `help`: its text in quotes, or ""."""
+
+    name: str
+    value: Expr
+    help: str
+    span: Span
 
 
 @expression_class
@@ -141,3 +166,6 @@ MOTION_MEASURES = {
     "deep_max": "number",
     "straightness": "number",
 }
+
+# The expressions that only specs and measures can have
+RUN_EXPRESSIONS = (AggregateExpr, StartValue, ReferenceRunValue, TimeOf, MeasureValue, BodyMeasure, CellValue, MotionMeasure)

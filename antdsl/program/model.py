@@ -32,7 +32,7 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 if TYPE_CHECKING:
-    from antdsl.program.expectations import Spec
+    from antdsl.program.expectations import Measure, Spec
 
 
 # --- statements ------------------------------------------------------------------------------------------------------
@@ -386,6 +386,7 @@ class Program:
     specs: tuple[Spec, ...]
     sources: tuple[nodes.File, ...] = field(default=())
     bindings: NameBindings = field(default=NameBindings())
+    measures: tuple[Measure, ...] = field(default=())
 
     def list_things_of_kind(self, kind: str) -> list[str]:
         """Return the names of the things of one kind."""

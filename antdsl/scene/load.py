@@ -73,8 +73,8 @@ class Scene:
         """Return a digest of everything in the files of the scene that affects results.
 
         It leaves out the output, and cameras that no level of detail uses: `hash_camera` is for those that agents sense. It also
-        leaves out the last frame, so that a cache can be continued past it."""
-        without = {"output", "frames", "extends", "cameras"} | ({"camera"} if self.model.lod is None else set())
+        leaves out the last frame and `until`, so that a cache can be continued past its end."""
+        without = {"output", "frames", "until", "extends", "cameras"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in relevant_keys if name not in ("crowd", "notes")]
         notes = self.model.notes[: len(self.model.notes) - self.added_notes]

@@ -31,6 +31,7 @@ from antdsl.scene.values import (
     PositiveLength,
     SceneName,
     make_error,
+    parse_condition,
     parse_integer_between,
     parse_number_between,
     parse_one_of,
@@ -139,6 +140,7 @@ class SceneModel(ScenePart):
     up: Axis = "y"
     fps: FramesPerSecond = Fraction(24)
     frames: FrameRangeValue = FrameRange(1, 240)
+    until: Annotated[str, BeforeValidator(parse_condition)] | None = None
     preroll: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_FRAMES))] = 0
     substeps: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_SUBSTEPS))] = 1
     stick: Stick = "triangles"

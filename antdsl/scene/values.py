@@ -153,6 +153,14 @@ def _check_name(value: Any) -> str:
     return text
 
 
+def parse_condition(value: Any) -> str:
+    """Return the text of a condition in one line. The program checks it later."""
+    text = " ".join(require_text(value, "a condition").split())
+    if not text or len(text) > limits.MAX_LINE_CHARACTERS:
+        raise make_error("this is not a condition", "write one such as `total(food.load) == 0`")
+    return text
+
+
 def parse_one_of(*words: str) -> Callable[[Any], str]:
     """Return a parser for one of `words`."""
 

@@ -39,6 +39,7 @@ def make_cache_task(
         "frames": [shot.frames.first, shot.frames.last],
         "seed": choices.seed,
         "set": dict(choices.params),
+        "until": choices.until,
         "inputs": hash_document({**shot.inputs, **hash_start_frame(shot)}),
         "options": dict(options),
         "name": name,
@@ -50,7 +51,7 @@ def make_cache_task(
 def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     """Simulate a scene into a cache, as the task of `make_cache_task`. Return the answer of the task."""
     grants = {name: worker.find_local_path(folder) for name, folder in document["grants"].items()}
-    choices = RunChoices(grants, FrameRange(*document["frames"]), document["seed"], document["set"])
+    choices = RunChoices(grants, FrameRange(*document["frames"]), document["seed"], document["set"], until=document["until"])
     shot, report = open_scene(worker.find_local_path(document["scene"]), choices)
     if shot is None or not report.ok:
         raise TaskRejected("; ".join(problem.message for problem in report.errors))
@@ -69,7 +70,7 @@ def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[s
         for _ in record_frames(recording):
             worker.report_frame(recording.world.frame)
         worker.notes += recording.world.backend.messages()
-    summary = {"frames": document["frames"][1] - document["frames"][0] + 1, "hash": recording.last_state_hash}
+    summary = {"frames": recording.world.frame - document["frames"][0] + 1, "hash": recording.last_state_hash}
     return {**to.describe_files(worker, place, document["key"]), **summary}
 
 

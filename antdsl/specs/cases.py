@@ -10,7 +10,8 @@ from antdsl.diagnostics import Report
 from antdsl.files import find_files
 from antdsl.loading import ParsedFileCache, SharedParsedFiles
 from antdsl.pipeline import RunChoices, Shot, check_path, open_scene
-from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
+from antdsl.plan.lowering.spec_blocks import lower_spec
+from antdsl.plan.lowering.spec_plans import SpecPlan
 from antdsl.program.cascading_errors import merge_repeated_findings
 from antdsl.program.expectations import Spec, SpecChange
 from antdsl.program.model import Program

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.measures.evaluator import RunEvaluator
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import JudgementPlan, SpecPlan
+from antdsl.plan.lowering.spec_plans import JudgementPlan, SpecPlan
 from antdsl.runtime.world import World
 from antdsl.specs.lines import JudgementLine, count_duration_steps, observe_aggregate
-from antdsl.specs.queries import SpecEvaluator
 
 JudgementKey = tuple[str, int]
 
@@ -24,7 +24,7 @@ class ComparedRun:
     frame."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
-        self.evaluator = SpecEvaluator(plan, world)
+        self.evaluator = RunEvaluator(plan, world)
         self.plan, self.first, self.dt = plan, world.frame, world.dt
         self.lines = {
             _make_line_key(j): JudgementLine(j, None, count_duration_steps(world, j.hold_time))

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.measures.evaluator import RunEvaluator, extend_table
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import JudgementPlan, ReadingPlan, SpecPlan
+from antdsl.plan.lowering.spec_plans import JudgementPlan, ReadingPlan, SpecPlan
 from antdsl.runtime.world import World
 from antdsl.specs.cases import MAX_NAMED_AGENTS, SpecFailure
 from antdsl.specs.comparison import ComparedRun
 from antdsl.specs.lines import AgentIds, FrameObservation, JudgementLine, count_duration_steps, observe_aggregate
-from antdsl.specs.queries import SpecEvaluator, extend_table
 from antdsl.specs.value_text import describe_states_and_position, format_value
 from antdsl.syntax.words import NUMBER_REGEX
 
@@ -29,7 +29,7 @@ class SpecJudge:
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ComparedRun | None = None) -> None:
         self.plan, self.first, self.reference_run = plan, world.frame, compared_run
-        self.evaluator = SpecEvaluator(plan, world)
+        self.evaluator = RunEvaluator(plan, world)
         self.last = find_last_frame(plan, world, last)
         self.lines = [
             JudgementLine(j, count_duration_steps(world, j.time), count_duration_steps(world, j.hold_time))

@@ -11,11 +11,11 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.measures.aggregates import evaluate_uniform_node
+from antdsl.measures.evaluator import extend_table
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import JudgementPlan
+from antdsl.plan.lowering.spec_plans import JudgementPlan
 from antdsl.runtime.world import World
-from antdsl.specs.aggregates import evaluate_uniform_node
-from antdsl.specs.queries import extend_table
 
 AgentIds = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]

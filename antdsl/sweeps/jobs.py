@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ class SweepJob:
     `label`: the display name of its variation.
     `params`, `grants`: names with the values of params, and names with the folders of granted roots.
     `frames`: the first and the last frame.
-    `until`: amounts (`food.load`, `food.apple.load`); the run ends when all of them are 0.
+    `until`: the condition that ends the run; None for that of the scene.
     `key`: an identifier, which contains a hash of everything that the result depends on."""
 
     scene: str
@@ -48,7 +48,7 @@ class SweepJob:
     params: tuple[tuple[str, str], ...]
     seed: int
     frames: tuple[int, int]
-    until: tuple[str, ...]
+    until: str | None
     grants: tuple[tuple[str, str], ...]
     key: str
 
@@ -69,7 +69,7 @@ class SweepJob:
     def make_choices(self) -> RunChoices:
         """Return the choices with which this run opens its scene."""
         grants = {name: Path(folder) for name, folder in self.grants}
-        return RunChoices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
+        return RunChoices(grants, FrameRange(*self.frames), self.seed, dict(self.params), until=self.until)
 
 
 _JOB_ADAPTER = TypeAdapter(SweepJob)
@@ -94,7 +94,7 @@ def build_jobs(
     seeds: Iterable[int],
     *,
     frames: FrameRange | None,
-    stop_amounts: tuple[str, ...],
+    until: str | None,
     grants: Mapping[str, Path],
 ) -> tuple[list[SweepJob], Report]:
     """Return all runs, ordered by seed, so that a stopped sweep has results of every variation. Each problem with a scene or a
@@ -103,11 +103,10 @@ def build_jobs(
     shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = SharedParsedFiles()
     for variation in variations:
-        choices = RunChoices(grants, frames, None, variation.params)
+        choices = RunChoices(grants, frames, None, variation.params, until=until)
         shot, findings = open_scene(variation.scene, choices, parsed=parsed, thorough=False)
         report.extend(findings)
         if shot is not None and findings.ok:
-            _check_amounts(shot, stop_amounts, report)
             try:
                 shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **find_start_hashes(shot)}))
             except StartError as error:
@@ -117,12 +116,10 @@ def build_jobs(
     for seed in seeds:
         for variation, job_frames, scene, inputs in shots:
             params = tuple(variation.params.items())
-            key = _compute_key(scene, inputs, job_frames, seed, stop_amounts)
+            key = _compute_key(scene, inputs, job_frames, seed)
             frame_range = (job_frames.first, job_frames.last)
             job_list.append(
-                SweepJob(
-                    str(resolve_path(variation.scene)), variation.label, params, seed, frame_range, stop_amounts, granted, key
-                )
+                SweepJob(str(resolve_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key)
             )
     return job_list, report
 
@@ -137,41 +134,14 @@ def find_start_hashes(shot: Shot) -> Mapping[str, str]:
     return hash_start_frame(shot)
 
 
-def compute_job_key(shot: Shot, seed: int, stop_amounts: tuple[str, ...], start: Mapping[str, str]) -> str:
+def compute_job_key(shot: Shot, seed: int, start: Mapping[str, str]) -> str:
     """Return a hash of everything that the measures of a run depend on. `start`: the result of `find_start_hashes`."""
-    return _compute_key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, stop_amounts)
+    return _compute_key(shot.scene, {**shot.inputs, **start}, shot.frames, seed)
 
 
-def _compute_key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, stop_amounts: tuple[str, ...]) -> str:
+def _compute_key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int) -> str:
     """Return a hash of all inputs of a run: 24 hexadecimal digits. `inputs`: hashes by name."""
     hashes = {**inputs, "scene": scene.replace_values(seed=seed).compute_digest()}
-    key_fields = {"sources": hash_sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(stop_amounts)}
+    until = scene.model.until or ""
+    key_fields = {"sources": hash_sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": until}
     return hashlib.blake2b(json.dumps(key_fields, sort_keys=True).encode(), digest_size=12).hexdigest()
-
-
-def _check_amounts(shot: Shot, stop_amounts: tuple[str, ...], report: Report) -> None:
-    """Report amounts that the scene does not have."""
-    amount_names = list(list_amount_names(shot))
-    for requested_name in stop_amounts:
-        if not any(matches_amount_name(requested_name, name) for name in amount_names):
-            display_names = ", ".join(f"`{name}`" for name in amount_names[:6]) or "none: it has no items"
-            report.error(
-                "unknown-thing",
-                f"`{shot.scene.source.path}` has no amount `{requested_name}`",
-                None,
-                f"amounts are {display_names}",
-            )
-
-
-def list_amount_names(shot: Shot) -> Iterator[str]:
-    """Yield every amount of every item, as `food.apple.load`."""
-    for name, items in shot.plan.items.items():
-        for item in shot.setting.items.get(name, ()):
-            for attribute in items.attributes:
-                yield f"{name}.{item.name}.{attribute}"
-
-
-def matches_amount_name(requested_name: str, name: str) -> bool:
-    """Return whether a requested name (`food.load` or `food.apple.load`) means the amount `food.apple.load`."""
-    items, _, rest = name.partition(".")
-    return requested_name in (name, f"{items}.{rest.partition('.')[2]}")

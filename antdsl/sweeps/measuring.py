@@ -12,6 +12,7 @@ from typing import Any
 
 from antdsl import __version__
 from antdsl.executors import Engine, Task, TaskRejected, WorkerContext, raise_as_task_rejected, run_tasks
+from antdsl.measures import RunMeasures
 from antdsl.numerics.processor.host import read_processor_name
 from antdsl.outputs.cache_start import StartError, start_from_cache
 from antdsl.outputs.recording import Recording
@@ -20,7 +21,8 @@ from antdsl.outputs.surface_error import measure_surface_error
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, state_hash, step
 from antdsl.source_hash import hash_sources
-from antdsl.sweeps.jobs import SweepJob, compute_job_key, find_start_hashes, matches_amount_name
+from antdsl.sweeps.jobs import SweepJob, compute_job_key, find_start_hashes
+from antdsl.sweeps.series import SERIES_KEY, MeasureSeries
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
     shot, report = open_scene(Path(job.scene), job.make_choices())
     if shot is None or not report.ok:
         raise TaskRejected("; ".join(problem.message for problem in report.errors))
-    if compute_job_key(shot, job.seed, job.until, find_start_hashes(shot)) != job.key:
+    if compute_job_key(shot, job.seed, find_start_hashes(shot)) != job.key:
         raise TaskRejected(
             "files that the scene reads have changed since the sweep began; run the same command again to use the new files"
         )
@@ -84,12 +86,14 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
     for _ in range(shot.scene.model.preroll):
         step(world)
     world.motion.reset()
+    recording.measures = RunMeasures(shot.measures, shot.until, world)
     empty: dict[str, int | None] = {}
-    _record_empty(world, empty)
+    series = MeasureSeries(shot.measure_names, shot.frames)
+    _record_frame(recording.measures, world, series, empty)
     worst = measure_surface_error(world)
-    while world.frame < shot.frames.last and not _is_run_over(world, job.until):
+    while world.frame < shot.frames.last and not recording.measures.is_over:
         step(world)
-        _record_empty(world, empty)
+        _record_frame(recording.measures, world, series, empty)
         worst = max(worst, measure_surface_error(world))
         recording.steps += 1
         worker.report_frame(world.frame)
@@ -101,7 +105,15 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
     measures |= {f"empty.{name}": frame for name, frame in empty.items()}
     measures |= {f"left.{name}": amount for name, amount in _read_amounts(world)}
     measures |= {"processor": read_processor_name(), "antdsl": f"{__version__} {hash_sources()[:8]}"}
+    measures |= {SERIES_KEY: series.document} if shot.measure_names else {}
     return measures | {"seconds": round(time.perf_counter() - began, 3)}
+
+
+def _record_frame(measures: RunMeasures, world: World, series: MeasureSeries, empty_frames: dict[str, int | None]) -> None:
+    """Store the measures of a frame, and the amounts that it used up."""
+    measures.record_frame(world)
+    series.add_frame(world.frame, measures.values)
+    _record_empty(world, empty_frames)
 
 
 def _read_amounts(world: World) -> Iterator[tuple[str, float]]:
@@ -118,15 +130,6 @@ def _record_empty(world: World, empty_frames: dict[str, int | None]) -> None:
             empty_frames.setdefault(name, None)
         elif name in empty_frames and empty_frames[name] is None:
             empty_frames[name] = world.frame
-
-
-def _is_run_over(world: World, stop_amounts: tuple[str, ...]) -> bool:
-    return bool(stop_amounts) and not any(
-        amount > 0
-        for name, amount in _read_amounts(world)
-        for requested_name in stop_amounts
-        if matches_amount_name(requested_name, name)
-    )
 
 
 _PROCESS_MEASURES = frozenset(("seconds", "peak_memory"))  # measures of the process, which may make many runs in a row

@@ -59,7 +59,7 @@ class NoStoredSweep(Exception):
 
 
 class SweepRequest(BaseModel):
-    """The command line arguments that decide which runs exist and which of them the table counts."""
+    """The command line arguments that decide which runs exist, which of them the table counts, and what it shows."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -70,7 +70,8 @@ class SweepRequest(BaseModel):
     design_seed: int = Field(default=1, ge=1, le=2**31 - 1)
     seeds: str = "5"
     frames: str | None = None
-    until_empty: list[str] = []
+    until: str | None = None
+    show: list[str] = []
     until_known: list[str] = []
     root: list[str] = []
 

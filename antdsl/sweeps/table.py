@@ -6,18 +6,20 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from antdsl.outputs.csv_text import format_csv
 from antdsl.sweeps.finished_runs import describe_job
 from antdsl.sweeps.jobs import SweepJob
+from antdsl.sweeps.series import collect_series, without_series
 
 if TYPE_CHECKING:
     from antdsl.sweeps.sensitivity import Effect
     from antdsl.sweeps.stopping import KnownMedian
 
 RunResult = tuple[SweepJob, Mapping[str, Any]]
+_DECLARED_PREFIX = "measures."  # of the measures of the program
 MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # they depend on the machine
 
 
@@ -70,12 +72,13 @@ def _make_row(label: str, name: str, values: list[float], runs: int) -> Row:
 
 
 def choose_measures(table: Sequence[Row], prefixes: Sequence[str]) -> list[str]:
-    """Return the measures to display: those with names that begin with a word in `prefixes`. By default, return the frames at
-    which amounts ran out, or else the motion measures."""
+    """Return the measures to display: those with names that begin with a word in `prefixes`. By default, return the measures of
+    the program, or the frames at which amounts ran out, or else the motion measures."""
     names = list(dict.fromkeys(row.measure for row in table))
     if not prefixes:
+        declared = [name for name in names if name.startswith(_DECLARED_PREFIX)]
         empty = [row.measure for row in table if row.measure.startswith("empty.") and row.happened]
-        prefixes = tuple(dict.fromkeys(empty)) or ("motion.",)
+        prefixes = tuple(dict.fromkeys(declared or empty)) or ("motion.",)
     return [name for name in names if any(name.startswith(start) for start in prefixes)]
 
 
@@ -83,7 +86,7 @@ def format_table(table: Sequence[Row], measures: Sequence[str]) -> str:
     """Return a text with variations as lines and measures as columns: median (lower quartile – upper quartile)."""
     rows_by_key = {(row.label, row.measure): row for row in table}
     labels = list(dict.fromkeys(row.label for row in table))
-    lines = [["", "runs", *(name.removeprefix("empty.") + (" 0 at" if name.startswith("empty.") else "") for name in measures)]]
+    lines = [["", "runs", *map(_make_heading, measures)]]
     for label in labels:
         runs = next(row.runs for row in table if row.label == label)
         lines.append([label, str(runs), *(_format_cell(rows_by_key.get((label, name))) for name in measures)])
@@ -92,6 +95,12 @@ def format_table(table: Sequence[Row], measures: Sequence[str]) -> str:
         "\n".join("  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)
         + "\n"
     )
+
+
+def _make_heading(measure: str) -> str:
+    if measure.startswith("empty."):
+        return f"{measure.removeprefix('empty.')} 0 at"
+    return measure.removeprefix(_DECLARED_PREFIX)
 
 
 def _format_cell(row: Row | None) -> str:
@@ -113,51 +122,46 @@ def as_csv(table: Sequence[Row]) -> str:
     return format_csv(lines)
 
 
-def format_runs_parquet(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> bytes | None:
-    """Return the table of runs as an Apache Parquet file, with numbers as numbers. Return None if pyarrow is not installed.
-    Arguments: as in `format_runs_csv`."""
-    if find_spec("pyarrow") is None:
-        return None
-    import pyarrow
-    import pyarrow.parquet
+def collect_runs(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> dict[str, list[Any]]:
+    """Return the columns of the table of runs: label, scene, seed, varied values and all measures. Absent values are None.
 
-    names = dict.fromkeys(name for _, measures in results for name in measures if name not in MACHINE_DEPENDENT_MEASURES)
-    columns: dict[str, list[Any]] = {"label": [job.label for job, _ in results], "seed": [job.seed for job, _ in results]}
-    for name, head in _name_columns(results, units or {}).items():
-        texts = [_format_params(job, units or {}).get(name) for job, _ in results]
-        columns[head] = [None if text is None else float(text) for text in texts] if name in (units or {}) else texts
+    `units`: by name, the units of values that are written as plain numbers."""
+    identities = [identify_run(job, units or {}) for job, _ in results]
+    heads = list(dict.fromkeys(name for cells in identities for name in cells))
+    names = dict.fromkeys(name for _, measures in results for name in without_series(measures))
+    columns: dict[str, list[Any]] = {head: [cells.get(head) for cells in identities] for head in heads}
     for name in names:
-        values = [measures.get(name) for _, measures in results]
-        numbers = all(v is None or isinstance(v, int | float) for v in values)
-        is_integer = all(v is None or isinstance(v, int) for v in values)
-        columns[name] = values if is_integer else [None if v is None else float(v) if numbers else str(v) for v in values]
-    sink = pyarrow.BufferOutputStream()
-    pyarrow.parquet.write_table(pyarrow.table(columns), sink)
-    return bytes(sink.getvalue().to_pybytes())
+        if name not in MACHINE_DEPENDENT_MEASURES:
+            columns[name] = _unify_types([measures.get(name) for _, measures in results])
+    return columns
 
 
-def format_runs_csv(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> str:
-    """Return one CSV line per run, with its values and all its measures. `units`: by name, the units of values that are written
-    as plain numbers."""
-    names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in MACHINE_DEPENDENT_MEASURES))
-    headings = _name_columns(results, units or {})
-    lines: list[list[object]] = [["label", "seed", *headings.values(), *names]]
-    for job, measures in results:
-        param_texts = _format_params(job, units or {})
-        values = [param_texts.get(name, "") for name in headings]
-        lines.append([job.label, job.seed, *values, *("" if (v := measures.get(name)) is None else v for name in names)])
-    return format_csv(lines)
+def collect_run_series(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> dict[str, list[Any]]:
+    """Return the columns of the table of frames: label, scene, seed, varied values, frame and measures of the program."""
+    return collect_series([(identify_run(job, units or {}), measures) for job, measures in results])
 
 
-def _name_columns(results: Sequence[RunResult], units: Mapping[str, str]) -> dict[str, str]:
-    """Return the column name of each varied value, by the value's name. A name includes the unit if values are plain numbers."""
-    params = dict.fromkeys(name for job, _ in results for name, _ in job.params)
-    return {name: f"{name} ({units[name]})" if units.get(name) else name for name in params}
+def identify_run(job: SweepJob, units: Mapping[str, str]) -> dict[str, Any]:
+    """Return the cells that identify a run, by column. The name of a column includes the unit if its values are numbers."""
+    cells: dict[str, Any] = {"label": job.label, "scene": Path(job.scene).stem, "seed": job.seed}
+    for name, text in job.params:
+        unit = units.get(name)
+        cells[f"{name} ({unit})" if unit else name] = text if unit is None else float(text.removesuffix(unit))
+    return cells
 
 
-def _format_params(job: SweepJob, units: Mapping[str, str]) -> dict[str, str]:
-    """Return the varied values of a run as texts, by name. A value with an entry in `units` is written without its unit."""
-    return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
+def _unify_types(values: Sequence[Any]) -> list[Any]:
+    """Return the values of a column as integers if all are, else as numbers if all are, else as texts."""
+    if all(v is None or isinstance(v, int) for v in values):
+        return list(values)
+    is_numeric = all(v is None or isinstance(v, int | float) for v in values)
+    return [None if v is None else float(v) if is_numeric else str(v) for v in values]
+
+
+def format_columns(columns: Mapping[str, Sequence[Any]]) -> str:
+    """Return columns as CSV. Absent values are empty."""
+    rows = zip(*columns.values(), strict=True)
+    return format_csv([list(columns), *(["" if cell is None else cell for cell in row] for row in rows)])
 
 
 def format_known_medians(medians: Sequence[KnownMedian]) -> str:
@@ -180,7 +184,7 @@ def as_json(
 ) -> str:
     """Return all runs, the table, and known medians and effects as one JSON document."""
     document: dict[str, Any] = {
-        "runs": [describe_job(job) | {"measures": dict(measures)} for job, measures in results],
+        "runs": [describe_job(job) | {"measures": without_series(measures)} for job, measures in results],
         "table": [_make_finite_entry(row) for row in table],
     }
     if medians:

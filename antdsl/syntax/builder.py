@@ -175,15 +175,17 @@ class Builder:
         return n.AnimalProperty(self.make_name(parts[0]), parts[1], self.text(parts[2]), self.join_spans(parts))
 
     def let(self, parts: list[Any]) -> n.Let:
-        return n.Let(self.make_name(parts[1]), parts[3], self.text(parts[4]), self.join_spans(parts))
+        kind = n.Measure if str(parts[0].value) == "measure" else n.Let
+        return kind(self.make_name(parts[1]), parts[3], self.text(parts[4]), self.join_spans(parts))
+
+    measure = let
 
     def latch(self, parts: list[Any]) -> n.Latch:
         _, name, _, condition, _, end_condition, help = parts
         return n.Latch(self.make_name(name), condition, end_condition, self.join_spans(parts), self.text(help))
 
     def fuzzy(self, parts: list[Any]) -> n.Fuzzy:
-        _, name, help, body = parts
-        return n.Fuzzy(self.make_name(name), body.lines, self.join_spans(parts), self.text(help))
+        return n.Fuzzy(self.make_name(parts[1]), parts[3].lines, self.join_spans(parts), self.text(parts[2]))
 
     def rule(self, parts: list[Any]) -> n.Rule:
         return n.Rule(parts[0], parts[2], self.join_spans(parts))
@@ -203,8 +205,7 @@ class Builder:
         return n.Layer(push, condition, self.join_spans(parts), face is not None)
 
     def machine(self, parts: list[Any]) -> n.Machine:
-        _, name, help, body = parts
-        return n.Machine(self.make_name(name), body.lines, self.join_spans(parts), self.text(help))
+        return n.Machine(self.make_name(parts[1]), parts[3].lines, self.join_spans(parts), self.text(parts[2]))
 
     def from_any(self, parts: list[Any]) -> n.Change:
         change: n.Change = parts[3]
@@ -291,8 +292,7 @@ class Builder:
         return text
 
     def keep(self, parts: list[Any]) -> n.Keep:
-        _, name, type, _, first, then = parts
-        return n.Keep(self.make_name(name), type, first, then, self.join_spans(parts))
+        return n.Keep(self.make_name(parts[1]), parts[2], parts[4], parts[5], self.join_spans(parts))
 
     def result(self, parts: list[Any]) -> ResultLine:
         return ResultLine(parts[0], self.join_spans(parts))

@@ -351,6 +351,11 @@ class Let:
 
 
 @node_class
+class Measure(Let):
+    """A number or a condition about the complete run, which each run reports."""
+
+
+@node_class
 class State:
     """`state NAME "label" colour { … }`. `at_least`: the time for which an agent stays at least."""
 
@@ -604,7 +609,7 @@ class Spec:
     span: Span
 
 
-TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
+TopItem = Use | World | FieldDecl | Species | Behaviour | Spec | Measure
 
 
 @node_class

@@ -103,7 +103,7 @@ _UNIT_BEHIND_PATTERN = re.compile(rf"[ \t]*{UNITS_REGEX}")
 _WORD_PATTERN = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _HYPHENATED_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z_0-9]*(?:-[A-Za-z][A-Za-z_0-9]*)+(?![A-Za-z_0-9])")
 _NAMING_WORDS = frozenset(
-    ("state", "species", "param", "let", "latch", "field", "machine", "behaviour", "start", "->")
+    ("state", "species", "param", "let", "latch", "field", "machine", "behaviour", "measure", "start", "->")
 )  # a name follows
 _ANY_WORD_PATTERN = re.compile(r"\w+")
 _SWALLOWED_TAIL_PATTERN = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # the end of a line inside an unclosed text

@@ -45,7 +45,7 @@ _CHANGE_WORDS = ("when", "interrupt")
 _CLAIM_WORDS = ("always", "never", "eventually", "finally", "sooner", "until")
 LINE_WORDS_BY_RULE: dict[str, tuple[str, ...]] = {
     "header": ("ant",),
-    "top": ("use", "world", "field", "species", "behaviour", "spec"),
+    "top": ("use", "world", "field", "species", "behaviour", "spec", "measure"),
     "world_item": (),
     "declaration": (),
     "setting": (),
@@ -131,6 +131,7 @@ EXAMPLE_LINES: dict[str, str] = {
     "species": "species forager { … }",
     "behaviour": "behaviour seek(target: place) -> push { … }",
     "spec": 'spec "what it shows" on "scene.yaml" { … }',
+    "measure": "measure stored = total(nest.load)",
     "param": "param smell = 40 mm in 0 mm .. 200 mm",
     "let": "let meal = nearest(food)",
     "latch": "latch hungry = energy < 0.4 until energy > 0.6",
@@ -217,6 +218,7 @@ CONTINUATION_TEXTS: dict[str, str] = {
     "use": "the name of a library, or the path of a file in quotes",
     "as": "a name",
     "spec": "a name in quotes",
+    "measure": "a name",
     **{row.word: row.following_text for row in VERB_BY_WORD.values() if row.following_text},
     "choose": "`{`",
     "each": "the name of a species",

@@ -272,7 +272,7 @@ def test_a_sweep_checks_everything_before_it_runs() -> None:
     for wrong, message in (
         ({"frames": (5, 2)}, "not a range"), ({"frames": 5}, "not a range"), ({"seeds": [-1]}, "not a seed"),
         ({"seeds": "12"}, "not a seed"), ({"processes": -1}, "processes"),
-        ({"until_empty": "food.lood"}, "no amount `food.lood`"),
+        ({"until": "total(food.lood) == 0"}, "`--until`"),
         ({"vary": {"forager.smell": "20 mm"}}, "list of values; write \\['20 mm'\\]"),
     ):  # fmt: skip
         with pytest.raises(antdsl.AntdslError, match=message):

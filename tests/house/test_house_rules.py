@@ -25,7 +25,7 @@ ROOMS = (
     "user_folders", "packages",
     "cpu_budget", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
-    "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
+    "senses", "fields", "bodies", "runtime", "reload", "measures", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "settling", "executors", "sweeps", "api", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.

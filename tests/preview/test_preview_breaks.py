@@ -12,7 +12,7 @@ from preview_page import few
 
 from antdsl.preview import Live, Session
 from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.breaking.conditions import compile_condition
+from antdsl.preview.breaking.conditions import compile_break_condition
 from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing import spec_judgement
 from antdsl.preview.observing.explainer import Explainer
@@ -180,7 +180,7 @@ def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, me
     session, _ = Session.open(scene)
     assert session is not None
     with pytest.raises(BreakpointError) as error_info:
-        compile_condition(session.shot, text)
+        compile_break_condition(session.shot, text)
     assert message in error_info.value.message
     assert error_info.value.help.startswith(help)
 

@@ -42,6 +42,7 @@ SCENE = """antdsl: 1
 units: mm
 fps: 24
 frames: 1..2
+until: total(food.load) < 0.5
 preroll: 0
 substeps: 1
 seed: 5

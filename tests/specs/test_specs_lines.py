@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_specs import BLOCK, FLIES, GROUND, MORTAL, OPTION_SETS, SCENE, WALKER, collect_runs, failure_text, folder, judged, spec  # noqa: F401
 
-from antdsl.plan.lowering.spec_blocks import JudgementPlan
+from antdsl.plan.lowering.spec_plans import JudgementPlan
 from antdsl.source import Source, Span
 from antdsl.specs.cases import resolve_verdicts
 from antdsl.specs.lines import FrameObservation, JudgementLine

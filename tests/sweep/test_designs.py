@@ -223,7 +223,7 @@ def test_repeated_checks_respect_the_error_probability() -> None:
 
 def make_jobs(labels: str, seeds: int) -> list[SweepJob]:
     return [
-        SweepJob("s.yaml", name, (), seed, (1, 9), (), (), f"{name}{seed}") for seed in range(1, seeds + 1) for name in labels
+        SweepJob("s.yaml", name, (), seed, (1, 9), None, (), f"{name}{seed}") for seed in range(1, seeds + 1) for name in labels
     ]
 
 

@@ -57,11 +57,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def make_jobs(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[SweepJob]:
+def make_jobs(folder: Path, seeds: range = range(1, 3), until: str | None = None, **vary: tuple[str, ...]) -> list[SweepJob]:
     points = grid(**vary)
-    job_list, report = build_jobs(
-        make_variations([folder / "scene.yaml"], points), seeds, frames=None, stop_amounts=until, grants={}
-    )
+    job_list, report = build_jobs(make_variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
     assert report.ok, report.errors
     return job_list
 
@@ -88,7 +86,9 @@ def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
     assert [(job.seed, job.label) for job in first] == [(s, f"smell {v}") for s in (1, 2) for v in ("30mm", "60mm")]
     assert len({job.key for job in first}) == 4
     assert [job.key for job in make_jobs(folder, smell=("30mm", "60mm"))] == [job.key for job in first]
-    assert not {job.key for job in make_jobs(folder, until=("food.load",), smell=("30mm", "60mm"))} & {job.key for job in first}
+    assert not {job.key for job in make_jobs(folder, until="total(food.load) == 0", smell=("30mm", "60mm"))} & {
+        job.key for job in first
+    }
     (folder / "walker.ant").write_text(PROGRAM.replace("touching(meal)", "distance(meal) < 14 mm"))
     assert not {job.key for job in make_jobs(folder, smell=("30mm", "60mm"))} & {job.key for job in first}
 
@@ -97,17 +97,17 @@ def test_a_key_is_that_of_the_scene_opened_by_itself(folder: Path) -> None:
     """Where a run is made the scene is opened again, and an error where its key is another."""
     for job in make_jobs(folder, smell=("30mm", "60mm")):
         shot, _ = open_scene(folder / "scene.yaml", job.make_choices())
-        assert shot is not None and compute_job_key(shot, job.seed, job.until, find_start_hashes(shot)) == job.key
+        assert shot is not None and compute_job_key(shot, job.seed, find_start_hashes(shot)) == job.key
 
 
 def test_mistakes_are_reported_before_anything_runs(folder: Path) -> None:
     chosen = make_variations([folder / "scene.yaml"], grid(smell=("60mm", "4s", "4m")))
-    _, report = build_jobs(chosen, range(1, 3), frames=None, stop_amounts=("food.lod",), grants={})
-    assert sorted(d.code for d in report.errors) == ["out-of-range", "unknown-thing", "wrong-unit"]
+    _, report = build_jobs(chosen, range(1, 3), frames=None, until="total(food.lod) == 0", grants={})
+    assert sorted(d.code for d in report.errors) == ["out-of-range", "wrong-argument", "wrong-unit"]
 
 
 def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: Path) -> None:
-    good = make_jobs(folder, until=("food.apple.load",))
+    good = make_jobs(folder, until="min(food.load) == 0")
     missing_job = replace(good[0], scene=str(folder / "gone.yaml"), label="gone", key="0")
     outcomes = {outcome.job.key: outcome for outcome in run_jobs([missing_job, *good], ProcessEngine(2, 1))}
     assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
@@ -120,7 +120,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
 
 
 def test_a_job_goes_to_another_process_as_json(folder: Path) -> None:
-    for job in make_jobs(folder, smell=("30mm",), until=("food.load",)):
+    for job in make_jobs(folder, smell=("30mm",), until="total(food.load) == 0"):
         assert SweepJob.from_document(json.loads(json.dumps(job.document()))) == job
 
 
@@ -147,7 +147,7 @@ def test_events_that_never_happened_sort_last() -> None:
     assert compute_quantile([1, 2, 4], 0.5) == 2 and compute_quantile([1, 2, 4, inf], 0.5) == 3
     assert compute_quantile([1, 2, inf, inf], 0.5) == inf and compute_quantile([inf, inf], 0.25) == inf
     assert compute_quantile([1, 3, 5, 6, inf], 0.75) == 6
-    job = SweepJob("s.yaml", "a", (), 1, (1, 9), (), (), "k")
+    job = SweepJob("s.yaml", "a", (), 1, (1, 9), None, (), "k")
     results = [(job, {"empty.food.apple.load": v, "x.y": 2, "fps": 7, "hash": "q"}) for v in (5, None, None)]
     table = build_rows([*results, (job, {"empty.food.apple.load": 7})])
     assert [(r.measure, r.runs, r.happened) for r in table] == [("empty.food.apple.load", 4, 2), ("x.y", 4, 4)]
@@ -202,7 +202,7 @@ def test_a_table_is_drawn(tmp_path: Path) -> None:
 
     from antdsl.sweeps.plots import draw_measures
 
-    job = SweepJob("s.yaml", "a", (), 1, (1, 9), (), (), "k")
+    job = SweepJob("s.yaml", "a", (), 1, (1, 9), None, (), "k")
     draw_measures(
         [(replace(job, label=label), {"x": v}) for label, v in (("a", 1), ("a", 4), ("b", None))], ["x"], tmp_path / "t.png"
     )

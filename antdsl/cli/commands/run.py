@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.cli.arguments import UNTIL_OPTION
 from antdsl.cli.destinations import (
     choose_default_path,
     protect_inputs,
@@ -53,6 +54,7 @@ def run(
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frame range; overrides the scene."),
     seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Seed; overrides the scene."),
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a param, such as forager.smell=50mm"),
+    until: str = UNTIL_OPTION,
     out: Path = typer.Option(
         None,
         "--out",
@@ -93,7 +95,7 @@ def run(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print only problems."),
 ) -> None:
     """Simulate scenes and write their caches."""
-    from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, require_scene
+    from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, parse_until, require_scene
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.cache.cache_reader import CACHE_ENTRY_NAMES
     from antdsl.pipeline import RunChoices, open_scene
@@ -101,7 +103,9 @@ def run(
     require_scheduler(scheduler, tls, no_tls)
     for scene in scenes:
         require_scene(scene)
-    choices = RunChoices(parse_grants(root), parse_frame_range(frames), seed, parse_pairs(set_, "--set"))
+    choices = RunChoices(
+        parse_grants(root), parse_frame_range(frames), seed, parse_pairs(set_, "--set"), until=parse_until(until)
+    )
     if scheduler or len(scenes) > 1:
         if summary is not None or profile:
             flag = "--summary" if summary is not None else "--profile"
@@ -115,7 +119,7 @@ def run(
     folder = out if out is not None else choose_default_path(scene.resolve().parent, "out", scene.stem)
     if scene.is_file():  # otherwise there is no folder next to the scene
         require_writable_folder(folder, "--out")
-    resume_command = _build_resume_command(scene, out, frames, seed, set_, root, summary, any_memory)
+    resume_command = _build_resume_command(scene, out, frames, seed, set_, until, root, summary, any_memory)
     files, folders = {"--summary": summary}, {"--out": (folder, CACHE_ENTRY_NAMES)}
     with _handle_stop_in_set_up(resume_command), protect_inputs(files, folders) as inputs:
         inputs.append(scene)
@@ -176,6 +180,7 @@ def _build_resume_command(
     frames: str | None,
     seed: int | None,
     set_: list[str],
+    until: str | None,
     root: list[str],
     summary: Path | None,
     any_memory: bool,
@@ -186,7 +191,8 @@ def _build_resume_command(
 
     words = ["antdsl", "run", str(scene)]
     flag_values: dict[str, Sequence[object]] = {
-        "--frames": [frames], "--seed": [seed], "--set": set_, "--root": root, "--out": [folder], "--summary": [summary],
+        "--frames": [frames], "--seed": [seed], "--set": set_, "--until": [until],
+        "--root": root, "--out": [folder], "--summary": [summary],
     }  # fmt: skip
     for flag, values in flag_values.items():
         for value in values:

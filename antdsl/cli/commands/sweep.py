@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from antdsl.atomic_write import write_atomically
+from antdsl.cli.arguments import UNTIL_OPTION
 from antdsl.cli.destinations import choose_default_path, protect_inputs, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
 from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_memory
@@ -35,6 +36,8 @@ RESULT_FILE_NAMES = (
     "table.csv",
     "runs.csv",
     "runs.parquet",
+    "series.csv",
+    "series.parquet",
     "sweep.json",
     "table.png",
     "sensitivity.csv",
@@ -84,9 +87,7 @@ def sweep(
         None, "--out", metavar="DIR", help="Folder of the table. [default: out/sweep next to the first scene]"
     ),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frame range; overrides the scenes."),
-    until: list[str] = typer.Option(
-        [], "--until-empty", metavar="NAME", help="End a run once this amount is 0, such as food.load or food.apple.load."
-    ),
+    until: str = UNTIL_OPTION,
     until_known: list[str] = typer.Option(
         [],
         "--until-known",
@@ -108,7 +109,7 @@ def sweep(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
     """Run scenes over parameter values and seeds, and report medians and quartiles."""
-    from antdsl.cli.arguments import require_scene
+    from antdsl.cli.arguments import parse_until, require_scene
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.cli.sweep_arguments import build_study, load_request, open_scene_shots, parse_widths, reject_missing_scene
     from antdsl.executors import WorkersLost
@@ -132,7 +133,8 @@ def sweep(
             design_seed=design_seed,
             seeds=seeds,
             frames=frames,
-            until_empty=until,
+            until=parse_until(until),
+            show=show,
             until_known=until_known,
             root=root,
         )
@@ -149,7 +151,8 @@ def sweep(
         run_store = RunStore(folder)
     except NotASweepFolder as error:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "name another folder with `--out`") from None
-    request.write(folder)
+    show = show or request.show
+    request.model_copy(update={"show": show}).write(folder)
 
     chooser = JobChooser(runs, widths)
     finished_measures: dict[str, Any] = {}
@@ -223,6 +226,7 @@ def _write_tables(
 
     `finished_measures`: the measures of each finished run, by its key. `show`: the beginnings of the names of the printed
     measures."""
+    from antdsl.outputs.parquet_table import encode_parquet
     from antdsl.sweeps import build_rows
     from antdsl.sweeps.figures import is_available
     from antdsl.sweeps.plots import INSTALL_HINT, draw_factors, draw_measures
@@ -232,9 +236,10 @@ def _write_tables(
         as_csv,
         as_json,
         choose_measures,
+        collect_run_series,
+        collect_runs,
+        format_columns,
         format_known_medians,
-        format_runs_csv,
-        format_runs_parquet,
         format_table,
     )
 
@@ -254,15 +259,17 @@ def _write_tables(
     texts = {
         "table.txt": lines + words,
         "table.csv": as_csv(table),
-        "runs.csv": format_runs_csv(results, study.unit_by_factor),
         "sweep.json": as_json(results, table, known_medians, effects),
     }
     if effects:
         texts["sensitivity.csv"] = effects_csv(effects)
     files = {name: content.encode() for name, content in texts.items()}
-    parquet = format_runs_parquet(results, study.unit_by_factor)
-    if parquet is not None:
-        files["runs.parquet"] = parquet
+    tables = {"runs": collect_runs(results, study.unit_by_factor), "series": collect_run_series(results, study.unit_by_factor)}
+    for name, columns in tables.items():
+        if columns:
+            files[f"{name}.csv"] = format_columns(columns).encode()
+            parquet = encode_parquet(columns)
+            files |= {} if parquet is None else {f"{name}.parquet": parquet}
     for name, content in files.items():
         write_atomically(run_store.folder / name, content)
     print_note((_truncate_table(lines) + words).rstrip("\n"))

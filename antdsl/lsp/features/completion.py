@@ -61,7 +61,7 @@ def _propose_items(request: CompletionRequest) -> Iterator[CompletionItem]:
     if not prefix.strip() and request.context.called_function is None:
         yield from _propose_line_start(request, rule)
         return
-    if rule in ("world_item",) or (rule == "top" and not prefix.startswith("behaviour")):
+    if rule in ("world_item",) or (rule == "top" and not prefix.startswith(("behaviour", "measure"))):
         return
     if request.context.called_function is not None:
         yield from propose_argument_names(request)
@@ -112,6 +112,7 @@ _SNIPPET_BY_WORD = {
     "behaviour": 'behaviour ${1:name}(${2:target}: ${3:place}) -> ${4:push} {\n\t"$5"\n\t$0\n}',
     "state": 'state ${1:name} "${2:label}" ${3:amber} {\n\tsteer $0\n}', "layers": "layers {\n\t${0:state}\n}",
     "spec": 'spec "${1:what it shows}" on "${2:scene.yaml}" {\n\tfor ${3:20 s}\n\talways: $0\n}',
+    "measure": "measure ${1:name} = $0",
     "param": "param ${1:name} = ${2:1} in ${3:0} .. ${4:10}", "when": "when ${1:condition} -> ${2:state}",
 }  # fmt: skip
 

@@ -288,6 +288,7 @@ def propose_values(request: CompletionRequest) -> Iterator[CompletionItem]:
         )
     for word in _INSIDE_EXPRESSIONS:
         yield CompletionItem(word, "keyword")
-    if request.context.find_enclosing_name("top", "spec") is not None:
-        for word in ("total", "share", "at_start", "motion"):
+    is_in_behaviour = request.context.find_enclosing_name("top", "behaviour") is not None
+    if request.context.find_enclosing_name("top", "spec") is not None or (request.species is None and not is_in_behaviour):
+        for word in ("total", "share", "at_start", "time_of", "motion"):
             yield CompletionItem(word, "keyword", "of the whole crowd")

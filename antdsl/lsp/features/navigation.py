@@ -21,7 +21,7 @@ from antdsl.source import Source, Span
 # Kinds of names that authors choose; the others are words of the language.
 AUTHOR_NAME_KINDS = frozenset(
     ("thing", "attribute", "field", "species", "own", "machine", "state", "let", "event", "behaviour", "inner", "element",
-     "alias", "scene-item")
+     "alias", "scene-item", "measure")
 )  # fmt: skip
 _NAME_PATTERN = re.compile(r"[a-z][a-z_0-9]*")
 _RESERVED_NAMES = frozenset(
@@ -37,7 +37,8 @@ _RESERVED_NAMES = frozenset(
     }
 )
 _CANDIDATE_KINDS = {
-    "?": ("thing", "field", "species"), "?state": ("state",), "?behaviour": ("behaviour",), "?member": ("own", "attribute"),
+    "?": ("thing", "field", "species", "measure"), "?state": ("state",), "?behaviour": ("behaviour",),
+    "?member": ("own", "attribute"),
     "?scene": ("thing", "scene-item"), "?layer": ("own", "thing", "field", "species", "behaviour", "inner"),
 }  # fmt: skip
 

@@ -48,6 +48,8 @@ def _make_item_symbol(item: Any) -> OutlineSymbol | None:
         return OutlineSymbol(item.name.text, "behaviour", item.span, item.name.span, "behaviour")
     if isinstance(item, nodes.Spec):
         return OutlineSymbol(item.name.text or "spec", "spec", item.span, item.name.span, "spec")
+    if isinstance(item, nodes.Measure):
+        return OutlineSymbol(item.name.text, "value", item.span, item.name.span, "measure")
     if isinstance(item, nodes.Use):
         name = item.library or item.alias
         return OutlineSymbol(name.text, "file", item.span, name.span, "use") if name is not None else None

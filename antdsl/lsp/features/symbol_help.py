@@ -156,6 +156,11 @@ def _describe_behaviour_part(symbol: SymbolDeclaration, node: Any) -> str:
     return format_markdown(collapse_whitespace(node.span.text), find_help_text(node), f"in behaviour `{key[2]}`")
 
 
+def _describe_measure(symbol: SymbolDeclaration, node: nodes.Measure) -> str:
+    value = collapse_whitespace(node.value.span.text)
+    return format_markdown(f"measure {node.name.text} = {value}", find_help_text(node), "reported by each run")
+
+
 def _describe_let(symbol: SymbolDeclaration, node: Any) -> str:
     return format_markdown(collapse_whitespace(node.span.text), f"in state `{symbol.key[3]}`")
 
@@ -171,5 +176,5 @@ _DESCRIPTION_RULES: dict[str, tuple[type, Callable[[SymbolDeclaration, Any], str
     "attribute": (object, _describe_item_attribute),
     "field": (nodes.FieldDecl, _describe_field), "species": (object, _describe_species), "state": (nodes.State, _describe_state),
     "behaviour": (nodes.Behaviour, _describe_behaviour), "inner": (object, _describe_behaviour_part), 
-    "let": (object, _describe_let), "machine": (nodes.Machine, _describe_machine),
+    "let": (object, _describe_let), "measure": (nodes.Measure, _describe_measure), "machine": (nodes.Machine, _describe_machine),
 }  # fmt: skip

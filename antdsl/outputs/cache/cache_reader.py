@@ -40,6 +40,7 @@ from antdsl.scene.thing_models import UNIT_MM, UP_VECTORS
 
 MARKER_FILE_NAME = ".antdsl-cache"
 STATIC_FILE_NAME = "static.npz"
+MEASURES_FILE_NAME, MEASURES_PARQUET_NAME = "measures.csv", "measures.parquet"
 CACHE_ENTRY_NAMES = (
     "frames",
     "checkpoints",
@@ -47,7 +48,10 @@ CACHE_ENTRY_NAMES = (
     HASHES_FILE_NAME,
     MANIFEST_FILE_NAME,
     MARKER_FILE_NAME,
+    MEASURES_FILE_NAME,
+    MEASURES_PARQUET_NAME,
 )  # the entries of a cache's folder
+STORED_MEASURES_KEY = "measures"  # key in a checkpoint: values of earlier frames that measures need
 SURFACE_ERROR_KEY = "surface_error"  # key in a checkpoint: the greatest surface error of all frames up to it
 _NUMBERED_FILE_PATTERN = re.compile(r"[a-z]+\.(-?[0-9]{1,10})\.npz", re.ASCII)
 

@@ -25,6 +25,7 @@ from antdsl.numerics.records import select_by_prefix
 from antdsl.outputs.cache.cache_reader import (
     MARKER_FILE_NAME,
     STATIC_FILE_NAME,
+    STORED_MEASURES_KEY,
     SURFACE_ERROR_KEY,
     Cache,
     list_numbered_files,
@@ -192,11 +193,11 @@ def find_intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: 
     return IntactPart(cache, points, last_frame, broken)
 
 
-def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
-    """Return a checkpoint's arrays without the surface error, and the surface error. Raises CacheError if the checkpoint is
-    damaged.
+def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None, NDArray[np.float64] | None]:
+    """Return a checkpoint's arrays of the world, the surface error, and the stored values of measures. Raises CacheError if the
+    checkpoint is damaged.
 
-    The surface error is the greatest of all frames up to this frame; None if it was not stored."""
+    The surface error is the greatest of all frames up to this frame. Both are None if they were not stored."""
     arrays = cache.read_checkpoint(frame)
     stored_error = arrays.get(SURFACE_ERROR_KEY)
     known = (
@@ -206,7 +207,8 @@ def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
         and 0 <= float(stored_error) < math.inf
     )
     worst = float(stored_error) if stored_error is not None and known else None
-    return select_by_prefix(arrays, "world."), worst
+    measures = arrays.get(STORED_MEASURES_KEY)
+    return select_by_prefix(arrays, "world."), worst, None if measures is None else measures.astype(np.float64)
 
 
 class CacheWriter:
@@ -312,10 +314,12 @@ class CacheWriter:
 
         self._worker.submit(write_frame)
 
-    def submit_checkpoint(self, world: World) -> None:
-        """Pass everything needed to continue from the last frame to the writing thread."""
+    def submit_checkpoint(self, world: World, stored_measures: NDArray[np.float64]) -> None:
+        """Pass everything needed to continue from the last frame to the writing thread. `stored_measures`: see
+        `RunMeasures.save_stored_values`."""
         assert self._worker is not None, "begin comes first"
         state_arrays = take_checkpoint(world)
         arrays = {"frame": state_arrays["frame"], **{f"world.{name}": array for name, array in state_arrays.items()}}
+        arrays |= {STORED_MEASURES_KEY: stored_measures} if len(stored_measures) else {}
         arrays |= {} if self._greatest_error is None else {SURFACE_ERROR_KEY: np.array(self._greatest_error)}
         self._worker.submit(partial(self._file_writer.write_checkpoint, world.frame, arrays))

@@ -327,7 +327,7 @@ def read_own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> Lower
 
 def needs_moved_register(program: model.Program) -> bool:
     """Return whether the program reads how far contacts pushed an agent. If so, species have the register `moved`."""
-    asking = iterate_parts([*program.species.values(), *program.specs])
+    asking = iterate_parts([*program.species.values(), *program.specs, *program.measures])
     return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in asking)
 
 
@@ -394,7 +394,5 @@ _LOWERER_BY_EXPRESSION: dict[type, Callable[[PlanWriter, Any], LoweredValue]] = 
     model.ClipTest: _lower_clip_test, model.ParamRef: _lower_param, model.ThingRef: _lower_thing,
     model.BindingRef: _lower_binding, model.InlinedBehaviour: _lower_behaviour, model.AttributeRef: _lower_attribute,
     model.OperationExpr: _lower_operation, model.SetExpr: _lower_set, model.ReduceExpr: _lower_reduction,
-    expectations.AggregateExpr: _lower_spec_expression, expectations.StartValue: _lower_spec_expression,
-    expectations.MotionMeasure: _lower_spec_expression, expectations.ReferenceRunValue: _lower_spec_expression,
-    expectations.BodyMeasure: _lower_spec_expression, expectations.CellValue: _lower_spec_expression,
+    **dict.fromkeys(expectations.RUN_EXPRESSIONS, _lower_spec_expression),
 }  # fmt: skip

@@ -1,4 +1,5 @@
-"""Lowers a spec to a plan: blocks that evaluate each agent and item, numbers about complete populations, and conditions on them.
+"""Lowers a spec, or the measures of a program, to a plan: blocks that evaluate each agent and item, numbers about complete
+populations, and conditions on them.
 
 The blocks of a judged species store into separate registers and change nothing else. `decide` computes the values from which
 population numbers are aggregated. `act` judges each agent. `blend` computes the values for the message of a failure."""
@@ -6,113 +7,38 @@ population numbers are aggregated. `act` judges each agent. `blend` computes the
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
 
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import OPERATION_BY_NAME, Block, PlanNode, Register, SpeciesPlan, Store, UpdateRate, ValueKind
 from antdsl.plan.lowering.actions import report_unsupported
-from antdsl.plan.lowering.expressions import lower_condition, lower_expression, lower_scalar
+from antdsl.plan.lowering.expressions import lower_condition, lower_expression, lower_scalar, lower_vector
 from antdsl.plan.lowering.lower import MAX_RECURSION_FRAMES
 from antdsl.plan.lowering.rules import LOWERING_RULES
+from antdsl.plan.lowering.spec_plans import (
+    AggregatePlan,
+    FirstTimePlan,
+    JudgementPlan,
+    MeasuresPlan,
+    ReadingPlan,
+    ReferenceValuePlan,
+    SpecPlan,
+    StartValuePlan,
+)  # fmt: skip
 from antdsl.plan.lowering.values import EntityRef, LoweredValue, OwnPosition, VectorNodes, length
 from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.plan.traverse import collect_required_nodes, find_shared_senses
 from antdsl.program import expectations, model
+from antdsl.program.traverse import iterate_parts
 from antdsl.source import Span
 
 _TRUTH_AGGREGATES = ("share", "count", "any", "every")
 _ITEM_VALUES_HELP = "items have a position, a radius and their own values"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AggregatePlan:
-    """A number about all agents of a species, items of a name, cells of a field, or a solid. Nodes read it by `name`.
-
-    - `kind`, `subject`: the kind and the name of what the number is about.
-    - `where_register`, `body_register`: the registers in which `decide` stores the condition and the value of each member.
-    - `amount`: the attribute of items that is aggregated without conversion to float32."""
-
-    name: str
-    reducer: str
-    kind: str
-    subject: str
-    where_register: str | None = None
-    body_register: str | None = None
-    amount: str | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StartValuePlan:
-    """A number that a spec compares with its value at the start.
-
-    For a number about the complete run, `value` is the node of the number. Other nodes read its start value by `name`. For a
-    number of each agent of `species`, the register `name` receives the value of `source_register` in the agent's first frame."""
-
-    name: str
-    value: PlanNode | None = None
-    species: str | None = None
-    source_register: str | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReferenceValuePlan:
-    """A number of the reference run. `value`: the node that computes it in that run. `name`: the name by which nodes of this run
-    read it."""
-
-    name: str
-    value: PlanNode
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReadingPlan:
-    """A value for the message of a failure: a node, or a register that `blend` fills for one agent."""
-
-    span: Span
-    type: model.ValueType
-    unit: str
-    node: PlanNode | None = None
-    register: str | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JudgementPlan:
-    """One expectation.
-
-    - `condition`, `start_condition` (of a `when`): for a `species`, registers that `act` fills for each agent; otherwise nodes
-      about the complete run.
-    - `time`, `hold_time`: nodes with one value for the run."""
-
-    kind: str
-    block_number: int
-    species: str | None
-    condition: PlanNode | str
-    time: PlanNode | None
-    readings: tuple[ReadingPlan, ...]
-    is_at_end: bool
-    span: Span
-    hold_time: PlanNode | None = None
-    start_condition: PlanNode | str | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SpecPlan:
-    """A lowered spec.
-
-    - `plan`: the plan with the judged species, and with each group of items as another species of this name.
-    - `body_measures`: by species, the names in GEOMETRY_MEASURES that have registers. The judge fills these registers before the
-      evaluation."""
-
-    spec: expectations.Spec
-    plan: ir.Plan
-    duration: PlanNode | None
-    aggregates: tuple[AggregatePlan, ...]
-    start_values: tuple[StartValuePlan, ...]
-    judgements: tuple[JudgementPlan, ...]
-    reference_values: tuple[ReferenceValuePlan, ...] = ()
-    body_measures: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
 class _SpecWriter(PlanWriter):
@@ -140,6 +66,10 @@ class _SpecWriter(PlanWriter):
             return self.read_body_register(e)
         if isinstance(e, expectations.CellValue):
             return self.b("snap", attrs=("value",), kind=ValueKind.F32)
+        if isinstance(e, expectations.TimeOf):
+            return self.lowering.lower_time_of(e)
+        if isinstance(e, expectations.MeasureValue):
+            return self.lowering.lower_measure(e.value)
         assert isinstance(e, expectations.StartValue)
         return self.lowering.lower_start_value(self, e)
 
@@ -170,10 +100,10 @@ class _SpecLowering:
         self.program, self.program_plan, self.report = program, plan, report
         self.b = PlanBuilder()
         self.aggregates: list[AggregatePlan] = []
-        self.start_values: list[StartValuePlan] = []
+        self.stored_values: list[StartValuePlan | FirstTimePlan] = []
         self.reference_values: list[ReferenceValuePlan] = []
         self.body_measures: dict[str, set[str]] = {}
-        self.known: dict[model.Expr, PlanNode] = {}
+        self.known: dict[model.Expr, LoweredValue] = {}
         self.writers: dict[str, _SpecWriter] = {}
         empty_layers = model.LayerStack("budget", (), next(iter(program.species.values())).span)
         self._empty_layers = empty_layers
@@ -211,13 +141,35 @@ class _SpecLowering:
 
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
-    def lower_aggregate(self, e: expectations.AggregateExpr) -> PlanNode:
-        """Return the value of an aggregate. It is evaluated once, even if several expectations contain it."""
+    def _lower_once(self, e: model.Expr, lower: Callable[[], LoweredValue]) -> Any:
+        """Return the value of an expression, which is evaluated once, even if several expressions contain it."""
         if e not in self.known:
-            self.known[e] = self._lower_new_aggregate(e)
+            self.known[e] = lower()
         return self.known[e]
 
-    def _lower_new_aggregate(self, e: expectations.AggregateExpr) -> PlanNode:
+    def lower_measure(self, value: model.Expr) -> PlanNode:
+        """Return the node of a measure, which is a number or a condition."""
+        lower = lower_condition if value.type.kind is model.TypeKind.BOOL else lower_scalar
+        node: PlanNode = self._lower_once(value, lambda: lower(self.run_writer, value))
+        return node
+
+    def lower_time_of(self, e: expectations.TimeOf) -> PlanNode:
+        """Return the node of the time at which a condition first holds."""
+
+        def lower() -> PlanNode:
+            condition = lower_condition(self.run_writer, e.condition)
+            self.stored_values.append(FirstTimePlan(f"time#{len(self.stored_values) + 1}", condition))
+            return self.b("told", attrs=(self.stored_values[-1].name,))
+
+        node: PlanNode = self._lower_once(e, lower)
+        return node
+
+    def lower_aggregate(self, e: expectations.AggregateExpr) -> LoweredValue:
+        """Return the value of an aggregate: the node of a number or bool, or the three nodes of a vector."""
+        value: LoweredValue = self._lower_once(e, lambda: self._lower_new_aggregate(e))
+        return value
+
+    def _lower_new_aggregate(self, e: expectations.AggregateExpr) -> LoweredValue:
         name, of = f"whole#{len(self.aggregates) + 1}", e.population.referent or ""
         kind = e.population.kind.value
         where = body = amount = None
@@ -230,6 +182,13 @@ class _SpecLowering:
                 where = w.store_result(
                     "decide", f"{name}.where", self._check_pure(w, lower_condition(w, e.where), e.where), e.where.span
                 )
+            if e.body is not None and e.type.kind is model.TypeKind.VECTOR:
+                nodes = lower_vector(w, e.body)
+                axes = ((axis, self._check_pure(w, getattr(nodes, axis), e.body)) for axis in "xyz")
+                bodies = [w.store_result("decide", f"{name}.body.{axis}", node, e.body.span) for axis, node in axes]
+                parts = [AggregatePlan(f"{name}.{body[-1]}", e.reducer, kind, of, where, body) for body in bodies]
+                self.aggregates += parts
+                return VectorNodes(*(self.b("told", attrs=(part.name,)) for part in parts))
             if e.body is not None:
                 node = lower_condition(w, e.body) if e.reducer in _TRUTH_AGGREGATES else lower_scalar(w, e.body)
                 body = w.store_result("decide", f"{name}.body", self._check_pure(w, node, e.body), e.body.span)
@@ -241,29 +200,30 @@ class _SpecLowering:
 
     def lower_start_value(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
         """Return the node of a number's value at the start: of the run, or of each agent's life."""
-        if e not in self.known:
-            self.known[e] = self._lower_new_start_value(w, e)
-        return self.known[e]
+        node: PlanNode = self._lower_once(e, lambda: self._lower_new_start_value(w, e))
+        return node
 
     def _lower_new_start_value(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
         node = lower_scalar(w, e.value)
-        name = f"start#{len(self.start_values) + 1}"
+        name = f"start#{len(self.stored_values) + 1}"
         if node.rate <= UpdateRate.STEP:
-            self.start_values.append(StartValuePlan(name, value=node))
+            self.stored_values.append(StartValuePlan(name, value=node))
             return self.b("told", attrs=(name,))
         source_register = w.store_result("decide", f"{name}.asked", self._check_pure(w, node, e), e.span)
         w.registers[name] = Register(name, ValueKind.F32, "attribute")
-        self.start_values.append(StartValuePlan(name, species=w.species.name, source_register=source_register))
+        self.stored_values.append(StartValuePlan(name, species=w.species.name, source_register=source_register))
         return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
     def lower_reference_run_value(self, e: expectations.ReferenceRunValue) -> PlanNode:
         """Return the node of a number's value in the reference run."""
-        if e not in self.known:
-            self.reference_values.append(
-                ReferenceValuePlan(f"other#{len(self.reference_values) + 1}", lower_scalar(self.run_writer, e.value))
-            )
-            self.known[e] = self.b("told", attrs=(self.reference_values[-1].name,))
-        return self.known[e]
+
+        def lower() -> PlanNode:
+            value = lower_scalar(self.run_writer, e.value)
+            self.reference_values.append(ReferenceValuePlan(f"other#{len(self.reference_values) + 1}", value))
+            return self.b("told", attrs=(self.reference_values[-1].name,))
+
+        node: PlanNode = self._lower_once(e, lower)
+        return node
 
     def _check_pure(self, w: _SpecWriter, node: PlanNode, e: model.Expr) -> PlanNode:
         """Return the node. Raise UnsupportedConstruct if it has side effects, or reads a value that items or cells lack."""
@@ -279,6 +239,18 @@ class _SpecLowering:
                 raise UnsupportedConstruct("a sense of an item", e.span, _ITEM_VALUES_HELP)
             raise UnsupportedConstruct("a sense of a cell", e.span, "a cell of a field has only a `value`")
         return node
+
+    def collect_queries(self) -> dict[str, Any]:
+        """Return the fields of a QueryPlan by name."""
+        species = {name: self.get_agent_writer(name).make_species_plan() for name in self.program_plan.species}
+        species |= {name: w.make_species_plan() for name, w in self.writers.items() if name not in species}
+        return {
+            "plan": replace(self.program_plan, species=species, nodes=tuple(self.b.nodes)),
+            "aggregates": tuple(self.aggregates),
+            "stored_values": tuple(self.stored_values),
+            "reference_values": tuple(self.reference_values),
+            "body_measures": {name: frozenset(names) for name, names in self.body_measures.items()},
+        }
 
     # --- lines -------------------------------------------------------------------------------------------------------
 
@@ -322,21 +294,44 @@ def _is_agent_only(node: PlanNode) -> bool:
 def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -> tuple[SpecPlan | None, Report]:
     """Return the plan that evaluates a spec. `plan`: the lowered program that the spec judges. Return None and a report if an
     expression cannot be evaluated yet."""
-    report = Report()
+    work = _SpecLowering(program, plan, Report())
+    with _allow_deep_recursion():
+        duration = None if spec.duration is None else lower_scalar(work.run_writer, spec.duration)
+        judgements = [work.lower_expectation(e, n) for n, e in enumerate(spec.expectations, 1)]
+    if not work.report.ok:
+        return None, work.report
+    valid_judgements = tuple(j for j in judgements if j is not None)
+    return SpecPlan(spec=spec, duration=duration, judgements=valid_judgements, **work.collect_queries()), work.report
+
+
+def lower_measures(program: model.Program, plan: ir.Plan) -> tuple[MeasuresPlan | None, Report]:
+    """Return the plan that evaluates the measures of a program, or None, and a report. `plan`: the lowered program.
+
+    Measures of species that the scene does not contain are left out, because they have no value there."""
+    work, nodes = _SpecLowering(program, plan, Report()), {}
+    with _allow_deep_recursion():
+        for measure in program.measures:
+            absent = [name for name in program.species if name not in plan.species]
+            if any(_is_about(part, absent) for part in iterate_parts(measure.value)):
+                continue
+            try:
+                nodes[measure.name] = work.lower_measure(measure.value)
+            except UnsupportedConstruct as missing:
+                report_unsupported(work.run_writer, missing)
+    return MeasuresPlan(nodes=nodes, **work.collect_queries()) if work.report.ok else None, work.report
+
+
+def _is_about(part: object, species: Sequence[str]) -> bool:
+    """Return whether an expression is an aggregate of one of these species."""
+    return isinstance(part, expectations.AggregateExpr) and part.population.referent in species
+
+
+@contextmanager
+def _allow_deep_recursion() -> Iterator[None]:
+    """Within the context, Python may recurse as deep as the expressions of a program need."""
     previous_limit = sys.getrecursionlimit()
     sys.setrecursionlimit(max(previous_limit, MAX_RECURSION_FRAMES))
     try:
-        work = _SpecLowering(program, plan, report)
-        duration = None if spec.duration is None else lower_scalar(work.run_writer, spec.duration)
-        judgements = [work.lower_expectation(e, n) for n, e in enumerate(spec.expectations, 1)]
+        yield
     finally:
         sys.setrecursionlimit(previous_limit)
-    if not report.ok:
-        return None, report
-    species = {name: work.get_agent_writer(name).make_species_plan() for name in plan.species}
-    species |= {name: w.make_species_plan() for name, w in work.writers.items() if name not in species}
-    judged = replace(plan, species=species, nodes=tuple(work.b.nodes))
-    valid_judgements = tuple(j for j in judgements if j is not None)
-    bodily = {name: frozenset(names) for name, names in work.body_measures.items()}
-    wholes, starts, others = tuple(work.aggregates), tuple(work.start_values), tuple(work.reference_values)
-    return SpecPlan(spec, judged, duration, wholes, starts, valid_judgements, others, bodily), report

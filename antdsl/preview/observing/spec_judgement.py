@@ -13,7 +13,8 @@ from time import perf_counter, thread_time
 from typing import Any
 
 from antdsl.pipeline import Shot
-from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
+from antdsl.plan.lowering.spec_blocks import lower_spec
+from antdsl.plan.lowering.spec_plans import SpecPlan
 from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import SimulationStretch

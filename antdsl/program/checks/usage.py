@@ -99,7 +99,7 @@ def _iterate_field_users(program: Program) -> Iterator[object]:
     for species in program.species.values():
         yield from (state for machine in species.machines for state in machine.states)
         yield (*species.attributes, *species.lets, *species.latches, *species.handlers, species.layers)
-    yield from program.specs
+    yield from (*program.specs, *program.measures)
 
 
 def _find_used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from antdsl.diagnostics import Report
 from antdsl.program.declarations.world import SETTING_RULES, is_run_constant, make_outer_scope
 from antdsl.program.expectations import (
     AggregateExpr,
@@ -12,11 +13,13 @@ from antdsl.program.expectations import (
     ComparisonRun,
     Expectation,
     ExpectationReading,
+    MeasureValue,
     MotionMeasure,
     ReferenceRunValue,
     Spec,
     SpecChange,
     StartValue,
+    TimeOf,
 )
 from antdsl.program.kinds import NUMBER_TYPE, TIME_TYPE
 from antdsl.program.model import ChangeRate, Expr, Field, OperationExpr, Param, TypeKind
@@ -302,12 +305,16 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
         advice = "limit it in a line of the spec itself: `always: motion.circling < 5 %`"
         report.error("wrong-argument", "`motion` is measured over the whole run and known only at its end", expr.span, advice)
         return False
+    return draws_nothing(report, expr, "a spec")
+
+
+def draws_nothing(report: Report, expr: Expr, place: str) -> bool:
+    """Return whether an expression draws no random number; report an error if it does. `place`: where it is, in words."""
     draw = next((p for p in iterate_parts(expr) if isinstance(p, OperationExpr) and p.name in DRAWING_OPERATIONS), None)
     if draw is not None:
-        message = f"{quote_source(draw.span)} draws a random number, but a spec must not change the run"
+        message = f"{quote_source(draw.span)} draws a random number, but {place} must not change the run"
         report.error("draw-in-spec", message, draw.span, "leave it out")
-        return False
-    return True
+    return draw is None
 
 
 def _iterate_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
@@ -328,7 +335,7 @@ def _iterate_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReadi
         elif isinstance(part, OperationExpr) and part.name in ("and", "or", "not", *_COMPARISON_OPERATIONS):
             stack += [arg for arg in reversed(part.args) if arg is not None]
         elif part.rate > ChangeRate.RUN or isinstance(
-            part, AggregateExpr | StartValue | MotionMeasure | ReferenceRunValue | BodyMeasure
+            part, AggregateExpr | StartValue | MotionMeasure | ReferenceRunValue | BodyMeasure | MeasureValue | TimeOf
         ):
             yield ExpectationReading(part, _choose_display_unit(part, units))
 

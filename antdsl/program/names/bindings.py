@@ -2,8 +2,8 @@
 
 Each declaration has a key: its kind and the names that lead to it, such as ("own", "forager", "load"). The key is equal in all
 files that are checked together.
-The kinds are `thing attribute field species own machine state let event behaviour inner alias`. An `own` is a param, attribute,
-let, latch or fuzzy value of a species. An `inner` is an argument or line of a behaviour.
+The kinds are `thing attribute field species measure own machine state let event behaviour inner alias`. An `own` is a param,
+attribute, let, latch or fuzzy value of a species. An `inner` is an argument or line of a behaviour.
 
 Items, hits and agents have built-in names with keys such as ("item-given", "radius"), ("hit-given", …) and ("given", …). Other
 words of the language have no binding: a name without a binding has its built-in meaning."""

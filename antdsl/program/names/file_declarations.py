@@ -87,6 +87,10 @@ def _list_members(species: str, machine: str, members: tuple[object, ...]) -> De
             yield from (Declaration(("let", species, machine, state, each.name.text), each.name, each) for each in lets)
 
 
+def _list_measure(path: str, item: nodes.Measure) -> DeclarationIterator:
+    yield Declaration(("measure", item.name.text), item.name, item)
+
+
 def _list_nothing(path: str, item: nodes.Spec) -> DeclarationIterator:
     """Return no declarations, because a spec declares no names."""
     return iter(())
@@ -95,4 +99,5 @@ def _list_nothing(path: str, item: nodes.Spec) -> DeclarationIterator:
 _LISTER_BY_ITEM: dict[type, Callable[[str, Any], DeclarationIterator]] = {
     nodes.Use: _list_use, nodes.World: _list_world, nodes.FieldDecl: _list_field, nodes.Behaviour: _list_behaviour,
     nodes.Species: _list_species, nodes.Spec: _list_nothing,
+    nodes.Measure: _list_measure,
 }  # fmt: skip

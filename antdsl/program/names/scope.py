@@ -114,6 +114,8 @@ class Declarations:
     things: dict[str, WorldThing] = field(default_factory=dict)
     fields: dict[str, nodes.FieldDecl] = field(default_factory=dict)
     species: dict[str, SpeciesNames] = field(default_factory=dict)
+    measures: dict[str, nodes.Measure] = field(default_factory=dict)
+    measure_values: dict[str, Expr] = field(default_factory=dict)  # the checked values of measures without errors
     events: dict[str, Span] = field(default_factory=dict)
     name_uses: list[NameUse] = field(default_factory=list)  # resolved names, in the order of checking
     used_names: set[tuple[str, str]] = field(default_factory=set)

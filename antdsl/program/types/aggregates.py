@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import cast
@@ -13,12 +12,14 @@ from antdsl.program.expectations import (
     AggregateExpr,
     BodyMeasure,
     CellValue,
+    MeasureValue,
     MotionMeasure,
     ReferenceRunValue,
     StartValue,
+    TimeOf,
 )
-from antdsl.program.kinds import BOOL_TYPE, NUMBER_TYPE
-from antdsl.program.model import Binding, BindingRef, ChangeRate, Dimension, Expr, TypeKind, ValueType
+from antdsl.program.kinds import BOOL_TYPE, NUMBER_TYPE, TIME_TYPE
+from antdsl.program.model import ChangeRate, Dimension, Expr, TypeKind, ValueType
 from antdsl.program.names.scope import (
     Declarations,
     NameScope,
@@ -30,10 +31,10 @@ from antdsl.program.names.scope import (
 )
 from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS
 from antdsl.program.tables.things import KIND_BY_WORD
-from antdsl.program.tables.vocabulary import SENSE_TYPE_BY_NAME
 from antdsl.program.traverse import iterate_nodes
 from antdsl.program.typed import ParamRef, ReduceExpr, ThingRef
 from antdsl.program.types import calls, expressions, operators
+from antdsl.program.types.aggregate_subjects import find_cell_field, find_subject, find_thing_kind, make_element_scope
 from antdsl.program.types.arguments import type_arguments
 from antdsl.program.types.descriptions import describe_type, quote_source
 from antdsl.program.types.expressions import TypedArgument
@@ -45,6 +46,7 @@ from antdsl.syntax import nodes
 AGGREGATE_WORDS = ("total", "share", "sum", "mean", "min", "max", "count", "any", "every")
 _CELL_AGGREGATES = ("total", "sum", "mean", "min", "max")
 _TRUTH_AGGREGATES = ("share", "count", "any", "every")
+_VECTOR_AGGREGATES = ("total", "mean")
 _COMPARISON_SIGNS = ("<", "<=", ">", ">=", "==", "!=")
 _VOLUME_TYPE = ValueType(TypeKind.NUMBER, Dimension(length=3))
 
@@ -79,9 +81,31 @@ class SpecRules:
             return scope.reject("at-start-alone", message, node.span, advice)
         species = scope.species
         own_names: set[str] = set() if species is None else {*species.attributes, *species.params, *species.bindings}
+        if name in scope.declarations.measures and name not in own_names and name not in scope.local_names:
+            return self._type_measure(scope, node)
         if species is not None and name in GEOMETRY_MEASURES and name not in own_names:
             return BodyMeasure(parse_type_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
         return expressions.type_name(scope, node, expected_type)
+
+    def _type_measure(self, scope: NameScope, node: nodes.NameRef) -> Expr:
+        """Return the value of a declared measure. Its own errors are reported at its declaration."""
+        name = node.name.text
+        scope.bind(node.span, "measure", name)
+        value = scope.declarations.measure_values.get(name)
+        if value is None or self._is_nested_aggregate(scope, node.span):
+            return make_bad_expression(node.span)
+        return MeasureValue(value.type, value.rate, node.span, name, value)
+
+    def _type_time_of(self, scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Expr:
+        if self._is_nested_aggregate(scope, node.span):
+            return make_bad_expression(node.span)
+        condition = type_condition(scope, operand, "`time_of`")
+        if condition.type.kind is TypeKind.BAD:
+            return make_bad_expression(node.span)
+        if condition.rate > ChangeRate.STEP:
+            message = f"{quote_source(operand.span)} differs from agent to agent, so it has no single time"
+            return scope.reject("wrong-rate", message, operand.span, "write a `share`, `count`, `any` or `every` of all")
+        return TimeOf(TIME_TYPE, ChangeRate.STEP, node.span, condition)
 
     def _type_start_value(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
         if self.is_in_aggregate:
@@ -141,7 +165,7 @@ class SpecRules:
 
     def _is_value_of_unnamed_agent(self, scope: NameScope, owner: str, node: nodes.Member) -> bool:
         """Return whether a text such as `forager.load` names a value of an agent or item, but not which one; report it if so."""
-        kind, name = _find_thing_kind(scope.declarations, owner), node.name.text
+        kind, name = find_thing_kind(scope.declarations, owner), node.name.text
         type = ValueType(TypeKind.AGENT if kind is TypeKind.SPECIES else TypeKind.ITEM, referent=owner)
         params = scope.declarations.species[owner].params if kind is TypeKind.SPECIES else {}
         known = kind is not None and name in {
@@ -191,6 +215,8 @@ class SpecRules:
                 return self._report_argument_count(scope, node, name)
             return self.comparison_rules[name](scope, type_value(scope, first.value), node.span)
         only = first.value if isinstance(first, nodes.Argument) and first.name is None else None
+        if name == "time_of":
+            return self._report_argument_count(scope, node, name) if only is None else self._type_time_of(scope, node, only)
         if name in AGGREGATE_WORDS and only is not None and not _is_set(scope, only):
             return self._type_aggregate(scope, node, name, only)
         if name in ("total", "share"):
@@ -203,7 +229,7 @@ class SpecRules:
     @staticmethod
     def _report_argument_count(scope: NameScope, node: nodes.Call, name: str) -> Expr:
         call_sample = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
-        sample = "share(state == carry)" if name == "share" else call_sample
+        sample = {"share": "share(state == carry)", "time_of": "time_of(total(food.load) == 0)"}.get(name, call_sample)
         scope.report.error("wrong-argument", f"`{name}` needs exactly one argument", node.span, f"write `{sample}`")
         type_arguments(scope, node)
         return make_bad_expression(node.span)
@@ -220,7 +246,7 @@ class SpecRules:
             return make_bad_expression(node.span)
         bare = operand.name.text if isinstance(operand, nodes.NameRef) else ""
         how = "total" if name == "sum" else name
-        field = _find_cell_field(scope.declarations, operand)
+        field = find_cell_field(scope.declarations, operand)
         if field:
             if name not in _TRUTH_AGGREGATES and not (isinstance(operand, nodes.Member) and operand.name.text == "value"):
                 return self._report_no_sum(scope, node, field)
@@ -236,10 +262,10 @@ class SpecRules:
             scope.bind(operand.span, "thing", bare)
             dug = ValueType(TypeKind(thing.kind), referent=bare)
             return AggregateExpr(_VOLUME_TYPE, ChangeRate.STEP, node.span, how, dug, (), None, None)
-        over = ValueType(TypeKind.FIELD, referent=field) if field else _find_subject(scope, node, operand)
+        over = ValueType(TypeKind.FIELD, referent=field) if field else find_subject(scope, node, operand)
         if over is None:
             return make_bad_expression(node.span)
-        inner, elements = (scope.with_changes(species=None), ()) if field else _make_element_scope(scope, over, node.span)
+        inner, elements = (scope.with_changes(species=None), ()) if field else make_element_scope(scope, over, node.span)
         if isinstance(operand, nodes.NameRef) and bare == over.referent:
             scope.bind_thing(operand.name)
         self.cells = field
@@ -256,7 +282,7 @@ class SpecRules:
             self.is_in_aggregate, self.cells = False, ""
             if body.type.kind is TypeKind.BAD:
                 return make_bad_expression(node.span)
-            if body.type.kind is TypeKind.VECTOR:
+            if body.type.kind is TypeKind.VECTOR and how not in _VECTOR_AGGREGATES:
                 return self._report_vector(scope, node, operand)
         return AggregateExpr(_find_result_type(how, body), ChangeRate.STEP, node.span, how, over, elements, None, body)
 
@@ -289,7 +315,8 @@ class SpecRules:
         if self._is_nested_aggregate(scope, reduction.span):
             return make_bad_expression(reduction.span)
         is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
-        is_number = reduction.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
+        is_vector = reduction.type.kind is TypeKind.VECTOR and reduction.reducer in ("sum", "mean")
+        is_number = is_vector or reduction.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
         if not is_complete_set or reduction.reducer in ("best", "nearest") or not is_number:
             message = f"{quote_source(reduction.span)} needs an agent, but none is named"
             advice = "move it to `each SPECIES { … }`, or use a `total`, `share`, `mean`, `min`, `max` or `count` of all"
@@ -323,78 +350,3 @@ def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
         return False
     binding = scope.species.bindings.get(node.name.text)
     return binding is not None and binding.type.kind is TypeKind.SET
-
-
-def _find_cell_field(declarations: Declarations, operand: nodes.Expr) -> str:
-    """Return the name of the field that an expression reads by cells, such as `trail` in `trail.value > 0.1`; "" without one."""
-    members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
-    owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
-    return next((name for name in owners if name in declarations.fields), "")
-
-
-# --- subjects --------------------------------------------------------------------------------------------------------
-
-
-def _find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueType | None:
-    """Return the type of the species or items that an aggregate is about; None after an error. If it names none, as in
-    `share(state == carry)`, it is about the only species that has all of its values."""
-    declared = scope.declarations
-    owners = [part.owner for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member)]
-    named = [owner.name.text for owner in (*owners, operand) if isinstance(owner, nodes.NameRef)]
-    things = [name for name in dict.fromkeys(named) if _find_thing_kind(declared, name) is not None]
-    if len(things) == 1:
-        kind = _find_thing_kind(declared, things[0])
-        assert kind is not None
-        scope.mark_used("species" if kind is TypeKind.SPECIES else "thing", things[0])
-        return ValueType(kind, referent=things[0])
-    if len(things) > 1:
-        parts = " and ".join(f"`{name}`" for name in things)
-        message = f"{quote_source(node.span)} uses values of {parts} together"
-        scope.report.error("wrong-argument", message, node.span, "use each one separately, and add the results")
-        return None
-    if scope.species is not None:
-        return ValueType(TypeKind.SPECIES, referent=scope.species.name)
-    written_here = [name for name, species in declared.species.items() if species.node is not None]
-    able = written_here if len(written_here) == 1 else [name for name in written_here if _has_values(declared, name, operand)]
-    if len(able) == 1:
-        return ValueType(TypeKind.SPECIES, referent=able[0])
-    text, names = " ".join(operand.span.text.split()), sorted(able or declared.species)
-    name = names[0] if names else "walker"
-    if re.match(r"[a-z_][a-z0-9_]*\b(?!\s*\()", text):
-        advice = f"name the species: `{node.function.span.text}({name}.{text})`"
-    else:  # a sense is not an attribute, so it has no owner
-        advice = f"name the species: `count(a in {name}: {text})`, or test it in `each {name} {{ … }}`"
-    scope.report.error("wrong-argument", f"{quote_source(node.span)} does not say of which species", node.span, advice)
-    return None
-
-
-def _find_thing_kind(declarations: Declarations, name: str) -> TypeKind | None:
-    if name in declarations.species:
-        return TypeKind.SPECIES
-    thing = declarations.things.get(name)
-    return TypeKind.ITEMS if thing is not None and thing.kind == "items" else None
-
-
-def _has_values(declarations: Declarations, species: str, operand: nodes.Expr) -> bool:
-    """Return whether a species has every value that an expression names without an owner. Only names are compared."""
-    names = declarations.species[species]
-    states = {state for machine in names.machines.values() for state in machine.states}
-    mine = states.union(names.attributes, names.params, names.bindings, names.untyped_names, names.machines, names.builtins)
-    words = {"state", "previous", "next", "time_in_state", "time", "frame", "dt", "true", "false", "self"}
-    groups = (declarations.things, declarations.fields, declarations.species, declarations.events)
-    everywhere = words.union(GEOMETRY_MEASURES, SENSE_TYPE_BY_NAME, *groups)
-    called = {id(part.function) for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Call)}
-    bare = {p.name.text for p, _ in iterate_nodes(operand) if isinstance(p, nodes.NameRef) and id(p) not in called}
-    return bare <= mine | everywhere
-
-
-def _make_element_scope(scope: NameScope, population: ValueType, span: Span) -> tuple[NameScope, tuple[Binding, ...]]:
-    """Return the scope for expressions about one agent or item of `population`, and, for an item, the binding of its name."""
-    name = population.referent or ""
-    if population.kind is TypeKind.SPECIES:
-        who = ThingRef(ValueType(TypeKind.AGENT, referent=name), ChangeRate.AGENT, span, "self")
-        names, local_names = scope.declarations.species[name], {**scope.local_names, name: who}
-        return scope.with_changes(species=names, machine=None, local_names=local_names), ()
-    element = Binding(name, "element", ValueType(TypeKind.ITEM, Dimension(), name), ChangeRate.ELEMENT, span)
-    element_value = BindingRef(element.type, ChangeRate.ELEMENT, span, element)
-    return scope.with_changes(species=None, element=element, local_names={**scope.local_names, name: element_value}), (element,)

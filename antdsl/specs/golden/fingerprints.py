@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.measures.aggregates import sum_exactly
 from antdsl.program.model import Program, TypeKind, ValueType
 from antdsl.program.names.scope import parse_type_words
 from antdsl.program.tables.units import choose_default_unit
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME
 from antdsl.runtime.world import Population, World
-from antdsl.specs.aggregates import sum_exactly
 from antdsl.specs.value_text import format_value
 
 _MAX_NAMED_AGENTS = 8  # maximum number of named agents that differ

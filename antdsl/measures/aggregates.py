@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import AggregatePlan
+from antdsl.plan.lowering.spec_plans import AggregatePlan
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.runtime.sensing.world_senses import compute_uniform_leaf
 from antdsl.runtime.world import Population, World

@@ -1,4 +1,4 @@
-"""Evaluates spec queries on agents and items, in a copy of the world with the registers of the spec.
+"""Evaluates the expressions of specs and measures, in a copy of the world with separate registers.
 
 The run's own backend evaluates them; nothing of the run changes."""
 
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.protocol import Footing
+from antdsl.measures.aggregates import evaluate_aggregate, evaluate_uniform_node
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import AggregatePlan, ReferenceValuePlan, SpecPlan, StartValuePlan
+from antdsl.plan.lowering.spec_plans import QueryPlan, StartValuePlan
 from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_operands
 from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.runtime.backends import BACKENDS
@@ -23,27 +24,23 @@ from antdsl.runtime.lifecycle import find_own_cells
 from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import AXES, DTYPE_BY_KIND, Items, Population, World, make_fixed_columns
 from antdsl.senses.overlaps import measure_worst_overlaps
-from antdsl.specs.aggregates import evaluate_aggregate, evaluate_uniform_node
 
 FloatArray = NDArray[np.float32]
 _UNKNOWN_VALUE = 1e300  # not representable as float32; marks agents that did not exist yet
 
 
-class SpecEvaluator:
-    """Evaluates the expressions of a spec. Call `evaluate_frame` at each frame, from the first on.
+class RunEvaluator:
+    """Evaluates the expressions of a spec, or of measures. Call `evaluate_frame` at each frame, from the first on.
 
-    `values`: after this call, the aggregates of the frame, by name."""
+    `values`: after this call, the aggregates of the frame and values of earlier frames, by name."""
 
-    def __init__(self, plan: SpecPlan, world: World) -> None:
-        self.plan = plan
+    def __init__(self, plan: QueryPlan, world: World) -> None:
+        self.plan, self.first = plan, world.frame
         self.backend: Any = BACKENDS[world.options.backend](plan.plan)
         self.values: dict[str, Any] = {}
-        value_plans: list[AggregatePlan | StartValuePlan | ReferenceValuePlan] = [
-            *plan.aggregates,
-            *plan.start_values,
-            *plan.reference_values,
-        ]
-        self.value_names = [each.name for each in value_plans] + [f"motion.{name}" for name in MOTION_MEASURES]
+        value_plans = (plan.aggregates, plan.stored_values, plan.reference_values)
+        self.value_names = [each.name for plans in value_plans for each in plans]
+        self.value_names += [f"motion.{name}" for name in MOTION_MEASURES]
         self.start_values: dict[str, NDArray[np.float64]] = {}  # by agent id
         self.field_reading_species = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
@@ -72,16 +69,25 @@ class SpecEvaluator:
         self.run_block(spec_world, "decide")
         for each in self.plan.aggregates:
             self.values[each.name] = evaluate_aggregate(world, spec_world.populations, each)
-        for start in self.plan.start_values:
-            if start.value is not None:
-                if start.name not in self.values:
-                    self.values[start.name] = evaluate_uniform_node(world, start.value, self.values)
-            elif start.species is not None and start.source_register is not None:
-                self._record_first_values(spec_world.populations[start.species], start.name, start.source_register)
+        self._store_values(world, spec_world)
         spec_world.spec_values |= {name: np.float32(number) for name, number in self.values.items()}
         self.backend.begin(spec_world)
         self.run_block(spec_world, "act")
         return spec_world
+
+    def _store_values(self, world: World, spec_world: World) -> None:
+        """Store the values of this frame that later frames read."""
+        for each in self.plan.stored_values:
+            if not isinstance(each, StartValuePlan):
+                if not np.isfinite(self.values.setdefault(each.name, np.float32(np.inf))) and self.evaluate_node(
+                    world, each.condition
+                ):
+                    self.values[each.name] = np.float32((world.frame - self.first) / float(world.setting.fps))
+            elif each.value is not None:
+                if each.name not in self.values:
+                    self.values[each.name] = self.evaluate_node(world, each.value)
+            elif each.species is not None and each.source_register is not None:
+                self._record_first_values(spec_world.populations[each.species], each.name, each.source_register)
 
     def run_block(self, spec_world: World, block: str, species: str | None = None, rows: Any = None) -> None:
         """Run a block of the spec for all agents, or for the rows `rows` of one species. Results go into its registers."""
