@@ -20,8 +20,8 @@ SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dis
 
 def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
     """Return the programs and scenes that paths select, and a report. A path selects a file, the matches of a pattern such as
-    `shots/**/*.ant`, or all programs and scenes of a folder. Folders are searched without following links, and hidden ones are
-    skipped."""
+    `shots/**/*.ant`, or all programs and scenes of a folder. Hidden folders, linked folders, and links to files outside the
+    folder are skipped."""
     matches: dict[Path, None] = {}
     report = Report()
     for path in _expand_patterns(paths, report):
@@ -37,6 +37,8 @@ def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
             inner[:] = sorted(name for name in inner if not name.startswith(".") and name not in SKIPPED_FOLDERS)
             for name in sorted(files):
                 file = Path(folder, name)
+                if file.is_symlink() and not file.resolve().is_relative_to(path.resolve()):
+                    continue  # a stranger's folder must not choose which other files are read
                 if name.endswith(".ant") or (name.endswith((".yaml", ".yml")) and _is_scene(file)):
                     matches[file] = None
     return list(matches), report

@@ -31,7 +31,6 @@ from antdsl.cli.commands import (  # noqa: E402
     graph,
     info,
     jobs,
-    lsp,
     new,
     plan,
     preview,
@@ -41,6 +40,7 @@ from antdsl.cli.commands import (  # noqa: E402
     test,
 )
 from antdsl.cli.commands.manual import docs  # noqa: E402
+from antdsl.cli.commands.servers import lsp, mcp  # noqa: E402
 from antdsl.cli.defaults_file import run_with_defaults  # noqa: E402
 from antdsl.cli.exits import (  # noqa: E402
     CommandError,
@@ -108,6 +108,7 @@ COMMANDS = (
     CommandEntry("docs", docs.docs, INSIDE_HEADING, "antdsl docs"),
     CommandEntry("doctor", doctor.doctor, INSIDE_HEADING, "antdsl doctor"),
     CommandEntry("lsp", lsp.lsp, WRITE_HEADING, "antdsl lsp"),
+    CommandEntry("mcp", mcp.mcp, WRITE_HEADING, "antdsl mcp --root ."),
 )
 
 app = typer.Typer(

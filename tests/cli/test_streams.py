@@ -28,6 +28,10 @@ from antdsl.cli.printing.messages import TerminalWriter, print_note, treat_outpu
 
 STREAMS, STATES = ("stdout", "stderr"), ("closed", "full", "broken", "slow")
 PORT = "PORT"
+MCP = (
+    b'{"jsonrpc":"2.0","id":1,"method":"initialize","params":{"protocolVersion":"2025-06-18","capabilities":{},'
+    b'"clientInfo":{"name":"test","version":"1"}}}\n'
+)
 LSP = b"".join(
     b"Content-Length: %d\r\n\r\n%s" % (len(text), text)
     for text in (
@@ -72,6 +76,7 @@ USES = {
     "docs": Use("docs --to site", "site/docs/index.html", is_result=True),
     "doctor": Use("doctor", is_result=True),
     "lsp": Use("lsp", is_result=True, stdin=LSP),
+    "mcp": Use("mcp --root .", is_result=True, stdin=MCP),
 }
 SAMPLE = (("run", "stdout", "closed"), ("run", "stderr", "full"), ("check", "stdout", "full"), ("graph", "stdout", "slow"))
 

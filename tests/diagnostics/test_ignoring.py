@@ -112,6 +112,17 @@ def test_a_pattern_that_matches_nothing_is_reported(tmp_path: Path) -> None:
     assert files == [] and [d.code for d in report.errors] == ["no-such-file"]
 
 
+def test_a_folder_does_not_choose_files_outside_it(tmp_path: Path) -> None:
+    folder = tmp_path / "project"
+    (folder / "shared").mkdir(parents=True)
+    for place in (tmp_path / "other.ant", folder / "shared" / "near.ant"):
+        place.write_text("ant 2\n")
+    (folder / "far.ant").symlink_to(tmp_path / "other.ant")
+    (folder / "near.ant").symlink_to(folder / "shared" / "near.ant")
+    assert [path.relative_to(folder).as_posix() for path in find_files([folder])[0]] == ["near.ant", "shared/near.ant"]
+    assert find_files([folder / "far.ant"])[0] == [folder / "far.ant"]  # named by the user
+
+
 def test_unused_comments_are_not_reported_in_files_with_errors(tmp_path: Path) -> None:
     """What it ignores is not looked for then."""
     findings = check_text(tmp_path, beside="# antdsl: ignore[unread-attribute] kept for later")

@@ -54,6 +54,10 @@ def message(method: str, number: int | None = None, **params: object) -> bytes:
     return f"Content-Length: {len(content)}\r\n\r\n{content}".encode()
 
 
+CALL = (
+    b'{"jsonrpc":"2.0","id":1,"method":"initialize","params":{"protocolVersion":"2025-06-18","capabilities":{},'
+    b'"clientInfo":{"name":"test","version":"1"}}}\n'
+)
 TALK = b"".join(
     [
         message("initialize", 1, processId=None, rootUri=None, capabilities={}),
@@ -115,6 +119,7 @@ CASES: dict[str, tuple[Case, ...]] = {
     "docs": (Case(("docs", "--to", "built"), (), ("built", "built/*", ".antdsl-docs-*")),),
     "doctor": (Case(("doctor",), ()),),
     "lsp": (Case(("lsp",), (), stdin=TALK),),
+    "mcp": (Case(("mcp", "--root", "."), (), stdin=CALL),),
 }
 ALL = [case for cases in CASES.values() for case in cases]
 SAMPLE = [CASES["check"][0], CASES["sweep"][0], CASES["body"][0]]

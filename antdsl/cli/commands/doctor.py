@@ -16,6 +16,7 @@ OPTIONAL_PACKAGES = {
     "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
     "resvg_py": "pictures of state machines as PNG: pip install 'antdsl[graph]'",
     "pygls": "editors: pip install 'antdsl[lsp]'",
+    "mcp": "assistants: pip install 'antdsl[mcp]'",
     "websockets": "the preview: pip install 'antdsl[preview]'",
     "furo": "this documentation in the browser: pip install 'antdsl[docs]'",
 }

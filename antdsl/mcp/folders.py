@@ -1,0 +1,46 @@
+"""Granted folders: turns the paths of a call into absolute paths below one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+_MAX_PATH_CHARACTERS = 1000
+
+
+class PathOutsideFolders(Exception):
+    """Error for a path that is not below a granted folder. Its text is the message for the caller."""
+
+
+@dataclass(frozen=True, slots=True)
+class GrantedFolders:
+    """The folders that calls may read and write. `folders`: absolute, without links, at least one."""
+
+    folders: tuple[Path, ...]
+
+    @staticmethod
+    def open(paths: Sequence[Path]) -> GrantedFolders:
+        """Return the granted folders. Raises NotADirectoryError for a path that is no folder."""
+        for path in paths:
+            if not path.is_dir():
+                raise NotADirectoryError(f"there is no folder `{path}`")
+        return GrantedFolders(tuple(dict.fromkeys(path.resolve() for path in paths)))
+
+    def locate(self, text: str) -> Path:
+        """Return the absolute path that a text names, with all links resolved.
+
+        A relative path starts in the first folder that has such a file, otherwise in the first folder. Raises
+        PathOutsideFolders if the path leads out of the granted folders."""
+        if not text or "\0" in text or len(text) > _MAX_PATH_CHARACTERS:
+            raise PathOutsideFolders(f"a path has 1 to {_MAX_PATH_CHARACTERS} characters; write one such as `scene.yaml`")
+        choices = [(folder / text).resolve() for folder in self.folders]
+        allowed = [path for path in choices if self.find_folder(path) is not None]
+        if not allowed:
+            names = ", ".join(f"`{folder}`" for folder in self.folders)
+            raise PathOutsideFolders(f"`{text}` is outside the granted folders: write a path below {names}")
+        return next((path for path in allowed if path.exists()), allowed[0])
+
+    def find_folder(self, path: Path) -> Path | None:
+        """Return the granted folder that contains a resolved path; None for a path outside."""
+        return next((folder for folder in self.folders if path.is_relative_to(folder)), None)

@@ -1,0 +1,30 @@
+"""The server itself: registers the tools and answers over standard input and output."""
+
+from __future__ import annotations
+
+from mcp.server import MCPServer
+from mcp.types import ToolAnnotations
+
+from antdsl import __version__
+from antdsl.mcp.tools import TOOLS, Tools
+
+INSTRUCTIONS = (
+    "antdsl simulates crowds of animals from programs (.ant) and scenes (.yaml). Write or change these files, then `check` them "
+    "and follow its suggestions. `run` a scene, `render` a frame to see it, `test` its specs, and `explain` one agent. "
+    "Look up the language with `docs`: start with the page `docs/card`."
+)
+
+
+def build_server(tools: Tools) -> MCPServer:
+    """Return a server with all tools."""
+    server = MCPServer("antdsl", version=__version__, instructions=INSTRUCTIONS, log_level="WARNING")
+    for entry in TOOLS:
+        name = entry.method.__name__
+        hints = ToolAnnotations(read_only_hint=entry.is_reader, destructive_hint=False, open_world_hint=False)
+        server.add_tool(getattr(tools, name), name=name, annotations=hints, structured_output=False)
+    return server
+
+
+def run_server(tools: Tools) -> None:
+    """Answer calls until standard input ends."""
+    build_server(tools).run()
