@@ -26,5 +26,19 @@ def build_server(tools: Tools) -> MCPServer:
 
 
 def run_server(tools: Tools) -> None:
-    """Answer calls until standard input ends."""
-    build_server(tools).run()
+    """Answer calls until standard input ends or the assistant closes standard output. Raises OSError if writing fails."""
+    failure = None
+    try:
+        build_server(tools).run()
+    except* BrokenPipeError:
+        pass
+    except* OSError as group:
+        failure = _find_first_error(group)
+    if failure is not None:
+        raise failure
+
+
+def _find_first_error(group: BaseExceptionGroup[OSError]) -> OSError:
+    """Return an error of a group, which may contain other groups."""
+    first = group.exceptions[0]
+    return _find_first_error(first) if isinstance(first, BaseExceptionGroup) else first
