@@ -131,6 +131,7 @@ OWN_FILES = {
     "cli/printing/pages.py": "pages that come with antdsl",
     "diagnostics/exchange_formats.py": "pages that come with antdsl",
     "lsp/features/tokens.py": "the grammar",
+    "mcp/pages.py": "pages that come with antdsl",
     "machine_code/library.py": "text in LLVM's language that comes with antdsl",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
     "preview/serving/page_files.py": "the page that comes with antdsl",
