@@ -1,4 +1,4 @@
-"""The MCP server, asked by the client of the package `mcp`."""
+"""The MCP server, called by the client of the package `mcp`."""
 
 from __future__ import annotations
 
@@ -120,10 +120,10 @@ def test_docs_find_pages_words_and_codes(project: Path) -> None:
     calls = [
         ("docs", {"topic": topic}) for topic in ("docs/card", "seek()", "unknown-state", "two colonies fight", "zzzz", "card")
     ]
-    (_, card, _), (_, seek, _), (_, code, _), (_, found, _), (_, nothing, _), (_, short, _) = call(project, *calls)
+    (_, card, _), (_, seek, _), (_, code, _), (_, results, _), (_, nothing, _), (_, short, _) = call(project, *calls)
     assert card == short and card.startswith("#")
     assert "behaviour seek(" in seek and "unknown-state" in code
-    assert "docs/two_colonies" in found or "docs/fighting" in found
+    assert "docs/two_colonies" in results or "docs/fighting" in results
     assert "no page has any of these words" in nothing and "docs/card" in nothing
 
 
@@ -179,7 +179,7 @@ def test_every_tool_explains_its_parameters() -> None:
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("antdsl.mcp.find_spec", lambda _: None)
-    assert [found.code for found in check_server_available().diagnostics] == ["missing-extra"]
+    assert [finding.code for finding in check_server_available().diagnostics] == ["missing-extra"]
     result = commands.run("mcp", "--root", str(tmp_path), cwd=tmp_path)
     assert "[mcp]" in result.stderr and result.returncode != 0
 
