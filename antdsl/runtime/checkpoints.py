@@ -137,7 +137,7 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             feet_step.place_initial_feet(world)
             return
         try:
-            restored_feet[name] = feet_from_arrays(foot_arrays, feet.legs, find_sorted_ids(world, name))
+            restored_feet[name] = feet_from_arrays(foot_arrays, feet, find_sorted_ids(world, name))
         except ValueError as error:
             raise CheckpointError(f"`feet.{name}`: {error}") from None
     world.feet = restored_feet

@@ -187,12 +187,13 @@ class LegsData:
 
     Axes: x along the heading, y up from the ground, z to the side (x × y). `foot` float64[L, 3]: the foot joints. `hip`
     float64[L, 3]: the start of each leg. `length` float64[L]: the reach of a straight leg from hip to foot joint.
-    `gaits`: from slow to fast, at least one."""
+    `gaits`: from slow to fast, at least one. `has_flat_soles`: whether the feet lie flat on the ground."""
 
     foot: NDArray[np.float64]
     hip: NDArray[np.float64]
     length: NDArray[np.float64]
     gaits: tuple[GaitData, ...]
+    has_flat_soles: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -393,6 +393,10 @@ def test_mistakes_in_legs_and_gaits_are_reported(folder: Path) -> None:
     assert error_of(folder, **with_leg(foot="fot")) == ("unknown-name", '"fot"', 'write `"foot"`')
     assert error_of(folder, **with_leg(foot="tail"))[:2] == ("bad-rig", '"tail"')
     assert error_of(folder, **with_leg(upper="knee", lower="hip"))[0] == "bad-rig"
+    assert error_of(folder, **with_leg(ankle="shin"))[:2] == ("unknown-name", '"shin"')
+    assert error_of(folder, **with_leg(ankle="hip"))[:2] == ("bad-rig", '"hip"')
+    assert error_of(folder, **with_leg(ankle="foot", foot="shank"))[:2] == ("bad-rig", '"shank"')
+    assert [fine(folder, **with_leg(ankle=joint)).legs[0].ankle for joint in ("shank", "foot")] == ["shank", "foot"]
     assert error_of(folder, **with_leg(knee="knee"))[:2] == ("unknown-key", '"knee"')
     assert error_of(folder, **(LEGS | {"legs": LEGS["legs"] * 2, "gaits": []}))[:2] == ("duplicate-name", '"left"')
     assert error_of(folder, **with_gait(phases=[0, 0.5]))[0] == "wrong-value"

@@ -51,7 +51,7 @@ def same(a: object, b: object) -> bool:
 
 def test_legs_gaits_and_the_idle_clip_come_back(bodies: list[Definition]) -> None:
     walker = bodies[2]
-    legs = (Leg("left", "thigh_l", "shin_l", "foot_l"), Leg("right", "thigh_r", "shin_r", "foot_r"))
+    legs = (Leg("left", "thigh_l", "shin_l", "foot_l"), Leg("right", "thigh_r", "shin_r", "foot_r", "foot_r"))
     gait = Gait("walk", 1.2, 1.4, 0.6, 0.1, (0.0, 0.5))
     clips = dict(walker.clips) | {"wave": replace(walker.clips["wave"], feet=False)}
     walker = replace(walker, legs=legs, gaits=(gait,), idle="idle", clips=clips)

@@ -130,7 +130,7 @@ def test_feet_have_the_columns_of_the_table() -> None:
     arrays = Feet.empty(6).stored_arrays()
     assert list(arrays) == [column.name for column in FEET_COLUMNS]
     for column in FEET_COLUMNS:
-        assert arrays[column.name].shape == tuple({"n": 0, "L": 6}.get(str(size), size) for size in column.shape)
+        assert arrays[column.name].shape == tuple({"n": 0, "L": 6, "S": 0}.get(str(size), size) for size in column.shape)
 
 
 def test_rows_of_records() -> None:

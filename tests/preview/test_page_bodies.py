@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -171,6 +171,12 @@ def legged() -> Definition:
     return replace(body, legs=(Leg("left", "j3", "j4", "j5"), Leg("right", "j1", "j2", "j6")), clips=clips)
 
 
+def with_ankles() -> Definition:
+    """The same with flat soles: one leg has a joint between ankle and foot, the ankle of the other is its foot."""
+    body = legged()
+    return replace(body, legs=(Leg("left", "j3", "j4", "j7", "j5"), Leg("right", "j1", "j2", "j6", "j6")))
+
+
 def standing(count: int) -> tuple[Feet, dict[str, NDArray[Any]]]:
     """Feet here and there around agents that look anywhere, on sloping ground."""
     random = np.random.default_rng(9)
@@ -219,18 +225,22 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
 
 
-def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
-    body, plays, count = legged(), machines(40), 40
+@pytest.mark.parametrize("make_body", [legged, with_ankles])
+def test_legs_are_bent_as_antdsl_bends_them(page: Stage, make_body: Callable[[], Definition]) -> None:
+    body, plays, count = make_body(), machines(40), 40
     feet, light = standing(count)
     legs, level, table = LegSolver(body), PosedBody(body, PLAYS), build_clip_table(body)
     stands = legs.compute_stance_weights(PLAYS, plays, count)
     assert 0 < stands.min() < 0.9 and stands.max() == 1
+    normals = np.random.default_rng(3).normal((0, 2, 0), 1, (count, 2, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     placed = PlacedFeet(
         feet.shown.transpose(1, 2, 0),
         feet.is_standing.astype(np.uint8),
         feet.phase,
         feet.rise,
         compute_slope_quaternions(feet.slope),
+        normals if legs.has_flat_soles else None,
     )
     turned = build_orientations(light["heading"].astype(np.float64), light["up"].astype(np.float64))
     beside = placed.convert_to_body_space(light["position"], turned, light["size"]).scale_trunk(stands)

@@ -220,6 +220,8 @@ class Leg:
     `upper`: the joint of the hip, the start of the thigh (femur).
     `lower`: the joint of the knee, the start of the shank (tibia); a descendant of `upper`.
     `foot`: the joint of the part that touches the ground; a descendant of `lower`.
+    `ankle`: the joint about which the sole turns flat onto the ground: `foot`, or a joint between `lower` and `foot`. Empty if
+    the foot keeps its rotation in the clip.
 
     Other joints may lie between these.
     """
@@ -228,6 +230,12 @@ class Leg:
     upper: str
     lower: str
     foot: str
+    ankle: str = ""
+
+    def to_entry(self) -> dict[str, str]:
+        """Return the leg as in a definition file, without an empty ankle."""
+        ankle = {"ankle": self.ankle} if self.ankle else {}
+        return {"name": self.name, "upper": self.upper, "lower": self.lower} | ankle | {"foot": self.foot}
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,26 +19,32 @@ Joints = NDArray[np.intp]
 class LegChain:
     """A leg by joint numbers.
 
-    `upper`, `lower`, `foot`: the joints of hip, knee and foot.
+    `upper`, `lower`, `ankle`, `foot`: the joints of hip, knee, ankle and foot. Without an ankle, it is the foot.
     `thigh`: `upper` and its descendants that are not at or below `lower`.
-    `shank`: `lower` and its descendants that are not at or below `foot`.
+    `shank`: `lower` and its descendants that are not at or below `ankle`.
+    `arch`: `ankle` and its descendants that are not at or below `foot`.
     `sole`: `foot` and all joints below it.
+    `has_flat_sole`: whether the definition names the ankle, so that the sole lies flat on the ground.
     """
 
     upper: int
     lower: int
+    ankle: int
     foot: int
     thigh: Joints
     shank: Joints
+    arch: Joints
     sole: Joints
+    has_flat_sole: bool
 
 
 def build_leg_chain(rig: Rig, leg: Leg) -> LegChain:
     """Return the joint chain of a leg. Raises KeyError for a joint that the rig does not have."""
     upper, lower, foot = rig.find_joint(leg.upper), rig.find_joint(leg.lower), rig.find_joint(leg.foot)
-    below = [_build_descendant_mask(rig, joint) for joint in (upper, lower, foot)]
-    thigh, shank = (np.flatnonzero(a & ~b) for a, b in pairwise(below))
-    return LegChain(upper, lower, foot, thigh, shank, np.flatnonzero(below[2]))
+    ankle = rig.find_joint(leg.ankle) if leg.ankle else foot
+    below = [_build_descendant_mask(rig, joint) for joint in (upper, lower, ankle, foot)]
+    thigh, shank, arch = (np.flatnonzero(a & ~b) for a, b in pairwise(below))
+    return LegChain(upper, lower, ankle, foot, thigh, shank, arch, np.flatnonzero(below[-1]), bool(leg.ankle))
 
 
 def _build_descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
@@ -50,30 +56,30 @@ def _build_descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
     return is_below
 
 
-def compute_standing_joints(body: Definition) -> NDArray[np.float64]:
-    """Return the joint positions in the standing pose, float64[J, 3], in body lengths along the axes of agents.
+def compute_standing_joints(body: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the joints in the standing pose: positions float64[J, 3], in body lengths along the axes of agents, and the axes of
+    their spaces float64[J, 3, 3], in the definition's space.
 
     The standing pose is the first sample of the idle clip, or else the rest pose."""
     table = build_clip_table(body)
     number = table.find_clip(body.idle) if body.idle in body.clips else REST_CLIP
     world = compute_transforms(table, sample_poses(table, np.array([number]), np.zeros(1)))[1]
-    positions = np.empty((len(table.joint_order), 3))
-    positions[table.joint_order] = world[:, 3, :, 0].T
-    base = body.compute_base_matrix()
-    return np.stack(
-        [(base[k, 0] * positions[:, 0] + base[k, 1] * positions[:, 1]) + base[k, 2] * positions[:, 2] for k in range(3)], 1
-    )
+    matrices = np.empty((len(table.joint_order), 3, 4))
+    matrices[table.joint_order] = world[..., 0].transpose(2, 0, 1)
+    base, positions = body.compute_base_matrix(), matrices[:, :, 3]
+    place = [(base[k, 0] * positions[:, 0] + base[k, 1] * positions[:, 1]) + base[k, 2] * positions[:, 2] for k in range(3)]
+    return np.stack(place, 1), matrices[:, :, :3]
 
 
 def build_legs_data(body: Definition) -> LegsData:
     """Return the leg data for runs of a body that has legs, in body lengths."""
-    positions = compute_standing_joints(body)
+    positions, _ = compute_standing_joints(body)
     chains = [build_leg_chain(body.rig, leg) for leg in body.legs]
-    hip, knee, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))
-    length = _compute_lengths(knee - hip) + _compute_lengths(foot - knee)
+    hip, knee, ankle, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "ankle", "foot"))
+    length = _compute_lengths(knee - hip) + _compute_lengths(ankle - knee) + _compute_lengths(foot - ankle)
     per = 1.0 / body.length
     gaits = tuple(GaitData(g.speed * per, g.stride * per, g.duty, g.lift * per, g.phases) for g in body.gaits)
-    return LegsData(foot, hip, np.maximum(length, 1e-6), gaits)
+    return LegsData(foot, hip, np.maximum(length, 1e-6), gaits, any(each.has_flat_sole for each in chains))
 
 
 def _compute_lengths(v: NDArray[np.float64]) -> NDArray[np.float64]:

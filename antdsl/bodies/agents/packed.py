@@ -86,7 +86,7 @@ def pack_definition(body: Definition) -> Arrays:
                    for each in body.layers.values()],
         "clips": [clip(each) for each in body.clips.values()],
         "groups": [[each.name, each.members, each.channels] for each in body.groups.values()],
-        "legs": [[each.name, each.upper, each.lower, each.foot] for each in body.legs], "idle": body.idle,
+        "legs": [[each.name, each.upper, each.lower, each.foot, each.ankle] for each in body.legs], "idle": body.idle,
         "gaits": [[each.name, each.speed, each.stride, each.duty, each.lift, each.phases] for each in body.gaits],
     }  # fmt: skip
     if body.variation:

@@ -185,19 +185,23 @@ def _check_leg(parts: LocatedDefinition, leg: Leg, report: Report) -> None:
     """Report joints of a leg that are missing or not below each other."""
     definition, known = parts.definition, True
     names = definition.rig.names
-    for key, joint in (("upper", leg.upper), ("lower", leg.lower), ("foot", leg.foot)):
+    joints = {"upper": leg.upper, "lower": leg.lower, "ankle": leg.ankle, "foot": leg.foot}
+    chain = [(key, joint) for key, joint in joints.items() if joint or key != "ankle"]
+    for key, joint in chain:
         if joint not in names:
             report_unknown_name(report, parts.find_part_span("legs", leg.name, (key,)), "joint", joint, names)
             known = False
     if not known:
         return
-    for key, above, below in (("lower", leg.upper, leg.lower), ("foot", leg.lower, leg.foot)):
-        if definition.rig.find_joint(below) not in definition.rig.find_descendants(definition.rig.find_joint(above))[1:]:
+    for (_, above), (key, below) in pairwise(chain):
+        descendants = definition.rig.find_descendants(definition.rig.find_joint(above))
+        can_be_equal = (above, key) == (leg.ankle, "foot")
+        if definition.rig.find_joint(below) not in descendants[0 if can_be_equal else 1 :]:
             words, place = (
                 f"`{below[:60]}` is not below `{above[:60]}` in the rig",
                 parts.find_part_span("legs", leg.name, (key,)),
             )
-            report.error("bad-rig", words, place, "name joints from the hip down: upper, lower, foot")
+            report.error("bad-rig", words, place, "name joints from the hip down: upper, lower, ankle, foot")
 
 
 def _measure_length(definition: Definition, parts: LocatedDefinition, report: Report) -> Definition | None:

@@ -207,6 +207,7 @@ class LegForm(Form):
     upper: Text
     lower: Text
     foot: Text
+    ankle: Text | None = None
 
 
 class GaitForm(Form):

@@ -147,7 +147,7 @@ def write_layer(layer: Layer) -> str:
 
 def build_legs(forms: Iterable[LegForm]) -> tuple[Leg, ...]:
     """Return the legs of a document."""
-    return tuple(Leg(**dict(form)) for form in forms)
+    return tuple(Leg(**{**dict(form), "ankle": form.ankle or ""}) for form in forms)
 
 
 def build_gaits(forms: Iterable[GaitForm]) -> tuple[Gait, ...]:

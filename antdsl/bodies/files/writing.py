@@ -67,7 +67,7 @@ def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
         if texts:
             document[key] = [add_part_file(f"{key}/{_to_file_name(each)}", text) for each, text in texts]
     if body.legs:
-        document["legs"] = [asdict(leg) for leg in body.legs]
+        document["legs"] = [leg.to_entry() for leg in body.legs]
     if body.gaits:
         document["gaits"] = [asdict(gait) for gait in body.gaits]
     if body.capsule is not None:

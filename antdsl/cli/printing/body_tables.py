@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, map_language_names
+from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Leg, Shape, map_language_names
 from antdsl.bodies.files.document_values import format_axis
 from antdsl.bodies.files.documents import to_plain_metadata
 from antdsl.diagnostics import Report
@@ -35,7 +35,7 @@ def format_body(body: Definition) -> Iterator[str]:
     if body.idle:
         yield escape_line(f"idle         {body.idle}")
     for leg in body.legs:
-        yield escape_line(f"leg          {leg.name}: {leg.upper}, {leg.lower}, {leg.foot}")
+        yield escape_line(f"leg          {leg.name}: {', '.join(_list_leg_joints(leg).values())}")
     for gait in body.gaits:
         phases = " ".join(f"{each:.3g}" for each in gait.phases)
         words = f"at {gait.speed:.4g} {unit}/s, stride {gait.stride:.4g} {unit}, duty factor {gait.duty:.3g}"
@@ -120,6 +120,11 @@ def _is_clip_closed(body: Definition, clip: Clip) -> bool:
     return bool(values <= 1e-3 and all(a <= tolerance for a, tolerance in zip(gaps, near, strict=False)))
 
 
+def _list_leg_joints(leg: Leg) -> dict[str, str]:
+    """Return the joints of a leg from the hip to the foot, by the keys of a definition file."""
+    return {key: joint for key, joint in leg.to_entry().items() if key != "name"}
+
+
 def _shorten_list(words: list[str]) -> str:
     return ", ".join(words[:8]) + (f" and {len(words) - 8} more" if len(words) > 8 else "") if words else "empty"
 
@@ -146,7 +151,7 @@ def format_body_json(body: Definition | None, report: Report) -> str:
             "layers": {name: _make_layer_document(layer) for name, layer in body.layers.items()},
             "clips": {name: _make_clip_document(clip) for name, clip in body.clips.items()},
             "idle": body.idle,
-            "legs": {leg.name: {"upper": leg.upper, "lower": leg.lower, "foot": leg.foot} for leg in body.legs},
+            "legs": {leg.name: _list_leg_joints(leg) for leg in body.legs},
             "gaits": {gait.name: _make_gait_document(gait) for gait in body.gaits},
             "groups": {
                 name: {"members": dict(group.members), "channels": list(group.channels)} for name, group in body.groups.items()

@@ -20,7 +20,8 @@ the right of both.
 `down` uint8[n, L]: 1 for feet on the ground.
 `phase` float32[n]: the phase of the gait.
 `rise` float32[n]: height of the trunk above its rest height, in scene units.
-`tilt` float32[n, 4]: rotation of the trunk relative to `orient`, as a quaternion x, y, z, w."""
+`tilt` float32[n, 4]: rotation of the trunk relative to `orient`, as a quaternion x, y, z, w.
+`normal` float32[n, L, 3]: the direction across each sole, ahead, up and right of the body, if the body has ankles."""
 
 from __future__ import annotations
 
@@ -41,10 +42,12 @@ from antdsl.numerics.randomness import draw_uniform
 from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.program.tables.columns import CLIP_COLUMNS, STANCE_COLUMNS
+from antdsl.runtime.feet.soles import compute_local_soles
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 _AXES = ("x", "y", "z")
+_SOLE_FIELD = "normal"  # of feet, only in frames of bodies with flat soles
 Arrays = Mapping[str, NDArray[Any]]
 # By field, the register behind `MACHINE.` and its type in a frame.
 _REGISTER_BY_FIELD = {each.field: ("clip" if each.field == "clip" else f"clip_{each.field}", each.type) for each in CLIP_COLUMNS}
@@ -104,7 +107,11 @@ def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[
         return {}
     n, legs = len(feet), feet.legs
     values, ranks = (
-        {each.field: np.empty((n, *each.compute_dimensions(legs=legs)), each.type) for each in STANCE_COLUMNS},
+        {
+            each.field: np.empty((n, *each.compute_dimensions(legs=legs)), each.type)
+            for each in STANCE_COLUMNS
+            if feet.soles or each.field != _SOLE_FIELD
+        },
         feet.id_ranks(),
     )
     of = parallel.make_contiguous(
@@ -113,17 +120,20 @@ def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[
     outputs = values["P"].reshape(n, 3 * legs), values["down"], values["rise"], values["tilt"]
     parallel.run_in_parts(partial(frame_loops.write_feet, *of, ranks, scale, *outputs), n, world.options.threads)
     values["phase"][ranks] = feet.phase
+    if feet.soles:
+        values[_SOLE_FIELD][ranks] = compute_local_soles(feet)
     return {f"feet.{key}.{name}": array for name, array in values.items()}
 
 
 def read_feet(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
     """Return the feet of the `count` agents that have the body `key`, with `legs` legs each. Return None if the frame lacks
     them."""
-    parts = [
-        _find_array(arrays, f"feet.{key}.{each.field}", each.type, count, *each.compute_dimensions(legs=legs))
+    parts = {
+        each.field: _find_array(arrays, f"feet.{key}.{each.field}", each.type, count, *each.compute_dimensions(legs=legs))
         for each in STANCE_COLUMNS
-    ]
-    return PlacedFeet(*parts) if legs and not any(part is None for part in parts) else None  # type: ignore[arg-type]
+    }
+    is_complete = all(part is not None or field == _SOLE_FIELD for field, part in parts.items())
+    return PlacedFeet(*parts.values()) if legs and is_complete else None  # type: ignore[arg-type]
 
 
 def list_wearable_layers(population: Population, setting: WorldSetting) -> tuple[str, ...]:

@@ -25,7 +25,8 @@ from antdsl.program.tables.columns import FRAME_COLUMNS
 from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key
 
 SPECIES_PER_KEY = 4096  # of `make_agent_keys`
-_FILL_BY_FIELD = {"clip": -1, "before": -1, "earlier": -1, "weight": 1, "tilt": (0, 0, 0, 1)}  # of rows without a value; else 0
+# Of rows without a value, by the field of the array; others get 0.
+_FILL_BY_FIELD = {"clip": -1, "before": -1, "earlier": -1, "weight": 1, "tilt": (0, 0, 0, 1), "normal": (0, 1, 0)}
 _FLOAT_FILLS = {"channels": np.nan}
 
 

@@ -137,7 +137,7 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
     - `SPECIES/offset/K` float32[n, 7]: what edits add to joint K in the order by depth, as in caches.
     - `SPECIES/lean` int8[n, 3]: turn, slope, 0; 127 is 1.
     - `SPECIES/trait/K` float32[n, 3]: three of the body traits, in order.
-    - `SPECIES/feet` and `SPECIES/stance`: if feet are computed.
+    - `SPECIES/feet` and `SPECIES/stance`: if feet are computed. `SPECIES/sole`: if the body has flat soles.
 
     Arrays of features that a body lacks are left out. For a species with several bodies, each body has these arrays under its
     key, for its agents only. `SPECIES/body` uint8[n] is the index of each agent's body."""
@@ -266,12 +266,13 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
 def make_stance_arrays(
     legs: LegSolver, feet: PlacedFeet, displayed: Arrays, foot_weights: Floats
 ) -> dict[str, NDArray[np.int16]]:
-    """Return the stances of bodies as two integer arrays.
+    """Return the stances of bodies as integer arrays.
 
     - `feet` int16[n, L, 3]: the target of each foot joint relative to a body with an unmoved trunk, in 1/4096 of the body length,
       along ahead, up and aside.
     - `stance` int16[n, 6]: column 0 is the rise of the trunk in 1/4096 of the body length. Columns 1 to 3 are x, y and z of its
       rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has a bit for each foot that stands.
+    - `sole` int16[n, L, 3], only of bodies with flat soles: the direction across each sole (32767 is 1) along the same axes.
 
     `feet`: in mm. `displayed`: the displayed positions and directions of these agents.
     `foot_weights`: [n], the weight with which clips leave feet on the ground.
@@ -291,8 +292,14 @@ def make_stance_arrays(
     away = np.moveaxis(feet.P - displayed["position"][:, None], 2, 0) / size[None, :, None]
     place = _rotate_back(_compute_body_axes(displayed), away)
     place[1] += legs.sole_heights[None] - rise[:, None]
-    goals = _rotate_back(_make_rotations(tilt), place)
-    return {"feet": _quantise_values(goals.transpose(1, 2, 0), _STEPS_PER_BODY_LENGTH), "stance": stance}
+    turn = _make_rotations(tilt)
+    goals = _rotate_back(turn, place)
+    arrays = {"feet": _quantise_values(goals.transpose(1, 2, 0), _STEPS_PER_BODY_LENGTH), "stance": stance}
+    if legs.has_flat_soles:
+        normals = np.broadcast_to(np.array([0, 1, 0], np.float32), feet.P.shape) if feet.normals is None else feet.normals
+        soles = _rotate_back(turn, np.moveaxis(normals, 2, 0))
+        arrays["sole"] = _quantise_values(soles.transpose(1, 2, 0), _UNIT_INT16)
+    return arrays
 
 
 def _compute_body_axes(displayed: Arrays) -> Floats:

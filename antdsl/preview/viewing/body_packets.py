@@ -281,24 +281,28 @@ def find_depth_order(table: ClipTable) -> NDArray[np.int32]:
 
 
 def _make_leg_arrays(legs: LegSolver | None, table: ClipTable) -> Arrays:
-    """Return `leg` float32[L, 2, 4]: the joints of hip, knee and foot, numbered by depth, and the axis about which a straight
-    knee bends."""
+    """Return `leg` float32[L, 5, 4], one row of four numbers each.
+
+    These are the joints of hip, knee, foot and ankle, numbered by depth; the axis about which a straight knee bends, and whether
+    the sole is flat; the body's up in the space of the ankle, and of the foot; the vector from the foot to the ankle."""
     if legs is None:
         return {}
-    leg_array, place = np.zeros((legs.count, 2, 4), np.float32), find_depth_order(table)
-    leg_array[:, 0, :3] = [place[[each.upper, each.lower, each.foot]] for each in legs.chains]
-    leg_array[:, 1, :3] = legs.get_straight_axes()
+    leg_array, place = np.zeros((legs.count, 5, 4), np.float32), find_depth_order(table)
+    leg_array[:, 0] = [place[[each.upper, each.lower, each.foot, each.ankle]] for each in legs.chains]
+    leg_array[:, 1, :3], leg_array[:, 1, 3] = legs.get_straight_axes(), [each.has_flat_sole for each in legs.chains]
+    for row, leg in zip(leg_array, legs.chains, strict=True):
+        row[2:, :3] = legs.get_local_up_axes(leg.ankle), legs.get_local_up_axes(leg.foot), legs.get_arch(leg)
     return {"leg": leg_array}
 
 
 def _number_leg_parts(legs: LegSolver | None, joints: int) -> NDArray[np.int32]:
     """Return the number of the leg part that each joint of the rig belongs to; 0 for none.
 
-    The number is three times the leg's number plus 1 for thigh, 2 for shank, 3 for foot."""
+    The number is four times the leg's number plus 1 for thigh, 2 for shank, 3 for arch, 4 for sole."""
     part_numbers = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
-        for piece, those in enumerate((each.thigh, each.shank, each.sole), 1):
-            part_numbers[those] = 3 * number + piece
+        for piece, those in enumerate((each.thigh, each.shank, each.arch, each.sole), 1):
+            part_numbers[those] = 4 * number + piece
     return part_numbers
 
 

@@ -153,7 +153,9 @@ STANCE_COLUMNS = _make_columns(
     ("down", "u1", ("legs",), "whether it stands"),
     ("phase", "f4", (), "of the gait, from 0 to 1", "phase"),
     ("rise", "f4", (), "height of the trunk above its rest height along its up", "linear"),
-    ("tilt", "f4", (4,), "rotation of the trunk from `orient` (x y z w)", "rotation"))
+    ("tilt", "f4", (4,), "rotation of the trunk from `orient` (x y z w)", "rotation"),
+    ("normal", "f4", ("legs", 3), "of a body with [ankles](bodies.md#legs-and-gaits): the direction across each sole, from the "
+     "ground on: ahead, up, right", "direction"))
 OTHER_COLUMNS = (
     *_make_columns(
         "", "one",
@@ -214,6 +216,7 @@ FEET_COLUMNS = (
     Column("slope", "fixed", "f4", (2, "n")),
     Column("position", "fixed", "f8", (3, "n"), unit="mm"),
     *(Column(name, "fixed", "f4", (3, "n")) for name in ("heading", "up")),
+    *(Column(name, "fixed", "f4", (3, "n", "S")) for name in ("tread", "sole")),
 )  # must match `antdsl.runtime.feet.feet_state.Feet`
 # fmt: on
 

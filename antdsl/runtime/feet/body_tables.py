@@ -28,7 +28,7 @@ from antdsl.numerics.kernel_vectors import (
 from antdsl.runtime.body_positions import LIFT_REGISTERS, compute_body_positions
 from antdsl.runtime.feet.wearers import Wearers
 
-POSITION_ROW = 0  # first of the three rows of the position
+POSITION_ROW, UP_ROW = 0, 6  # first of the three rows of the position and of the direction up
 SIZE, PLAY = 12, 13
 _TABLE_ROWS = 14
 _MAX_SHIFT_WITH_TRUNK_PLAY = 0.05  # body lengths; with a larger shift, a trunk does not follow the feet

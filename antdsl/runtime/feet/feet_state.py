@@ -31,13 +31,18 @@ def zeros_by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
     return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
 
 
-def _empty_columns(count: int, legs: int) -> dict[str, Any]:
+def _empty_columns(count: int, legs: int, soles: int) -> dict[str, Any]:
     """Return all columns of `Feet` for `count` agents, filled with zeros."""
-    shapes = {name: column.compute_dimensions(n=count, L=legs) for name, column in _COLUMNS.items()}
+    shapes = {name: column.compute_dimensions(n=count, L=legs, S=soles) for name, column in _COLUMNS.items()}
     return {
-        name: zeros_by_leg(shapes[name], column.type) if "L" in column.shape else np.zeros(shapes[name], column.type)
+        name: zeros_by_leg(shapes[name], column.type) if _is_by_leg(name) else np.zeros(shapes[name], column.type)
         for name, column in _COLUMNS.items()
     }
+
+
+def _is_by_leg(name: str) -> bool:
+    """Return whether a column has values for each leg, as its last axis."""
+    return _SHAPES[name][-1] in ("L", "S")
 
 
 def _agent_axis(name: str) -> int:
@@ -47,7 +52,8 @@ def _agent_axis(name: str) -> int:
 
 @dataclass(slots=True, eq=False)
 class Feet:
-    """The feet of n agents with L legs. Positions are mm in world coordinates, components first.
+    """The feet of n agents with L legs. Positions are mm in world coordinates, components first. S is L for bodies with flat
+    soles, else 0.
 
     Agents may be in any order. A step sorts them by the population's rows, so that neighbours in space are mostly adjacent.
 
@@ -60,7 +66,8 @@ class Feet:
     - `phase` float32[n]: gait phase, from 0 to 1
     - `rise` float32[n]: height of the trunk above its rest height (mm)
     - `slope` float32[2, n]: increase in ground height below the feet, per length ahead and per length aside
-    - `position` float64[3, n], `heading`, `up` float32[3, n]: pose of the body at the end of the last frame"""
+    - `position` float64[3, n], `heading`, `up` float32[3, n]: pose of the body at the end of the last frame
+    - `tread`, `sole` float32[3, n, S]: normal of the ground at `place`, and the current direction across each sole"""
 
     ids: NDArray[np.int64]
     place: NDArray[np.float64]
@@ -77,6 +84,8 @@ class Feet:
     position: NDArray[np.float64]
     heading: NDArray[np.float32]
     up: NDArray[np.float32]
+    tread: NDArray[np.float32]
+    sole: NDArray[np.float32]
     # Displacement of rest positions over the ground, float32[2, n, L], ahead and aside (body lengths); None between steps.
     covered: NDArray[np.float32] | None = field(default=None)
     stood: NDArray[np.float64] | None = field(default=None)  # positions before the ground moved, float64[3, n]; NaN: new
@@ -84,9 +93,9 @@ class Feet:
     _cached_ranks: NDArray[np.int32] | None = field(default=None, init=False)
 
     @staticmethod
-    def empty(legs: int) -> Feet:
-        """Return the feet of an empty population with this number of legs."""
-        return Feet(**_empty_columns(0, legs))
+    def empty(legs: int, soles: int = 0) -> Feet:
+        """Return the feet of an empty population with this number of legs and of flat soles."""
+        return Feet(**_empty_columns(0, legs, soles))
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -95,6 +104,11 @@ class Feet:
     def legs(self) -> int:
         """Return the number of legs of each agent."""
         return int(self.swing.shape[1])
+
+    @property
+    def soles(self) -> int:
+        """Return the number of flat soles of each agent: that of its legs, or 0."""
+        return int(self.sole.shape[2])
 
     @property
     def is_standing(self) -> NDArray[np.bool_]:
@@ -144,7 +158,7 @@ def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], 
     Body positions of the previous step have NaN there."""
     if array is None:
         return None
-    axis, is_by_leg = _agent_axis(name), "L" in _SHAPES[name]
+    axis, is_by_leg = _agent_axis(name), _is_by_leg(name)
     if not array.shape[axis]:
         shape = (*array.shape[:axis], len(source_rows), *array.shape[axis + 1 :])
         picked = zeros_by_leg(shape, array.dtype) if is_by_leg else np.zeros(shape, array.dtype)
@@ -167,17 +181,20 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
         digest.update(f"\0{name}\0{len(feet[name])}".encode())
         arrays = feet[name].stored_arrays()
         ids = arrays.pop("ids")
+        if not feet[name].soles:
+            arrays = {key: array for key, array in arrays.items() if "S" not in _SHAPES[key]}
         columns = feet[name].row_hasher.split_columns(list(arrays.values()), [_agent_axis(key) == 1 for key in arrays])
         digest.update(describe_columns(tuple(arrays), arrays.values()) + feet[name].row_hasher.hash_rows(ids, columns, threads))
     return digest.hexdigest()[:32]
 
 
-def feet_from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
-    """Return the feet from arrays that `Feet.stored_arrays` returned. Raises ValueError if the arrays do not match the legs and
-    ids."""
-    columns = _empty_columns(len(ids), legs)
+def feet_from_arrays(arrays: Mapping[str, Array], feet: Feet, ids: NDArray[np.int64]) -> Feet:
+    """Return the feet from arrays that `Feet.stored_arrays` returned. `feet`: feet of the same body.
+
+    Raises ValueError if the arrays do not match the legs and ids. Columns of flat soles may be missing if the body has none."""
+    columns = _empty_columns(len(ids), feet.legs, feet.soles)
     for name, column in columns.items():
-        array = arrays.get(name)
+        array = arrays.get(name, column if "S" in _SHAPES[name] and not feet.soles else None)
         if array is None or array.dtype != column.dtype or array.shape != column.shape:
             raise ValueError(f"`{name}` is missing or of another shape")
         column[...] = array

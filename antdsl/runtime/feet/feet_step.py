@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
-from antdsl.runtime.feet import stepping, trunk
-from antdsl.runtime.feet.body_tables import POSITION_ROW, SIZE, compute_body_table
+from antdsl.runtime.feet import soles, stepping, trunk
+from antdsl.runtime.feet.body_tables import POSITION_ROW, SIZE, UP_ROW, compute_body_table
 from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING, Feet, zeros_by_leg
 from antdsl.runtime.feet.foothold_search import FootGround, FootholdRequests, find_footholds
 from antdsl.runtime.feet.gaits import REST_X_ROW, REST_Z_ROW, Gaits
@@ -46,7 +46,8 @@ def prepare_feet(world: World) -> None:
         return
     for name, legs in world.setting.legs.items():
         if find_species_of_key(name) in world.populations:
-            world.feet[name], world.legs_by_species[name] = Feet.empty(len(legs.foot)), LegsOfBody(legs)
+            soles = len(legs.foot) if legs.has_flat_soles else 0
+            world.feet[name], world.legs_by_species[name] = Feet.empty(len(legs.foot), soles), LegsOfBody(legs)
     if world.feet:
         world.foot_ground = FootGround(world)
 
@@ -119,6 +120,8 @@ class _FeetStep:
             last = feet.position, feet.heading, feet.up
             step_inputs = self.bodies, self.gaits.legs, self._compute_trunk_steps(), self.columns, self.pace, self.targets, last
             parallel.run_in_parts(partial(stepping.take_steps, *step_inputs), n, self.threads, _MIN_AGENTS_PER_THREAD)
+            if feet.soles:
+                soles.turn_soles(self.world, self.foot_ground, feet, self.bodies[UP_ROW : UP_ROW + 3], self.targets[2].T)
         feet.covered = feet.stood = None
 
     def _follow_ground(self) -> None:
@@ -145,6 +148,7 @@ class _FeetStep:
         self._seek_ground((rows[:, None] << stepping.LEG_BITS | np.arange(feet.legs)).ravel())
         feet.swing[rows] = np.where(feet.on[rows] == NO_GROUND, _F(1), STANDING_SWING)
         feet.start[:, rows] = feet.place[:, rows]
+        feet.sole[:, rows] = feet.tread[:, rows]
 
     def _find_undermined_feet(self) -> None:
         """Find the feet that lost their ground to digging."""
@@ -188,6 +192,10 @@ class _FeetStep:
             hits = find_footholds(self.world, self.foot_ground, seeking)
             columns = tuple(_transpose_legs(each) for each in (feet.place, feet.on, feet.face, feet.weight))
             seeking.store_ground(hits, columns, self.threads)
+            if feet.soles:
+                which = requests >> stepping.LEG_BITS, requests & stepping.LEG_MASK
+                up = self.bodies[UP_ROW : UP_ROW + 3, which[0]]
+                soles.measure_treads(self.world, self.foot_ground, feet, which, up)
 
     def _compute_trunk_steps(self) -> tuple[np.float32, np.float32, np.float32]:
         """Return the argument `trunk_steps` of `stepping.take_steps`."""

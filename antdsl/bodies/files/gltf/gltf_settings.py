@@ -15,7 +15,7 @@ def build_body_extras(body: Definition) -> dict[str, Any]:
     """Return the extras of a glTF file that store the settings of a body. The body is in metres."""
     settings: dict[str, Any] = {"length": body.length}
     if body.legs:
-        settings["legs"] = [asdict(leg) for leg in body.legs]
+        settings["legs"] = [leg.to_entry() for leg in body.legs]
     if body.gaits:
         settings["gaits"] = [asdict(gait) for gait in body.gaits]
     if body.idle:

@@ -116,8 +116,8 @@ class ReplaceLayer(EditLayer):
             for which, key in enumerate(CacheBodies(self.manifest, {}).keys(number) if taken else ()):
                 rows, legs = new.find_body_rows(key), len(self._bodies.definition(number, which).legs)
                 for field in next(names for names in stored.values() if names):
-                    parts = [(old.find_body_rows(each), taken[names[field]]) for each, names in stored.items() if names]
-                    width = {array.shape[1] for _, array in parts if field in ("P", "down")} or {legs}
+                    parts = [(old.find_body_rows(each), taken[names[field]]) for each, names in stored.items() if field in names]
+                    width = {array.shape[1] for _, array in parts if field in ("P", "down", "normal")} or {legs}
                     known = np.concatenate([each for each, _ in parts])
                     if width == {legs} and np.isin(rows, known).all() and legs:
                         order = np.argsort(known)

@@ -80,8 +80,11 @@ class MirrorLayer(EditLayer):
                 values = values[:, self._pair_legs(name.split(".")[1])] if first == "feet" else values
             elif name in ("v", "v_ground") or (first == "events" and field == "N"):
                 values = values * sign
-            elif first == "feet" and field in ("down", "tilt"):
-                values = values * _ROTATION_SIGN if field == "tilt" else values[:, self._pair_legs(name.split(".")[1])]
+            elif first == "feet" and field in ("down", "normal"):
+                values = values[:, self._pair_legs(name.split(".")[1])]
+                values = values * _LOCAL_SIGN if field == "normal" else values
+            elif first == "feet" and field == "tilt":
+                values = values * _ROTATION_SIGN
             elif first in ("looks", "leans"):
                 values = values * (_LOCAL_SIGN if first == "looks" else np.array([-1.0, 1.0]))
             else:

@@ -301,7 +301,7 @@ export type ServerMessage =
 //                 NAME/born i32[n] NAME/state/MACHINE u8[n] NAME/column/ATTRIBUTE f32[n];
 //                 NAME/plays/MACHINE u16[n,3,2 or 3]: clip and those before, how far through, what each weighs; 65535 is none, 1;
 //                 NAME/wears u32[n] NAME/look/GROUP i8[n,3] NAME/lean i8[n,3];
-//                 NAME/feet i16[n,l,3] NAME/stance i16[n,6]: see feet.ts;
+//                 NAME/feet i16[n,l,3] NAME/stance i16[n,6] NAME/sole i16[n,l,3]: see feet.ts;
 //                 of a species with several bodies NAME/body u8[n]; its plays, wears, look, lean, traits, feet and stance are
 //                 KEY/… for the agents of each body;
 //                 with edits NAME/tint u8[n,4]: a colour, and 1 for agents that have it;

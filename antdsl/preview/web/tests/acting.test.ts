@@ -73,14 +73,14 @@ describe("feet between two frames", () => {
 
   test("go from where they are shown to where they are", () => {
     const feet = new Feet();
-    feet.begin(2);
+    feet.begin(2, false);
     expect(feet.hasData).toBe(false);
-    feet.take(places(0.5), Int16Array.from(stance(0.25, 1)), 1, Int32Array.of(-1), 1);
+    feet.take([places(0.5), Int16Array.from(stance(0.25, 1))], 1, Int32Array.of(-1), 1);
     const first = 4 * STANCE;
     expect([...feet.data.subarray(0, 8)]).toEqual([0.25, 0, 0, 0, 0.25, 0, 0, 0]);
     expect([...feet.data.subarray(first, first + 8)]).toEqual([0.5, 0, 0, 1, 0.5, 0, 0, 1]);
-    feet.take(places(1), Int16Array.from(stance(0.5, 2)), 1, Int32Array.of(0), 1);
-    feet.take(places(2), Int16Array.from(stance(0.5, 2)), 1, Int32Array.of(0), 0.5);
+    feet.take([places(1), Int16Array.from(stance(0.5, 2))], 1, Int32Array.of(0), 1);
+    feet.take([places(2), Int16Array.from(stance(0.5, 2))], 1, Int32Array.of(0), 0.5);
     expect([...feet.data.subarray(first, first + 8)]).toEqual([0.75, 0, 0, 0.5, 2, 0, 0, 0]);
     expect([...feet.data.subarray(first + 8, first + 16)]).toEqual([0, 0, 1, 0.5, 0, 0, 1, 1]);
     expect([...feet.data.subarray(8, 10)]).toEqual([1, 1]);
@@ -88,18 +88,34 @@ describe("feet between two frames", () => {
 
   test("stay where a frame does not tell of them", () => {
     const feet = new Feet();
-    feet.begin(2);
-    feet.take(undefined, undefined, 1, Int32Array.of(-1), 1);
+    feet.begin(2, false);
+    feet.take([undefined, undefined], 1, Int32Array.of(-1), 1);
     expect(feet.hasData).toBe(false);
-    feet.take(places(0.5), Int16Array.from(stance(0.25, 1)), 1, Int32Array.of(-1), 1);
-    feet.take(undefined, undefined, 1, Int32Array.of(0), 1);
+    feet.take([places(0.5), Int16Array.from(stance(0.25, 1))], 1, Int32Array.of(-1), 1);
+    feet.take([undefined, undefined], 1, Int32Array.of(0), 1);
     expect([...feet.data.subarray(4 * STANCE, 4 * STANCE + 8)]).toEqual([0.5, 0, 0, 1, 0.5, 0, 0, 1]);
+  });
+
+  test("turn their soles", () => {
+    const feet = new Feet();
+    feet.begin(1, true);
+    const take = (x: number, from: number) =>
+      feet.take(
+        [Int16Array.of(0, 0, 0), Int16Array.from(stance(0, 1)), Int16Array.of(32767 * x, 32767, 0)],
+        1,
+        Int32Array.of(from),
+        1,
+      );
+    take(0, -1);
+    take(0.5, 0);
+    expect(feet.width).toBe(4 * (STANCE + 4));
+    expect([...feet.data.subarray(4 * (STANCE + 2), feet.width)]).toEqual([0, 1, 0, 0, expect.closeTo(0.5, 4), 1, 0, 0]);
   });
 
   test("are none of a body without legs", () => {
     const feet = new Feet();
-    feet.begin(0);
-    feet.take(places(0.5), Int16Array.from(stance(0, 0)), 1, Int32Array.of(-1), 1);
+    feet.begin(0, false);
+    feet.take([places(0.5), Int16Array.from(stance(0, 0))], 1, Int32Array.of(-1), 1);
     expect(feet.hasData).toBe(false);
   });
 });

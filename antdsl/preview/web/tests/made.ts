@@ -126,7 +126,7 @@ export function frame(
 /** What a body without clips can do; all have the natural colour (90, 60, 30). */
 export function acts(more: Partial<Acts> = {}): Acts {
   const natural = { table: Uint8Array.of(90, 60, 30), trait: -1, steps: 0 };
-  return { machines: [], loops: [], legs: 0, looks: [], leans: false, traits: 0, idle: null, natural, ...more };
+  return { machines: [], loops: [], legs: 0, flat: false, looks: [], leans: false, traits: 0, idle: null, natural, ...more };
 }
 
 export function herd(packet: Packet, of: Species = species()): Herd {

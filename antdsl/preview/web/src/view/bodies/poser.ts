@@ -6,7 +6,7 @@ import type { Gaze } from "../herds/gaze";
 import type { Offsets } from "../herds/offsets";
 import { Pass } from "./passes";
 import type { Plays } from "../herds/plays";
-import { BENT, BONES, JOINTS, LEGS } from "./poseshaders";
+import { BENT, BONES, FLAT, JOINTS, LEGS, SOLES } from "./poseshaders";
 import { type Skin, WIDE } from "./rig";
 
 const LONGEST = 8192; // maximum side length of the textures in texels
@@ -43,6 +43,8 @@ export class Poser {
   private readonly joints: Pass;
   private readonly legs: Pass | null;
   private readonly bent: Pass | null;
+  private readonly soles: Pass | null;
+  private readonly flat: Pass | null;
   private readonly bones: Pass;
   private readonly plays = new Lines();
   private readonly stances = new Lines();
@@ -76,10 +78,20 @@ export class Poser {
       plays: null,
       ...gaze,
     };
-    const legs = { ...gaze, offsets: null, offsetJoints: 0, legAt: rig.legAt, unitLength: rig.length, ...rig.bending };
+    const legs = {
+      ...gaze,
+      offsets: null,
+      offsetJoints: 0,
+      legAt: rig.legAt,
+      unitLength: rig.length,
+      ...rig.bending,
+      footTexels: rig.flat ? 4 : 2,
+    };
     this.joints = new Pass(renderer, JOINTS, 4, rig.joints, { ...all, ...clips });
     this.legs = rig.legs ? new Pass(renderer, LEGS, 3, rig.legs, { ...all, ...legs, legs: rig.legs }) : null;
     this.bent = rig.legs ? new Pass(renderer, BENT, 3, rig.legs, { ...all, ...legs, legs: rig.legs }) : null;
+    this.soles = rig.flat ? new Pass(renderer, SOLES, 3, rig.legs, { ...all, ...legs, legs: rig.legs }) : null;
+    this.flat = rig.flat ? new Pass(renderer, FLAT, 2, 2 * rig.legs, { ...all, ...legs, legs: rig.legs }) : null;
     this.bones = new Pass(renderer, BONES, 3, Math.max(skin.bones, 1), { ...all, ...legs, bones: skin.list });
   }
 
@@ -102,7 +114,11 @@ export class Poser {
   }
 
   private get items(): number {
-    return Math.max(this.skin.bones, this.skin.rig.joints, 1);
+    return Math.max(this.skin.bones, this.skin.rig.joints, 2 * this.skin.rig.legs, 1);
+  }
+
+  private get passes(): (Pass | null)[] {
+    return [this.joints, this.legs, this.bent, this.soles, this.flat, this.bones];
   }
 
   private get side(): number {
@@ -136,7 +152,7 @@ export class Poser {
   }
 
   dispose(): void {
-    for (const pass of [this.joints, this.legs, this.bent, this.bones]) pass?.dispose();
+    for (const pass of this.passes) pass?.dispose();
     for (const lines of [this.plays, this.stances, this.gazes, this.offsets]) lines.texture.dispose();
   }
 
@@ -152,16 +168,21 @@ export class Poser {
     legs.run(local);
     const [hips, knees, feet] = legs.textures;
     const standing = { hips, knees, stances: this.stances.texture };
-    bent.run({ ...values, ...standing, feet });
+    this.soles?.run(local);
+    const [ankles, archUps, soleUps] = this.soles?.textures ?? [];
+    const ends = { ...values, ...standing, feet, ankles, archUps, soleUps };
+    bent.run(ends);
     const [legTurns, kneeTurns, footMoves] = bent.textures;
-    this.bones.run({ ...local, ...standing, legTurns, kneeTurns, footMoves, legs: this.skin.rig.legs });
+    this.flat?.run({ ...ends, footMoves });
+    const [soleTurns, soleMoves] = this.flat?.textures ?? [];
+    const bends = { legTurns, kneeTurns, footMoves, soleTurns, soleMoves };
+    this.bones.run({ ...local, ...standing, ...bends, legs: this.skin.rig.legs });
   }
 
   private room(count: number): void {
     if (count <= this.rows) return;
     this.rows = Math.ceil(count * 1.3) + 8;
     this.perRow = Math.max(Math.min(Math.floor(this.side / this.items), Math.ceil(Math.sqrt(this.rows))), 1);
-    for (const pass of [this.joints, this.legs, this.bent, this.bones])
-      pass?.room(this.perRow, Math.ceil(this.rows / this.perRow));
+    for (const pass of this.passes) pass?.room(this.perRow, Math.ceil(this.rows / this.perRow));
   }
 }

@@ -3,6 +3,7 @@
 // each machine over the ones before it, added clips over all. Rotations use normalised linear interpolation on the shorter arc;
 // - legs: the positions of hip, knee and foot of each leg; then the bend of each leg that puts its foot on its stand, by two-bone
 // inverse kinematics as in antdsl/bodies/agents/leg_ik.py;
+// - soles: the position of the ankle of each leg and the directions across its arch and sole; then their rotations onto the ground;
 // - bones: the matrices that move the vertices of a mesh.
 
 import { STANCE } from "../herds/feet";
@@ -263,6 +264,9 @@ int above(int joint) {
   return found;
 }`;
 
+/** Texels of a leg in the table. */
+const LEG = 5;
+
 /** Hip, knee and foot of each leg in the clips. */
 export const LEGS = /* glsl */ `
 ${COMMON}
@@ -271,7 +275,7 @@ ${WORLD}
 uniform int legAt;
 void main() {
   if (outside()) discard;
-  ivec3 leg = ivec3(round(at(table, legAt + 2 * item).xyz));
+  ivec3 leg = ivec3(round(at(table, legAt + ${LEG} * item).xyz));
   Posed posed = Posed(mat4(1.0), mat4(1.0), 1.0);
   for (int k = above(leg.z) - 1; k >= 0; k--) {
     follow(posed, chain[k]);
@@ -281,12 +285,33 @@ void main() {
   third = placed(posed)[3];
 }`;
 
+/** The ankle of each leg in the clips, and the directions of the standing body's up at the ankle and at the foot. */
+export const SOLES = /* glsl */ `
+${COMMON}
+${LOCAL}
+${WORLD}
+uniform int legAt;
+void main() {
+  if (outside()) discard;
+  int row = legAt + ${LEG} * item;
+  ivec4 leg = ivec4(round(at(table, row)));
+  Posed posed = Posed(mat4(1.0), mat4(1.0), 1.0);
+  for (int k = above(leg.z) - 1; k >= 0; k--) {
+    follow(posed, chain[k]);
+    if (chain[k] != leg.w) continue;
+    first = placed(posed)[3];
+    second = vec4(normalize(mat3(placed(posed)) * at(table, row + 2).xyz), 0.0);
+  }
+  third = vec4(normalize(mat3(placed(posed)) * at(table, row + 3).xyz), 0.0);
+}`;
+
 const STANCES = /* glsl */ `
 uniform sampler2D hips;
 uniform sampler2D knees;
 uniform sampler2D stances;
+uniform int footTexels;
 uniform float unitLength;
-vec4 stance(int number) { return at(stances, agent * (2 * legs + ${STANCE}) + number); }
+vec4 stance(int number) { return at(stances, agent * (footTexels * legs + ${STANCE}) + number); }
 vec3 upward() { return vec3(base[0].y, base[1].y, base[2].y) * unitLength; }`;
 
 const REACH = /* glsl */ `
@@ -295,39 +320,84 @@ uniform float straight;
 uniform float folded;
 uniform float sunk;
 uniform float plane;
+uniform float heel;
+uniform int legAt;
+uniform sampler2D ankles;
+uniform sampler2D archUps;
+uniform sampler2D soleUps;
+
+vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }
+vec4 onto(vec3 a, vec3 b) { return unit(vec4(cross(a, b), max(1.0 + dot(a, b), 1e-6))); }
+bool isFlat(int leg) { return footTexels > 2 && at(table, legAt + ${LEG} * leg + 1).w > 0.5; }
 float stands() { vec4 s = stance(2); return mix(s.x, s.y, t); }
 vec3 goal(int leg) {
   vec4 a = stance(${STANCE} + 2 * leg), b = stance(${STANCE} + 2 * leg + 1);
   return (mix(a.xyz, b.xyz, t) * base) * unitLength * unitLength;
 }
 
+/** Returns the direction across the sole of a leg. */
+vec3 across(int leg) {
+  vec4 a = stance(${STANCE} + 2 * legs + 2 * leg), b = stance(${STANCE} + 2 * legs + 2 * leg + 1);
+  vec3 found = mix(a.xyz, b.xyz, t) * base;
+  return length(found) > 0.0 ? normalize(found) : upward();
+}
+
+/** Returns how far a hip is too high for a leg of this length. \`way\`: from the hip to the end of the leg. */
+float gap(vec3 way, float reach) {
+  float high = dot(way, upward());
+  return -sqrt(max(reach * reach - max(dot(way, way) - high * high, 0.0), 0.0)) - high;
+}
+
 /** Returns how far the body sinks so that standing feet are in reach. */
 float sinks() {
   float most = 0.0;
-  vec3 up = upward();
   for (int leg = 0; leg < legs; leg++) {
     float stood = mix(stance(${STANCE} + 2 * leg).w, stance(${STANCE} + 2 * leg + 1).w, t);
     ivec2 here = place(leg, legs);
     vec3 hip = texelFetch(hips, here, 0).xyz, knee = texelFetch(knees, here, 0).xyz, foot = texelFetch(feet, here, 0).xyz;
-    float reach = (length(knee - hip) + length(foot - knee)) * straight;
-    vec3 way = goal(leg) - hip;
-    float high = dot(way, up);
-    float level = max(reach * reach - max(dot(way, way) - high * high, 0.0), 0.0);
-    most = max(most, stood * clamp(-sqrt(level) - high, 0.0, sunk * reach));
+    vec3 ankle = isFlat(leg) ? texelFetch(ankles, here, 0).xyz : foot;
+    float bones = length(knee - hip) + length(ankle - knee);
+    float reach = (bones + length(foot - ankle)) * straight;
+    float least = clamp(gap(goal(leg) - hip, reach), 0.0, sunk * reach);
+    if (isFlat(leg)) {
+      vec3 level = at(table, legAt + ${LEG} * leg + 4).xyz;
+      vec3 arch = turned(onto(upward(), across(leg)), level);
+      float allowed = max(dot(level - arch, upward()), 0.0) + heel * bones;
+      least = max(least, min(gap(goal(leg) + arch - hip, bones * straight), allowed));
+    }
+    most = max(most, stood * least);
   }
   return most * stands();
 }`;
 
-/** The bend of each leg: rotation of the shank about the knee and of the leg about the hip, and displacement of the foot. */
+/** The rotations of arch and sole that lay a sole flat, and the vector from its foot to its ankle with them. */
+const LAID = /* glsl */ `
+struct Laid { vec4 arched; vec4 soled; vec3 arch; };
+vec4 times(vec4 a, vec4 b) { return vec4(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz)); }
+
+Laid laid(int leg, vec3 hip, vec3 knee, vec3 ankle, vec3 foot, vec3 to) {
+  ivec2 here = place(leg, legs);
+  vec3 normal = across(leg), arched = texelFetch(archUps, here, 0).xyz, soled = texelFetch(soleUps, here, 0).xyz;
+  vec4 turn = onto(arched, normalize(mix(arched, normal, stands())));
+  vec3 arch = turned(turn, ankle - foot), way = hip - to;
+  float reach = (length(knee - hip) + length(ankle - knee)) * straight;
+  float far = max(length(way), 1e-12), size = length(arch);
+  vec3 towards = way / far, aside = arch - towards * dot(arch, towards);
+  if (length(way - arch) > reach && length(aside) > 1e-6 * far) {
+    float cosine = clamp((size * size + far * far - reach * reach) / max(2.0 * size * far, 1e-20), -1.0, 1.0);
+    vec3 raised = towards * (size * cosine) + normalize(aside) * (size * sqrt(1.0 - cosine * cosine));
+    turn = times(onto(arch / size, raised / size), turn);
+    arch = raised;
+  }
+  return Laid(turn, onto(soled, normalize(mix(soled, normal, stands()))), arch);
+}`;
+
+/** The bend of each leg: rotation of the shank about the knee and of the leg about the hip, and displacement of the ankle. */
 export const BENT = /* glsl */ `
 ${COMMON}
 ${STANCES}
 ${REACH}
-uniform int legAt;
-
-vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }
-vec4 onto(vec3 a, vec3 b) { return unit(vec4(cross(a, b), max(1.0 + dot(a, b), 1e-6))); }
-
+${LAID}
 void main() {
   if (outside()) discard;
   ivec2 here = place(item, legs);
@@ -336,12 +406,17 @@ void main() {
   vec3 hip = texelFetch(hips, here, 0).xyz - down, knee = texelFetch(knees, here, 0).xyz - down;
   vec3 foot = texelFetch(feet, here, 0).xyz - down;
   vec3 to = foot + (goal(item) - foot) * stands();
+  if (isFlat(item)) {
+    vec3 ankle = texelFetch(ankles, here, 0).xyz - down;
+    to += laid(item, hip, knee, ankle, foot, to).arch;
+    foot = ankle;
+  }
   vec3 thigh = hip - knee, shank = foot - knee, way = to - hip;
   float a = max(length(thigh), 1e-6 * unitLength), b = max(length(shank), 1e-6 * unitLength);
   float far = clamp(length(way), abs(a - b) * folded, (a + b) * straight);
   float before = clamp(dot(thigh, shank) / (a * b), -1.0, 1.0);
   float now = clamp((a * a + b * b - far * far) / (2.0 * a * b), -1.0, 1.0);
-  vec3 axis = cross(thigh, shank), rest = at(table, legAt + 2 * item + 1).xyz;
+  vec3 axis = cross(thigh, shank), rest = at(table, legAt + ${LEG} * item + 1).xyz;
   if (length(axis) <= plane * a * b) axis = rest - thigh * (dot(rest, thigh) / max(dot(thigh, thigh), 1e-20));
   axis /= max(length(axis), 1e-12);
   float sine = sqrt(1.0 - before * before), less = sqrt(1.0 - now * now);
@@ -350,6 +425,32 @@ void main() {
   vec3 reached = knee + turned(second, shank) - hip;
   first = onto(reached / max(length(reached), 1e-12), way / max(length(way), 1e-12));
   third = vec4(hip + turned(first, reached) - foot, sink);
+}`;
+
+/** The arch and then the sole of each leg: rotation about the origin, and displacement after it. */
+export const FLAT = /* glsl */ `
+${COMMON}
+${STANCES}
+${REACH}
+${LAID}
+uniform sampler2D footMoves;
+
+void main() {
+  if (outside()) discard;
+  int leg = item / 2;
+  ivec2 here = place(leg, legs);
+  vec4 moved = texelFetch(footMoves, here, 0);
+  first = vec4(0.0, 0.0, 0.0, 1.0);
+  second = vec4(moved.xyz, 0.0);
+  if (!isFlat(leg)) return;
+  vec3 down = upward() * moved.w;
+  vec3 hip = texelFetch(hips, here, 0).xyz - down, knee = texelFetch(knees, here, 0).xyz - down;
+  vec3 ankle = texelFetch(ankles, here, 0).xyz - down, foot = texelFetch(feet, here, 0).xyz - down;
+  vec3 to = foot + (goal(leg) - foot) * stands();
+  Laid sole = laid(leg, hip, knee, ankle, foot, to);
+  vec3 end = ankle + moved.xyz;
+  first = item % 2 == 0 ? sole.arched : sole.soled;
+  second.xyz = item % 2 == 0 ? end - turned(first, ankle) : end - sole.arch - turned(first, foot);
 }`;
 
 export const BONES = /* glsl */ `
@@ -361,16 +462,23 @@ uniform sampler2D bones;
 uniform sampler2D legTurns;
 uniform sampler2D kneeTurns;
 uniform sampler2D footMoves;
+uniform sampler2D soleTurns;
+uniform sampler2D soleMoves;
 
-/** Returns the matrix of a joint with bent legs. \`part\`: 0 outside legs, else 3 times the leg plus 1 thigh, 2 shank, 3 foot. */
+/** Returns the matrix of a joint with bent legs. \`part\`: 0 outside legs, else 4 times the leg plus 1 thigh, 2 shank, 3 arch, 4
+ * sole. */
 mat4 standing(mat4 m, int part) {
   vec3 down = upward() * texelFetch(footMoves, place(0, legs), 0).w;
   m[3].xyz -= down;
   if (part == 0) return m;
-  ivec2 here = place((part - 1) / 3, legs);
-  int piece = (part - 1) % 3;
-  if (piece == 2) {
-    m[3].xyz += texelFetch(footMoves, here, 0).xyz;
+  int leg = (part - 1) / 4, piece = (part - 1) % 4;
+  ivec2 here = place(leg, legs);
+  if (piece > 1) {
+    if (footTexels > 2) {
+      ivec2 sole = place(2 * leg + piece - 2, 2 * legs);
+      m = turn(m, texelFetch(soleTurns, sole, 0), vec3(0.0));
+      m[3].xyz += texelFetch(soleMoves, sole, 0).xyz;
+    } else m[3].xyz += texelFetch(footMoves, here, 0).xyz;
     return m;
   }
   vec3 hip = texelFetch(hips, here, 0).xyz - down, knee = texelFetch(knees, here, 0).xyz - down;

@@ -29,9 +29,10 @@ export interface Rig {
   palette: THREE.DataTexture; // colours of materials that vary
   natural: Natural;
   legs: number;
-  legAt: number; // in the table, for each leg: hip, knee and foot as joints, and the axis of a straight knee
+  legAt: number; // in the table, five texels for each leg: see antdsl/preview/viewing/body_packets.py
+  flat: boolean; // whether a leg has a sole that lies flat on the ground
   length: number; // body length, in units of the definition
-  bending: { straight: number; folded: number; sunk: number; plane: number }; // parameters of antdsl/bodies/agents/leg_ik.py
+  bending: { straight: number; folded: number; sunk: number; plane: number; heel: number }; // parameters of antdsl/bodies/agents/leg_ik.py
 }
 
 /** A mesh that follows a rig. `list`: for each bone its joint, its part of a leg, and
@@ -96,7 +97,8 @@ export function rigOf(packet: Packet): Rigged {
     scaleAt: joints + clip.length / 4 + group.length + leg.length / 4 + looks.length / 4,
     palette: list(packet.arrays.get("palette") ?? []),
     natural: naturalOf(packet),
-    legs: leg.length / 8,
+    legs: leg.length / 20,
+    flat: [...leg].some((each, k) => k % 20 === 7 && each > 0),
     legAt: joints + clip.length / 4 + group.length,
     length: Number(packet.header.length),
     bending: packet.header.bending as Rig["bending"],

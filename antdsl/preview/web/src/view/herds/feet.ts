@@ -12,24 +12,31 @@ export class Feet {
   version = 0; // increases with each frame
   hasData = false; // whether a frame contained feet
   private legs = 0;
+  private flat = false;
   private was = new Float32Array(0);
 
   /** Numbers per row. */
   get width(): number {
-    return 4 * (STANCE + 2 * this.legs);
+    return 4 * (STANCE + this.texels * this.legs);
   }
 
-  begin(legs: number): void {
+  /** Texels per leg: previous and current foothold, then, after those of all legs, direction across its sole. */
+  get texels(): number {
+    return this.flat ? 4 : 2;
+  }
+
+  begin(legs: number, flat: boolean): void {
     this.legs = legs;
+    this.flat = flat;
     this.data = new Float32Array(0);
     this.was = this.data;
     this.hasData = false;
     this.version++;
   }
 
-  /** Take a frame: `places` int16 [n, legs, 3], `stances` int16 [n, 6]. Without data the values stay. `from`: the previous
-   * row of each row, or -1. Rows continue from the displayed values, `t` of the way between frames. */
-  take(places: NumberArray | undefined, stances: NumberArray | undefined, count: number, from: Int32Array, t: number): void {
+  /** Take a frame: `places` int16 [n, legs, 3], `stances` int16 [n, 6], `soles` int16 [n, legs, 3]. Without data the values
+   * stay. `from`: the previous row of each row, or -1. Rows continue from the displayed values, `t` of the way between frames. */
+  take([places, stances, soles]: readonly (NumberArray | undefined)[], count: number, from: Int32Array, t: number): void {
     const { width, legs } = this;
     if (legs === 0 || !(this.hasData || places)) return;
     [this.was, this.data] = [this.data, this.was];
@@ -40,6 +47,7 @@ export class Feet {
       const other = (from[row] as number) * width;
       const known = this.hasData && other >= 0 && other + width <= was.length;
       if (places && stances) this.go(k, places, stances, row);
+      if (soles && this.flat) this.turn(k, soles, row);
       const isGiven = places !== undefined;
       for (let part = 0; part < 4; part++) this.step(k + part, 4, known ? other + part : -1, t, isGiven);
       this.step(k + 8, 1, known ? other + 8 : -1, t, isGiven);
@@ -62,6 +70,14 @@ export class Feet {
       const foot = k + 4 * STANCE + 8 * leg + 4;
       for (let axis = 0; axis < 3; axis++) data[foot + axis] = (places[3 * (row * legs + leg) + axis] as number) / LENGTH;
       data[foot + 3] = (down >> leg) & 1;
+    }
+  }
+
+  /** Write the new directions of the soles of a row. */
+  private turn(k: number, soles: NumberArray, row: number): void {
+    for (let leg = 0; leg < this.legs; leg++) {
+      const sole = k + 4 * (STANCE + 2 * this.legs + 2 * leg) + 4;
+      for (let axis = 0; axis < 3; axis++) this.data[sole + axis] = (soles[3 * (row * this.legs + leg) + axis] as number) / WHOLE;
     }
   }
 

@@ -49,12 +49,13 @@ export class Rows {
 
 const GOLDEN = (Math.sqrt(5) - 1) / 2; // its multiples are evenly distributed over a cycle
 
-/** What a body of a species can do: the machines that play clips, which clips loop, and its number
- * of legs. */
+/** What a body of a species can do: the machines that play clips, which clips loop, its number of legs, and whether their soles
+ * lie flat on the ground. */
 export interface Acts {
   machines: string[];
   loops: boolean[];
   legs: number;
+  flat: boolean;
   looks: string[]; // transform groups for looking
   leans: boolean; // whether other clips replace a clip as the agent turns and climbs
   traits: number; // number of other values by which bodies differ
@@ -131,12 +132,12 @@ export class Herd {
   }
 
   /** Set what the body can do. */
-  acting({ machines, loops, legs, looks, leans, traits, idle, natural }: Acts): void {
+  acting({ machines, loops, legs, flat, looks, leans, traits, idle, natural }: Acts): void {
     this.machines = machines;
     this.idle = idle;
     this.natural = natural;
     this.plays.begin(idle ? ["", ...machines] : machines, loops);
-    this.feet.begin(legs);
+    this.feet.begin(legs, flat);
     const threes = Array.from({ length: Math.ceil(traits / 3) }, (_, k) => `trait/${k}`);
     this.gaze.begin([...looks.map((group) => `look/${group}`), ...(leans ? ["lean"] : []), ...threes]);
     this.from.fill(-1);
@@ -146,7 +147,12 @@ export class Herd {
   private act(t: number): void {
     const values = this.machines.map((machine) => this.column(`plays/${machine}`));
     this.plays.take(this.idle ? [this.idling(...this.idle), ...values] : values, this.count, this.from, t);
-    this.feet.take(this.column("feet"), this.column("stance"), this.count, this.from, t);
+    this.feet.take(
+      ["feet", "stance", "sole"].map((name) => this.column(name)),
+      this.count,
+      this.from,
+      t,
+    );
     const looks = this.gaze.groups.map((group) => this.column(group));
     this.gaze.take(looks, this.count, this.from, t);
     this.offsets.take(this.arrays, this.key, this.count, this.from, t);
