@@ -3,21 +3,26 @@
 Soil and stone are made of solid noise from small tables: smooth values with their gradient, and packed grains."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import SunLight, compute_environment_light, decode_srgb
+from antdsl.outputs.pictures.patterns.noise import (
+    PATTERN_ROTATION,
+    GrainedSamples,
+    add_bumps,
+    add_grains,
+    compute_value_noise,
+    make_grain_table,
+    make_noise_table,
+)
 from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, normalise_rows
 from antdsl.scene.looks import SURFACE_KINDS
 
-# Rotated, so that no plane across an axis of the world follows the lattice.
-_PATTERN_ROTATION = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)
-_PATTERN_PERIOD = 32  # the pattern repeats after this many wavelengths
 KIND_NAMES = tuple(SURFACE_KINDS)
-GROUND_KIND, HILL_KIND, TABLE_KIND, EDGE_KIND, GRAIN_KIND, FIGURE_KIND, METAL_KIND, LEAF_KIND, LIGHT_KIND, SAND_KIND = (
-    KIND_NAMES.index(name) for name in ("ground", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light", "sand")
+GROUND_KIND, HILL_KIND, TABLE_KIND, EDGE_KIND, GRAIN_KIND, FIGURE_KIND, METAL_KIND, LEAF_KIND, LIGHT_KIND = (
+    KIND_NAMES.index(name) for name in ("ground", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light")
 )
 # kinds of surfaces that can show a field's colour
 TRAIL_KINDS = tuple(number for number, row in enumerate(SURFACE_KINDS.values()) if row.shows_fields)
@@ -44,7 +49,8 @@ _SAND_COLOUR = decode_srgb(SURFACE_KINDS["sand"].colour)
 _GRASS_COLOUR, _DRY_GRASS_COLOUR = decode_srgb((0.29, 0.42, 0.14)), decode_srgb((0.55, 0.54, 0.26))
 _CRUMB_COLOUR, _CRUST_COLOUR = decode_srgb((0.86, 0.70, 0.44)), decode_srgb((0.56, 0.33, 0.16))
 _QUARTZ_COLOUR, _BASALT_COLOUR = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
-_GRAINY_KINDS = (GROUND_KIND, HILL_KIND, EDGE_KIND, SAND_KIND)  # kinds of surfaces made of grains
+# kinds of surfaces made of grains
+_IS_GRAINY = np.array([name in ("ground", "hill", "edge", "sand") for name in KIND_NAMES], np.float32)
 LIGHT_BRIGHTNESS = 2.6  # brightness of a light source; several times that of a white surface in the sun
 
 
@@ -101,9 +107,11 @@ def make_soil_material(
 def _add_grain(
     albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
 ) -> SurfaceMaterial:
-    """Return the material of a surface with bumps and specks. Each size is added only where pixels are small enough to show
-    it."""
-    rough = _BUMPS[kind]
+    """Return the material of a surface with bumps and specks. Each size is added only where pixels are small enough to
+    show it: bumps, and grains of sand on soil, coarse ones in patches."""
+    count = len(points)
+    points, pixel = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(pixel, np.float32)
+    bumpy = GrainedSamples(points, normal, albedo, pixel, _BUMPS[kind])
     for wavelength, height, speck, seed in (
         (2.4, 0.30, 0.10, 5),
         (0.6, 0.34, 0.14, 6),
@@ -111,49 +119,14 @@ def _add_grain(
         (0.04, 0.42, 0.34, 8),
         (0.012, 0.42, 0.30, 11),
     ):
-        length = wavelength * scales.grain
-        visibility = np.clip(length / pixel * 0.4 - 0.5, 0.0, 1.0) * rough
-        rows = np.flatnonzero(visibility > 0.01)
-        if not len(rows):
-            continue
-        value, slope = compute_value_noise(points[rows], length, seed)
-        own = normal[rows]
-        slope -= own * compute_dot_products(slope, own)[:, None]
-        normal[rows] = own - slope * (visibility[rows] * np.float32(height * length * 0.5))[:, None]
-        albedo[rows] *= (1 + visibility[rows] * value * np.float32(speck))[:, None]
-    _add_sand(albedo, normal, kind, points, pixel, scales)
-    return SurfaceMaterial(albedo, normalise_rows(normal))
-
-
-def _add_sand(
-    albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
-) -> None:
-    """Add grains of sand to soil, in place, with coarse grains in patches.
-
-    Each size is added only where pixels resolve single grains."""
-    loose = np.flatnonzero(np.isin(kind, _GRAINY_KINDS))
+        length = np.float32(wavelength * scales.grain)
+        add_bumps(bumpy, PATTERN_ROTATION, make_noise_table(seed), length, np.float32(height), np.float32(speck), 0, count)
+    loose = bumpy._replace(share=_IS_GRAINY[kind])
+    quartz, basalt = tuple(_QUARTZ_COLOUR), tuple(_BASALT_COLOUR)
     for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
-        length = size * scales.grain
-        visibility = np.clip(length / pixel[loose] * 0.5 - 0.8, 0.0, 1.0)
-        visible_rows = np.flatnonzero(visibility > 0.01)
-        if not len(visible_rows):
-            continue
-        rows, visibility = loose[visible_rows], visibility[visible_rows]
-        if share < 1:
-            patch, _ = compute_value_noise(points[rows], 9 * length, seed + 10)
-            visibility = visibility * np.clip((patch + 2 * np.float32(share) - 1) * 2 + 0.5, 0.0, 1.0)
-            patch_rows = np.flatnonzero(visibility > 0.01)
-            rows, visibility = rows[patch_rows], visibility[patch_rows]
-        out, offset, tone = compute_grain_noise(points[rows], length, seed)
-        bare = normal[rows]
-        offset -= bare * compute_dot_products(offset, bare)[:, None]
-        normal[rows] = bare + offset * (visibility * np.float32(0.42) * out)[:, None]
-        light = 1 + np.float32(0.17) * tone - np.float32(0.30) * out**4
-        albedo[rows] *= (1 + visibility * (light - 1))[:, None]
-        # Some grains are quartz, some dark rock.
-        pale, dark = np.clip((tone - 0.84) * 7, 0, 1) * visibility, np.clip((-tone - 0.86) * 7, 0, 1) * visibility
-        albedo[rows] += (_QUARTZ_COLOUR - albedo[rows]) * (0.5 * pale)[:, None]
-        albedo[rows] += (_BASALT_COLOUR - albedo[rows]) * (0.5 * dark)[:, None]
+        length, tables = np.float32(size * scales.grain), (make_grain_table(seed), make_noise_table(seed + 10))
+        add_grains(loose, PATTERN_ROTATION, *tables, length, np.float32(share), quartz, basalt, 0, count)
+    return SurfaceMaterial(albedo, normalise_rows(normal))
 
 
 def _mix_colours(first_colour: Floats, second_colour: Floats, share: Floats) -> Floats:
@@ -220,7 +193,7 @@ def _colour_light(points: Floats, upness: Floats, noise: Floats, patch: Floats, 
 
 def _colour_wood(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     """Return the colour of planed wood: annual rings around a long axis, wavy by noise."""
-    axis = _PATTERN_ROTATION[0]
+    axis = PATTERN_ROTATION[0]
     across = points - (points @ axis)[:, None] * axis
     rings = np.linalg.norm(across, axis=1) / np.float32(scales.grain * 0.35) + 1.4 * noise + 0.5 * patch
     share = (rings % 1.0) ** 2
@@ -299,88 +272,4 @@ def compute_reflected_share(normal: Floats, direction: Floats, min_share: float)
     Schlick, Computer Graphics Forum 13(3), 1994."""
     return np.asarray(
         min_share + (1 - min_share) * (1 - np.clip(-compute_dot_products(normal, direction), 0, 1)) ** 5, np.float32
-    )
-
-
-def _rotate_rows(rows: Floats, matrix: Floats) -> Floats:
-    """Return rows (n, 3) times a matrix. The product is written out: BLAS would wake threads, which cost more than the
-    product."""
-    turned = np.empty_like(rows)
-    for k in range(3):
-        turned[:, k] = rows[:, 0] * matrix[0, k] + rows[:, 1] * matrix[1, k] + rows[:, 2] * matrix[2, k]
-    return turned
-
-
-@lru_cache(maxsize=4)
-def _make_noise_table(seed: int) -> Floats:
-    """Return random values within −1..1 for the points of a periodic lattice."""
-    values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _PATTERN_PERIOD**3).astype(np.float32)
-    values.setflags(write=False)
-    return values
-
-
-def compute_value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
-    """Return smooth noise at `points` (n, 3): values (n,) within −1..1 and their gradient (n, 3) per world unit.
-
-    There is about one bump per `wavelength` (world units)."""
-    table = _make_noise_table(seed)
-    scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / wavelength))
-    lattice = np.floor(scaled)
-    part = scaled - lattice
-    cell = lattice.astype(np.int32) & (_PATTERN_PERIOD - 1)
-    following = (cell + 1) & (_PATTERN_PERIOD - 1)
-    ease = part * part * (3 - 2 * part)
-    slope = 6 * part * (1 - part) * np.float32(1.0 / wavelength)
-    (x, y, z), (a, b, c) = ease.T, slope.T
-    x0, y0, z0 = cell[:, 0] * (_PATTERN_PERIOD * _PATTERN_PERIOD), cell[:, 1] * _PATTERN_PERIOD, cell[:, 2]
-    x1, y1, z1 = following[:, 0] * (_PATTERN_PERIOD * _PATTERN_PERIOD), following[:, 1] * _PATTERN_PERIOD, following[:, 2]
-    rows = []
-    for row in (x0 + y0, x0 + y1, x1 + y0, x1 + y1):
-        low, high = table.take(row + z0), table.take(row + z1)
-        rows.append((low + (high - low) * z, high - low))
-    (v00, d00), (v01, d01), (v10, d10), (v11, d11) = rows
-    low, high = v00 + (v01 - v00) * y, v10 + (v11 - v10) * y
-    by_y = (v01 - v00) + ((v11 - v10) - (v01 - v00)) * x
-    near, far = d00 + (d01 - d00) * y, d10 + (d11 - d10) * y
-    gradient = np.stack([(high - low) * a, by_y * b, (near + (far - near) * x) * c], axis=1)
-    return low + (high - low) * x, _rotate_rows(gradient, _PATTERN_ROTATION.T)
-
-
-@lru_cache(maxsize=4)
-def _make_grain_table(seed: int) -> Floats:
-    """Return, for each lattice cell, three coordinates of its grain and the grain's tone, within −1..1."""
-    draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_PATTERN_PERIOD**3, 4)).astype(np.float32)
-    draw.setflags(write=False)
-    return draw
-
-
-def compute_grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats, Floats]:
-    """Return packed grains at `points` (n, 3), about one per `size` (Worley, SIGGRAPH 1996).
-
-    The results describe the grain nearest to each point:
-    - the point's distance from the grain's centre (n,), within 0..1
-    - the vector from the grain's centre to the point (n, 3), of length about 1 at the rim
-    - the tone of the grain (n,), within −1..1"""
-    table = _make_grain_table(seed)
-    scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / size))
-    low = np.floor(scaled - np.float32(0.5))
-    cell = low.astype(np.int32)
-    inside = scaled - low
-    nearest = np.full(len(points), np.inf, np.float32)
-    nearest_offset, tone = np.zeros_like(points), np.zeros(len(points), np.float32)
-    for x in (0, 1):
-        for y in (0, 1):
-            for z in (0, 1):
-                own = ((cell[:, 0] + x) & (_PATTERN_PERIOD - 1)) * (_PATTERN_PERIOD * _PATTERN_PERIOD) + (
-                    (cell[:, 1] + y) & (_PATTERN_PERIOD - 1)
-                ) * _PATTERN_PERIOD
-                grain = table.take(own + ((cell[:, 2] + z) & (_PATTERN_PERIOD - 1)), axis=0)
-                offset = inside - np.array([x + 0.5, y + 0.5, z + 0.5], np.float32) - grain[:, :3] * np.float32(0.42)
-                square = np.einsum("nc,nc->n", offset, offset)
-                nearer = np.flatnonzero(square < nearest)
-                nearest[nearer], nearest_offset[nearer], tone[nearer] = square[nearer], offset[nearer], grain[nearer, 3]
-    return (
-        np.minimum(np.sqrt(nearest) * np.float32(1.5), 1),
-        _rotate_rows(nearest_offset, _PATTERN_ROTATION.T * np.float32(1.5)),
-        tone,
     )
