@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,10 @@ class PictureHits:
     u: NDArray[np.float32]
     v: NDArray[np.float32]
     normal: NDArray[np.float32]
+
+    def select(self, rows: Any) -> PictureHits:
+        """Return the hits in `rows`, which are numbers or a slice."""
+        return PictureHits(*(getattr(self, each.name)[rows] for each in fields(self)))
 
 
 class PictureRays:

@@ -203,6 +203,7 @@ AGGREGATE_HELP = {
     "share": WordHelp("the share for which the condition holds, from 0 to 1", "always: share(state == carry) < 0.9"),
 }
 _HEIGHT_SAMPLE = "world: {arena: {height: hills.png, extent: [400 mm, 400 mm], scale: 30 mm, offset: 2 mm}}"
+_LENS_SAMPLE = "camera: {at: [0, 300, 200], look_at: [0, 0, 0], f_stop: 8, focus: 350 mm}"
 _WALK_SAMPLE = (
     "crowd: [{species: forager, from: forager.ant, count: 1, walk: {direction: [1, 0, 0], speed: 30 mm/s, length: 40 mm}}]"
 )
@@ -279,6 +280,8 @@ SCENE_KEY_HELP = {
     "at": WordHelp("a place, `[x, y, z]`", "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}"),
     "look_at": WordHelp("the point that the camera looks at", "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}"),
     "focal": WordHelp("focal length", "camera: {at: [0, 300, 200], look_at: [0, 0, 0], focal: 35 mm}"),
+    "f_stop": WordHelp("focal length by lens diameter, for depth of field", _LENS_SAMPLE),
+    "focus": WordHelp("what is sharp: a distance or an agent", _LENS_SAMPLE),
     "mesh": WordHelp("a file of triangles", "world: {hill: {mesh: hill.ply, voxel: 2 mm}}"),
     "height": WordHelp("a 16-bit image, or an array of an .npz file", _HEIGHT_SAMPLE),
     "extent": WordHelp("the size along x and along the other horizontal axis", _HEIGHT_SAMPLE),

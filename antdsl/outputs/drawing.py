@@ -29,7 +29,7 @@ from antdsl.outputs.pictures.following import CLOSE_FOCAL_MM, EYE_FOCAL_MM, SMOO
 from antdsl.outputs.pictures.legend import add_legend, compute_legend_width
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.render import Renderer
-from antdsl.outputs.scene_cameras import SceneCameras, choose_direction, make_stable_track, read_track
+from antdsl.outputs.scene_cameras import SceneCameras, choose_direction, compute_aperture, make_stable_track, read_track
 from antdsl.safe_read import read_size_limited
 from antdsl.scene.camera_models import DEFAULT_CAMERA
 from antdsl.scene.setting import DEFAULT_FOCAL_MM
@@ -60,7 +60,9 @@ class DrawRequest:
     `marks`: if not 0, bodies are discs of this diameter in pixels.
     `blur`: the share of a frame for which the shutter is open.
     `at`, `look_at`: points in scene units, of a camera instead of `camera`; both or none.
-    `focal`: a focal length in mm instead of the camera's own."""
+    `focal`: a focal length in mm instead of the camera's own.
+    `f_stop`: the ratio of the focal length and the diameter of the lens, instead of the camera's own; 0 for a pinhole.
+    `focus`: the distance in focus in scene units, instead of the camera's own."""
 
     width: int
     height: int
@@ -77,6 +79,8 @@ class DrawRequest:
     at: Point | None = None
     look_at: Point | None = None
     focal: float | None = None
+    f_stop: float | None = None
+    focus: float | None = None
 
     def gallery(self, cache: Cache) -> Gallery:
         """Return a gallery that builds the cache's pictures with these options. Raises PictureUnavailable as `Gallery` does."""
@@ -110,10 +114,18 @@ class FrameDrawer:
         Raises CacheError if the frame is damaged, PictureUnavailable if it cannot be drawn. Raises AgentMissing if a camera
         finds no agent, ValueError for an unknown word in `show`."""
         request, picture = self.wanted, self.gallery.make_picture(frame, agents=self._agents)
-        camera = self._find_camera(frame)
+        following = self._make_camera(frame + 1) if request.blur > 0 else None
+        image = self._renderer.draw(picture, self._make_camera(frame), show=request.show, next_camera=following)
+        return add_legend(image, picture, self._legend_width, request.show)
+
+    def _make_camera(self, frame: int) -> Camera:
+        """Return the camera at a frame, with the requested lens."""
+        request, camera = self.wanted, self._find_camera(frame)
         if request.focal is not None:
             camera = replace(camera, focal=request.focal)
-        return add_legend(self._renderer.draw(picture, camera, show=request.show), picture, self._legend_width, request.show)
+        if request.f_stop is not None:
+            camera = replace(camera, aperture=compute_aperture(camera.focal, request.f_stop, self.gallery.manifest.units))
+        return camera if request.focus is None else replace(camera, focus=request.focus)
 
     def _choose_camera(self, first: Picture) -> Callable[[int], Camera]:
         """Return the function that returns the requested camera for a frame. `first`: the picture of the first frame.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.frame_agents import get_agent_ids, get_species_numbers
-from antdsl.outputs.cache.manifest import CameraEntry, FollowEntry, Manifest, make_camera_array_name
+from antdsl.outputs.cache.manifest import CameraEntry, FollowEntry, LensEntry, Manifest, make_camera_array_name
 from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.pictures.camera import to_tuple
@@ -28,7 +29,7 @@ from antdsl.scene.camera_models import DEFAULT_CAMERA
 from antdsl.scene.crowds.line_ids import LineIds
 from antdsl.scene.notes.selectors import parse_agent_name
 from antdsl.scene.setting import DEFAULT_FOCAL_MM
-from antdsl.scene.thing_models import UP_VECTORS
+from antdsl.scene.thing_models import UNIT_MM, UP_VECTORS
 
 Array = NDArray[np.float64]
 
@@ -57,17 +58,38 @@ class SceneCameras:
     def is_moving(self, name: str = DEFAULT_CAMERA) -> bool:
         """Return whether a camera changes between frames."""
         entry = self._entries.get(name)
-        return isinstance(entry, FollowEntry) or (isinstance(entry, CameraEntry) and entry.moves)
+        has_moving_focus = isinstance(entry, LensEntry) and isinstance(entry.focus, str)
+        return isinstance(entry, FollowEntry) or has_moving_focus or (isinstance(entry, CameraEntry) and entry.moves)
 
     def make_camera(self, frame: int, name: str = DEFAULT_CAMERA) -> Camera | None:
         """Return a camera at a frame. Return None if the scene has no such camera, or if it depends on the drawn frames."""
-        entry, static = self._entries.get(name), self._gallery.static
+        entry = self._entries.get(name)
         if isinstance(entry, FollowEntry):
             if name not in self._following:
                 self._following[name] = _make_following_camera(self._gallery, entry)
-            return self._following[name].make_camera(frame)
+            return self._add_lens(self._following[name].make_camera(frame), entry, frame)
         if not isinstance(entry, CameraEntry):
             return None
+        return self._add_lens(self._make_placed_camera(frame, name, entry), entry, frame)
+
+    def _add_lens(self, camera: Camera, entry: LensEntry, frame: int) -> Camera:
+        """Return the camera with the depth of field of an entry. An agent in focus that the frame lacks leaves the focus at
+        what the camera looks at."""
+        manifest, focus = self._gallery.manifest, entry.focus
+        if isinstance(focus, str):
+            track = read_track(self._gallery.cache, *find_agent(manifest, focus), [frame] if self._has_frame(frame) else [])
+            ahead = np.subtract(camera.look_at, camera.at)
+            depths = (track.position - camera.at) @ ahead / max(float(np.linalg.norm(ahead)), 1e-12)
+            focus = float(depths[0]) if len(depths) and depths[0] > 0 else None
+        aperture = compute_aperture(camera.focal, entry.f_stop, manifest.units)
+        return replace(camera, aperture=aperture, focus=camera.focus if focus is None else focus)
+
+    def _has_frame(self, frame: int) -> bool:
+        return frame in self._gallery.cache.frames()
+
+    def _make_placed_camera(self, frame: int, name: str, entry: CameraEntry) -> Camera:
+        """Return a camera that does not depend on agents, at a frame."""
+        static = self._gallery.static
         if not entry.moves:
             return Camera(entry.at, entry.look_at, focal=entry.focal or DEFAULT_FOCAL_MM, up=entry.up)
         row = min(max(frame - self._gallery.manifest.first, 0), len(static[make_camera_array_name(name, "at")]) - 1)
@@ -88,6 +110,11 @@ class SceneCameras:
             if exists:
                 names[name] = "camera" if name == DEFAULT_CAMERA else name
         return names
+
+
+def compute_aperture(focal: float, f_stop: float | None, units: str) -> float:
+    """Return the diameter of a lens in scene units (`units`), 0 without an f-stop. `focal`: its focal length in mm."""
+    return focal / f_stop / UNIT_MM[units] if f_stop else 0.0
 
 
 def find_camera_axes(camera: Camera, up: str) -> tuple[Array, Array]:

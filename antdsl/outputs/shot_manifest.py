@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,8 @@ from antdsl.outputs.feelers import list_feelers
 from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.pipeline import Shot
 from antdsl.runtime import World
-from antdsl.scene.camera_models import FollowCamera
+from antdsl.scene.camera_models import Camera, FollowCamera, LensCamera
+from antdsl.scene.notes.selectors import AgentName
 from antdsl.scene.scene_model import SceneModel
 from antdsl.scene.setting import CameraData
 from antdsl.scene.thing_models import PlacedThing, convert_point
@@ -62,15 +64,24 @@ def _make_camera_entries(shot: Shot, origin: NDArray[np.float64]) -> dict[str, A
     model, entries = shot.scene.model, dict[str, AnyCameraEntry]()
     for name, value in model.named_cameras.items():
         if name in shot.setting.cameras:
-            entries[name] = _make_placed_entry(shot.setting.cameras[name], origin, 1.0 / model.unit_mm)
+            placed = _make_placed_entry(shot.setting.cameras[name], origin, 1.0 / model.unit_mm)
+            entries[name] = placed.model_copy(update=_read_lens(value, model.unit_mm)) if isinstance(value, Camera) else placed
         elif isinstance(value, FollowCamera):
             by = None if value.by is None else to_tuple(np.array(convert_point(value.by, model.unit_mm)) / model.unit_mm)
             smooth = None if value.smooth is None else value.smooth.to_base_units(model.unit_mm, float(1 / model.fps))
             focal = None if value.focal is None else value.focal.number
-            entries[name] = FollowEntry(follow=str(value.follow), by=by, smooth=smooth, focal=focal)
+            lens = _read_lens(value, model.unit_mm)
+            entries[name] = FollowEntry(follow=str(value.follow), by=by, smooth=smooth, focal=focal, **lens)
         else:
             entries[name] = "fit"
     return entries
+
+
+def _read_lens(camera: LensCamera, unit_mm: float) -> dict[str, Any]:
+    """Return the f-stop of a camera, and what is sharp: an agent, or a distance in scene units."""
+    focus = camera.focus
+    sharp = None if focus is None else str(focus) if isinstance(focus, AgentName) else focus.to_millimetres(unit_mm) / unit_mm
+    return {"f_stop": camera.f_stop, "focus": sharp}
 
 
 def _make_placed_entry(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Discriminator, Tag
 
 from antdsl import limits
 from antdsl.scene.notes.selectors import AgentName, parse_agent_name
+from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     FilePath,
     PointValue,
@@ -18,10 +19,12 @@ from antdsl.scene.values import (
     SceneWord,
     make_error,
     parse_integer_between,
+    parse_number_between,
     parse_one_of,
 )
 
 DEFAULT_CAMERA = "shot"  # the name of the camera that pictures have by default
+F_STOP_RANGE = 0.1, 10_000.0
 CAMERA_VIEWS = ("scene", "fit", "above", "top", "eye", "close")  # words of `render --camera` that name no camera of the scene
 
 
@@ -39,12 +42,43 @@ FrameNumber = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_F
 CameraKeys = dict[FrameNumber, CameraKey]
 
 
-class Camera(ScenePart):
+def _parse_single_agent(value: Any) -> AgentName:
+    name = parse_agent_name(value)
+    if name.first is None or name.last != name.first:
+        raise make_error(f"`{name}` is not a single agent", f"write `{name.name}.{name.first or 0}`")
+    return name
+
+
+def _find_focus_tag(value: Any) -> str:
+    return "focus-agent" if isinstance(value, str) and value[:1].isalpha() else "focus-distance"
+
+
+_SingleAgent = Annotated[AgentName, BeforeValidator(_parse_single_agent)]
+if TYPE_CHECKING:
+    Focus = Quantity | AgentName
+else:
+    Focus = Annotated[
+        Annotated[PositiveLength, Tag("focus-distance")] | Annotated[_SingleAgent, Tag("focus-agent")],
+        Discriminator(_find_focus_tag),
+    ]
+
+
+class LensCamera(ScenePart):
+    """The lens of a camera.
+
+    `f_stop`: the focal length divided by the diameter of the lens; None for no depth of field.
+    `focus`: what is sharp: a distance, or an agent. None for what the camera looks at."""
+
+    focal: PositiveLength | None = None
+    f_stop: Annotated[float, BeforeValidator(parse_number_between(*F_STOP_RANGE))] | None = None
+    focus: Focus | None = None
+
+
+class Camera(LensCamera):
     """A camera at a point, which looks at another point. `keys`: by frame, the values that change over time."""
 
     at: PointValue
     look_at: PointValue
-    focal: PositiveLength | None = None
     keys: CameraKeys = {}
 
 
@@ -55,24 +89,16 @@ class UsdCamera(ScenePart):
     prim: SceneWord
 
 
-def _parse_single_agent(value: Any) -> AgentName:
-    name = parse_agent_name(value)
-    if name.first is None or name.last != name.first:
-        raise make_error(f"`{name}` is not a single agent", f"write `{name.name}.{name.first or 0}`")
-    return name
-
-
-class FollowCamera(ScenePart):
+class FollowCamera(LensCamera):
     """A camera that moves with one agent, and does not turn with it.
 
     `follow`: the agent, such as `guards.17`.
     `by`: the offset from the agent to the camera; by default, the offset that `render --camera close` chooses.
     `smooth`: the motion of the agent is averaged over this time before and after each frame."""
 
-    follow: Annotated[AgentName, BeforeValidator(_parse_single_agent)]
+    follow: _SingleAgent
     by: PointValue | None = None
     smooth: PositiveTime | None = None
-    focal: PositiveLength | None = None
 
 
 FitWord = Annotated[str, BeforeValidator(parse_one_of("fit"))]

@@ -132,7 +132,7 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
         except QuantityError as error:
             raise make_error(f"{describe_value(text)} {error}", error.help) from None
         if not low <= parsed_number <= high:
-            raise make_error(f"`{text}` is not between {low:g} and {high:g}")
+            raise make_error(f"`{text}` is not between {low:g} and {high:g}", f"write a number from `{low:g}` to `{high:g}`")
         return parsed_number
 
     return read_number

@@ -169,6 +169,23 @@ def test_a_close_body_fills_the_picture(radius: float, height: float, focal: flo
     assert (depth > 0).all() and extent.max() < 1.3 and extent.max() > 0.8
 
 
+def test_the_lens_of_a_camera_has_the_real_size_and_focuses_on_an_agent(folder: Path) -> None:  # noqa: F811
+    lens = "f_stop: 10, focus: 25 mm}"
+    scene = NAMED.replace(SHOT, SHOT[:-1] + ", " + lens).replace("{follow: guards.2}", "{follow: guards.2, f_stop: 70}")
+    cache = record(folder, scene.replace("look_at: [0, 0, 0]}", "look_at: [0, 0, 0], f_stop: 2, focus: guards.2}"))
+    cameras = SceneCameras(Gallery(cache))
+    shot, wide, hero = (cameras.make_camera(3, name) for name in ("shot", "wide", "hero"))
+    assert shot is not None and wide is not None and hero is not None
+    assert (shot.aperture, shot.focus) == (3.0, 25.0) and wide.aperture == 17.5 and hero.aperture == 0.5
+    arrays = cache.frame(3)
+    place = arrays["P"][arrays["id"] == 2][0]
+    assert wide.focus == pytest.approx(300 - float(place[1]), rel=0.01)
+    assert hero.focus is not None and 0 < hero.focus < np.linalg.norm(np.subtract(hero.at, place)) * 1.2
+    request = DrawRequest(64, 36, "scene", (), f_stop=5.0, focus=40.0)
+    camera = FrameDrawer(request.gallery(cache), request, [3], 1)._make_camera(3)
+    assert (camera.aperture, camera.focus) == (6.0, 40.0)
+
+
 def test_options_place_a_camera(cache: Cache) -> None:
     request = DrawRequest(320, 180, "scene", (), at=(1.0, 2.0, 3.0), look_at=(4.0, 5.0, 6.0), focal=80.0)
     drawer = FrameDrawer(request.gallery(cache), request, [1], 1)
@@ -222,6 +239,8 @@ def test_a_scene_places_the_cameras_that_programs_sense(folder: Path) -> None:  
 @pytest.mark.parametrize(
     ("old", "new", "code", "words"),
     [
+        ("focal: 30 mm", "f_stop: 0", "wrong-value", "0"),
+        ("focal: 30 mm", "focus: guards.99", "unknown-thing", "guards"),
         (CAMERAS, "", "missing-thing", "the program's camera `shot` has no place in the scene"),
         (SHOT, "camera: fit", "wrong-kind", "when pictures are made"),
         (SHOT, "camera: {follow: guards.1}", "wrong-kind", "follows one"),

@@ -22,6 +22,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.agent_paths import match_agents
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
+from antdsl.outputs.pictures.blur.shutter import Shutter
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.model import Camera, Crowd
 from antdsl.outputs.pictures.moving_bodies import make_actors
@@ -88,7 +89,7 @@ def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> N
     crowd = crowd_at(cache, FRAMES)
     above = make_view(Camera((0.0, 30.0, 30.0), (0.0, 0.0, 0.0)), 2560, 1440, (0.0, 1.0, 0.0))
     picture = replace(Gallery(cache).make_picture(FRAMES), items=())
-    drawn_actors = make_actors(picture, above)
+    drawn_actors = make_actors(picture, Shutter(above, above, above))
     count = len(crowd.body.tint_weights) if crowd.body else 0
     assert len(drawn_actors.mesh.vertices) == count * len(crowd.position) and len(drawn_actors.rays) == 1
     turn = build_rotation_matrices(crowd.orient)
@@ -151,7 +152,7 @@ def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> No
         for end in (np.min, np.max):
             assert np.abs(end(fine[:, :, k], axis=1) - end(rough[:, :, k], axis=1)).max() < 0.05
     far = make_view(Camera((0.0, 90.0, 90.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
-    drawn_actors = make_actors(replace(Gallery(cache).make_picture(FRAMES), items=()), far)
+    drawn_actors = make_actors(replace(Gallery(cache).make_picture(FRAMES), items=()), Shutter(far, far, far))
     assert len(drawn_actors.mesh.faces) == len(crowd.body.coarse_body.faces) * len(crowd.position)
 
 

@@ -82,7 +82,7 @@ crowd:
     place: {on: ground, clumps: {number: 2, radius: 20 mm}}
   - {species: walker, from: walker.ant, count: 2, place: {in: {from: [-20, 0, -20], to: [20, 5, 30]}}}
 cameras:
-  wide: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm}
+  wide: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm, f_stop: 8, focus: 20 mm}
   chase: {follow: rows.1, by: [10, 20, 30], smooth: 0.5 s}
 notes:
   - {hold: rows.0, frames: 1..2, ease: 3, look_at: {head: [1, 2, 3]}, share: 50 %, seed: 3, stagger: {random: 2}}

@@ -76,6 +76,12 @@ def render(
     at: str = typer.Option(None, "--at", metavar="X,Y,Z", help="A camera at this point, in the scene's units, with `--look-at`."),
     look_at: str = typer.Option(None, "--look-at", metavar="X,Y,Z", help="What that camera looks at."),
     focal: float = typer.Option(None, "--focal", min=1.0, max=10_000.0, metavar="MM", help="Another focal length. [default: 35]"),
+    f_stop: float = typer.Option(
+        None, "--f-stop", min=0.0, max=10_000.0, metavar="N", help="Depth of field: focal length by lens diameter; 0 for none."
+    ),
+    focus: float = typer.Option(
+        None, "--focus", min=1e-9, max=1e9, metavar="DISTANCE", help="Distance in focus, in the scene's units. [default: the aim]"
+    ),
     blur: float = typer.Option(
         0.0, "--blur", min=0.0, max=1.0, metavar="SHARE", help="Motion blur: shutter time as a share of a frame."
     ),
@@ -136,6 +142,8 @@ def render(
         at=parse_point(at, "--at"),
         look_at=parse_point(look_at, "--look-at"),
         focal=focal,
+        f_stop=f_stop,
+        focus=focus,
     )
     gallery = _open_gallery(cache, settings)
     check_camera(gallery, settings)

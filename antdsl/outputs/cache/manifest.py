@@ -57,8 +57,7 @@ class MachineEntry(ManifestPart):
 
 
 class FeelersEntry(ManifestPart):
-    """One set of feelers: rays ahead of the agent, up to `spread` radians to each side.
-
+    """Feelers: rays ahead of the agent, up to `spread` radians to each side.
     Each ray is `reach` scene units plus `per_length` body lengths long."""
 
     count: Annotated[int, Field(ge=1, le=64)]
@@ -242,44 +241,45 @@ class EditsEntry(ManifestPart):
     counted_frames: int = 0
 
 
-class CameraEntry(ManifestPart):
-    """A camera: points in scene units, focal length in mm for a sensor 36 mm wide.
+class LensEntry(ManifestPart):
+    """The lens of a camera. `focal`: in mm for a sensor 36 mm wide. `focus`: a distance in scene units, or an agent."""
 
-    `moves`: whether `static.npz` has the camera at each frame."""
+    focal: float | None = None
+    f_stop: Annotated[float, Field(gt=0)] | None = None
+    focus: Annotated[float, Field(gt=0)] | Word | None = None
+
+
+class CameraEntry(LensEntry):
+    """A camera, with points in scene units. `moves`: whether `static.npz` has the camera at each frame."""
 
     at: Triple
     look_at: Triple
-    focal: float | None
     up: Triple | None = None
     moves: bool = False
 
 
-class FollowEntry(ManifestPart):
-    """A camera that follows an agent (`follow`, named as in the scene).
+class FollowEntry(LensEntry):
+    """A camera that follows an agent, at the displacement `by` in scene units, or close to it.
 
-    `by`: the displacement from the agent to the camera in scene units; None for a close camera.
     `smooth`: the time in seconds over which the agent's motion is averaged, before and after a frame."""
 
     follow: Word
     by: Triple | None = None
     smooth: float | None = None
-    focal: float | None = None
 
 
 AnyCameraEntry = CameraEntry | FollowEntry | Literal["fit"]  # `fit`: one that holds the crowd in the frames that are drawn
 
 
 def make_camera_array_name(camera: str, part: str) -> str:
-    """Return the name of an array of `static.npz` with a moving camera's `part` at each frame. `part`: a word of
-    `CAMERA_PARTS`."""
+    """Return the name of an array of `static.npz` with a moving camera's `part` (of `CAMERA_PARTS`) at each frame."""
     return f"camera.{part}" if camera == DEFAULT_CAMERA else f"camera.{camera}.{part}"
 
 
 class Provenance(ManifestPart):
     """The environment in which a cache was made. Readers do not depend on it.
 
-    `sources`: a hash of antdsl's own files.
-    `command`: the command that makes the same frames.
+    `sources`: a hash of antdsl's own files. `command`: the command that makes the same frames.
     Versions are empty for packages that are not installed."""
 
     sources: Word

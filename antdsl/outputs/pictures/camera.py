@@ -1,6 +1,6 @@
 """A camera with its rays and its projection."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians, tan
 from typing import Any
 
@@ -22,7 +22,8 @@ class CameraView:
     `right_axis`, `up_axis`, `forward_axis`: unit axes.
     `half_extent`: the tangents of half the angle of view across width and height. If `is_parallel`, half the width and height in
         world units.
-    `is_parallel`: whether rays are parallel."""
+    `is_parallel`: whether rays are parallel.
+    `aperture`: the diameter of the lens in world units, 0 for a pinhole. `focus`: the distance ahead that is in focus."""
 
     eye: Array
     right_axis: Array
@@ -32,6 +33,31 @@ class CameraView:
     width: int
     height: int
     is_parallel: bool = False
+    aperture: float = 0.0
+    focus: float = 1.0
+
+    def interpolate(self, other: "CameraView", share: float) -> "CameraView":
+        """Return the view between this one and another one of the same size; `share` is that of the other one."""
+
+        def mix(first: Any, second: Any) -> Any:
+            return first * (1 - share) + second * share
+
+        forward = mix(self.forward_axis, other.forward_axis)
+        forward /= np.linalg.norm(forward)
+        right = mix(self.right_axis, other.right_axis)
+        right -= forward * float(right @ forward)
+        right /= np.linalg.norm(right)
+        wide, high = (mix(a, b) for a, b in zip(self.half_extent, other.half_extent, strict=True))
+        return replace(
+            self,
+            eye=mix(self.eye, other.eye),
+            right_axis=right,
+            up_axis=np.cross(right, forward),
+            forward_axis=forward,
+            half_extent=(wide, high),
+            aperture=mix(self.aperture, other.aperture),
+            focus=mix(self.focus, other.focus),
+        )
 
     def make_rays(self, pixels: NDArray[np.int64], pixel_x: float = 0.5, pixel_y: float = 0.5) -> tuple[Array, Floats]:
         """Return ray origins, (n, 3) or (3,), and unit directions float32 (n, 3), for pixels (n,) counted row by row.
@@ -64,6 +90,14 @@ class CameraView:
         offset = np.asarray(points, np.float64) - self.eye
         return np.asarray(offset @ self.forward_axis if self.is_parallel else np.linalg.norm(offset, axis=1))
 
+    def compute_depths(self, distances: Floats) -> Floats:
+        """Return how far ahead of the camera the points at `distances` (h · w,) along the rays of all pixels are."""
+        if self.is_parallel:
+            return distances
+        x = ((np.arange(self.width) + 0.5) / self.width * 2 - 1) * self.half_extent[0]
+        y = (1 - (np.arange(self.height) + 0.5) / self.height * 2) * self.half_extent[1]
+        return np.asarray(distances / np.sqrt(1 + x * x + (y * y)[:, None]).reshape(-1))
+
     def compute_pixel_size(self, depth: Any) -> Any:
         """Return the edge length of a pixel, in world units, at the distance `depth` ahead, a number or an array."""
         return (0.0 * depth + 1.0 if self.is_parallel else depth) * (2 * self.half_extent[0] / self.width)
@@ -79,7 +113,10 @@ def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, f
     else:
         across = tan(radians(min(max(camera.fov, 1.0), 170.0)) / 2) if camera.fov is not None else 18.0 / max(camera.focal, 1.0)
     half = (across, across * height / width)
-    return CameraView(eye, right, top, ahead, half, width, height, camera.parallel_width is not None)
+    is_parallel = camera.parallel_width is not None
+    focus = float(np.linalg.norm(np.subtract(camera.look_at, camera.at))) if camera.focus is None else camera.focus
+    aperture = 0.0 if is_parallel else camera.aperture
+    return CameraView(eye, right, top, ahead, half, width, height, is_parallel, aperture, max(focus, 1e-9))
 
 
 def to_tuple(values: Array) -> tuple[float, float, float]:

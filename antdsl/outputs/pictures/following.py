@@ -175,7 +175,9 @@ class FollowingCamera:
             aim = aim - _EYE_AIM * self.body.longest * level
         if self.rise is not None and self.nearness is not None:
             eye = aim + (eye + self.rise[row] * top - aim) * self.nearness[row]
-        return Camera(to_tuple(eye), to_tuple(aim), focal=self.focal, up=to_tuple(top))
+        # The centre of the body is in focus; the aim of a camera at eye level is ahead of it.
+        sharp = (place + self.body.height / 2 * up - eye) @ (aim - eye) / max(float(np.linalg.norm(aim - eye)), 1e-12)
+        return Camera(to_tuple(eye), to_tuple(aim), focal=self.focal, up=to_tuple(top), focus=max(float(sharp), 1e-9))
 
     def raise_eye(self, heights: Array, shares: Array) -> FollowingCamera:
         """Return a camera that is raised by at least `heights` (n, 1), and at most at the shares `shares` (n, 1) of its distance.

@@ -163,11 +163,13 @@ class FlowArrows:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera with a sensor 36 mm wide.
+    """A camera with a sensor 36 mm wide.
 
     `focal`: focal length in mm.
     `fov`: angle of view across the width in degrees; if set, it overrides `focal`.
-    `parallel_width`: if set, rays are parallel, and the picture is this wide in world units."""
+    `parallel_width`: if set, rays are parallel, and the picture is this wide in world units.
+    `aperture`: the diameter of the lens in world units; 0 for a pinhole, with which everything is sharp.
+    `focus`: the distance ahead that is in focus, in world units; None for that of `look_at`."""
 
     at: tuple[float, float, float]
     look_at: tuple[float, float, float]
@@ -175,6 +177,8 @@ class Camera:
     fov: float | None = None
     up: tuple[float, float, float] | None = None
     parallel_width: float | None = None
+    aperture: float = 0.0
+    focus: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

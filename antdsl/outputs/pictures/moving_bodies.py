@@ -12,6 +12,7 @@ from antdsl.bodies.shapes import build_item_mesh
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.numerics.records import take_rows
 from antdsl.outputs.pictures import surface_materials
+from antdsl.outputs.pictures.blur.shutter import Shutter
 from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.light import SunLight, decode_srgb
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
@@ -24,7 +25,6 @@ Array = NDArray[np.float64]
 CLOSE_BODY_PIXELS = 60.0  # pixels of body length; from this length on, the close-up body is drawn
 DISTANT_BODY_PIXELS = 18.0  # pixels of body length; shorter bodies are drawn with few triangles
 MAX_CLOSE_BODIES = 1200  # maximum number of close-up bodies; the largest come first
-MAX_SHUTTER_TIMES = 12
 METAL_GLOSS, LIGHT_GLOSS = 1.5, -1.0  # special values of gloss
 MAX_CLOSE_TRIANGLES = 1_000_000  # maximum number of triangles in close-up bodies of one definition
 _SHADOW_MAP_CELLS = 2048  # cells along each side of the shadow map
@@ -37,13 +37,15 @@ class ActorMesh:
     """One or more bodies at one time, as a single mesh.
 
     `vertices` (n, 3), `faces` (m, 3). `normal` (n, 3): unit normals. `colour` (n, 3): linear colours. `gloss` (n,): 0 (dull) to
-    1. METAL_GLOSS, above 1, means metal. LIGHT_GLOSS, below 0, means a light source."""
+    1. METAL_GLOSS, above 1, means metal. LIGHT_GLOSS, below 0, means a light source.
+    `motion` (n, 3): the displacement of the vertices until the next frame."""
 
     vertices: Array
     faces: NDArray[np.int32]
     normal: Floats
     colour: Floats
     gloss: Floats
+    motion: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +65,11 @@ class BodyMesh:
     colour: Floats
     gloss: Floats
 
+    @property
+    def is_moving(self) -> bool:
+        """Return whether the bodies move until the next frame."""
+        return self.next_frame is not None and self.local_vertices.size > 0
+
     def compute_vertices(self, time_offset: float) -> Array:
         """Return the vertices (b, v, 3) at `time_offset` frames after the picture's frame. Each vertex moves in a straight
         line."""
@@ -71,12 +78,19 @@ class BodyMesh:
         local = self.local_vertices + (self.next_frame[0] - self.local_vertices) * np.float32(time_offset)
         return np.asarray(local + (self.positions + (self.next_frame[1] - self.positions) * time_offset)[:, None])
 
+    def compute_motion(self) -> Floats:
+        """Return the displacement (b · v, 3) of the vertices until the next frame."""
+        if self.next_frame is None:
+            return np.zeros((self.local_vertices.shape[0] * self.local_vertices.shape[1], 3), np.float32)
+        shift = (self.next_frame[1] - self.positions).astype(np.float32)
+        return np.asarray(self.next_frame[0] - self.local_vertices + shift[:, None]).reshape(-1, 3)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneActors:
     """Everything that moves in a frame.
 
-    `rays`: a ray scene for each shutter time.
+    `times`: the shutter times, in frames after the picture's frame. `rays`: a ray scene for each of them.
     `lamp_occluders`: the same ray scenes without items that emit light, because a lamp's post does not hide its light.
     `mesh`: the bodies at the middle of the shutter times. `near_pixels` bool (h · w,): pixels in which a body may be visible.
         `tiny_body_pixels` bool (h · w,): pixels with a body so small that rays through pixel centres may miss it.
@@ -94,6 +108,7 @@ class SceneActors:
     contact_reach: float
     soft_edge_reach: float
     boxes: tuple[Array, Array]
+    times: tuple[float, ...]
 
     def find_shadable_points(self, points: Floats, sun: SunLight, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
         """Return, for each of `reaches`, whether each point (n, 3) may be in the shadow of a box.
@@ -127,24 +142,22 @@ class SceneActors:
 
 def make_actors(
     picture: Picture,
-    view: CameraView,
+    shutter: Shutter,
     min_body_pixels: float = 0.0,
     ground: StaticSetting | None = None,
-    blur: float = 0.0,
     max_enlargement: float = 3.0,
 ) -> SceneActors:
     """Return everything in `picture` that moves, without invisible agents.
 
-    Large agents in `view` use close-up bodies, and agents of a few pixels use few triangles.
+    Large agents in the picture use close-up bodies, and agents of a few pixels use few triangles.
     `min_body_pixels`: shorter bodies are enlarged to this length in pixels, by a factor of at most `max_enlargement`.
-    `ground`: the static surfaces to which loose soil is fitted.
-    `blur`: the share of a frame for which the shutter is open."""
+    `ground`: the static surfaces to which loose soil is fitted."""
     parts: list[BodyMesh] = []
     lamps: list[BodyMesh] = []
     longest = 0.0
     for crowd in picture.crowds:
         if len(crowd.position):
-            parts += _pose_crowd(crowd, view, min_body_pixels, max_enlargement)
+            parts += _pose_crowd(crowd, shutter.middle, min_body_pixels, max_enlargement)
             longest = max(longest, float(np.max(crowd.scale)))
     for item in picture.items:
         if item.shape != "none" and item.remaining_share > 0 and item.radius > 0:
@@ -155,9 +168,9 @@ def make_actors(
             (lamps if is_lamp_look(item.look) else parts).append(part)
     without_lamps, parts = parts, parts + lamps
     widest = max((item.radius for item in picture.items), default=0.0)
-    moments = _choose_shutter_times(parts, view, blur)
-    meshes = [_join_parts(parts, time_offset) for time_offset in moments]
-    boxes = _compute_boxes(parts, blur)
+    moments = shutter.choose_times(list(parts))
+    meshes = [_join_parts(parts, time_offset, number == len(moments) // 2) for number, time_offset in enumerate(moments)]
+    boxes = _compute_boxes(parts, shutter.open_frames)
     rays = occluders = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in meshes)
     if lamps:
         dark = (_join_parts(without_lamps, time_offset) for time_offset in moments)
@@ -165,31 +178,15 @@ def make_actors(
     mesh = meshes[len(meshes) // 2]
     tall, size = max(20 * longest, 8 * widest), max(longest, 0.3 * widest) if parts else 0.0
     throw = 20 * longest if longest > 0 else tall
-    return SceneActors(rays, occluders, mesh, *_find_covered_pixels(boxes, view), tall, size, throw, boxes)
+    return SceneActors(rays, occluders, mesh, *_find_covered_pixels(boxes, shutter), tall, size, throw, boxes, tuple(moments))
 
 
-def _choose_shutter_times(parts: list[BodyMesh], view: CameraView, blur: float) -> list[float]:
-    """Return the times at which the open shutter is sampled, in frames after the picture's frame.
-
-    There is about one time per 1.5 pixels of the longest motion."""
-    if blur <= 0:
-        return [0.0]
-    longest = 0.0
-    for part in parts:
-        if part.next_frame is not None and part.local_vertices.size:
-            ends = [part.compute_vertices(time_offset)[:, ::7].reshape(-1, 3) for time_offset in (0.0, blur)]
-            (a, first), (b, last) = (view.project(end) for end in ends)
-            displacement = np.linalg.norm(b - a, axis=1)[(first > 0) & (last > 0)]
-            longest = max(longest, float(np.quantile(displacement, 0.99)) if len(displacement) else 0.0)
-    count = int(np.clip(np.ceil(longest / 1.5), 1, MAX_SHUTTER_TIMES))
-    return [blur * (k + 0.5) / count for k in range(count)]
-
-
-def _join_parts(parts: list[BodyMesh], time_offset: float) -> ActorMesh:
-    """Return all bodies as one mesh, at `time_offset` frames after the picture's frame."""
+def _join_parts(parts: list[BodyMesh], time_offset: float, has_motion: bool = False) -> ActorMesh:
+    """Return all bodies as one mesh, at `time_offset` frames after the picture's frame. Its motion is empty without
+    `has_motion`."""
     if not parts:
         none = np.zeros((0, 3), np.float32)
-        return ActorMesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
+        return ActorMesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0], none)
     points = [part.compute_vertices(time_offset).reshape(-1, 3) for part in parts]
     starts = np.cumsum([0] + [len(each) for each in points])
     return ActorMesh(
@@ -198,6 +195,7 @@ def _join_parts(parts: list[BodyMesh], time_offset: float) -> ActorMesh:
         np.concatenate([part.normal for part in parts]),
         np.concatenate([part.colour for part in parts]),
         np.concatenate([part.gloss for part in parts]),
+        np.concatenate([part.compute_motion() for part in parts]) if has_motion else np.zeros((0, 3), np.float32),
     )
 
 
@@ -214,14 +212,17 @@ def _compute_boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
     return np.concatenate(lows), np.concatenate(highs)
 
 
-def _find_covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _find_covered_pixels(boxes: tuple[Array, Array], shutter: Shutter) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return the pixels (h · w,) in which a box may be visible, and those in which a box of only a few pixels may be visible.
 
     Rays through pixel centres may miss such small boxes."""
-    high, wide = view.height, view.width
+    high, wide = shutter.middle.height, shutter.middle.width
     corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # shape (8, 3, b)
-    pixels, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
-    pixels, ahead = pixels.reshape(-1, 8, 2), ahead.reshape(-1, 8)
+    points = np.moveaxis(corners, 2, 0).reshape(-1, 3)
+    views = (shutter.first, shutter.last) if shutter.has_camera_motion else (shutter.middle,)
+    shown = [view.project(points) for view in views]
+    pixels = np.concatenate([each.reshape(-1, 8, 2) for each, _ in shown], axis=1)
+    ahead = np.concatenate([each.reshape(-1, 8) for _, each in shown], axis=1)
     low, high_ = pixels.min(axis=1), pixels.max(axis=1)
     # A box that reaches behind the camera may cover any pixel.
     around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
@@ -338,7 +339,8 @@ def make_item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSet
     if item.shape == "mound" and ground is not None:
         points += _find_ground_heights(points, np.asarray(item.position, np.float64), upward[0], size, ground)[:, None] * upward
     shade, gloss = _find_item_material(item, decode_srgb(colour))
-    return ActorMesh(points, faces, compute_vertex_normals(points, faces), shade, np.full(len(points), gloss, np.float32))
+    normal, still = compute_vertex_normals(points, faces), np.zeros(points.shape, np.float32)
+    return ActorMesh(points, faces, normal, shade, np.full(len(points), gloss, np.float32), still)
 
 
 def _find_item_material(item: Item, colour: Floats) -> tuple[Floats, float]:

@@ -1,11 +1,12 @@
 """The samples of a picture: one per pixel, then more for pixels with an edge or a moving body (Mitchell, SIGGRAPH 1987)."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureHits
+from antdsl.outputs.pictures.blur.depth_of_field import PictureLayer
 from antdsl.outputs.pictures.lamps import compute_lamp_light
 from antdsl.outputs.pictures.light import SUN_HALF_ANGLE_TANGENT, apply_tone_curve
 from antdsl.outputs.pictures.shading import PictureLighting, compute_moving_light, compute_static_light, compute_sun_visibility
@@ -27,14 +28,13 @@ class FirstPass:
     """The results of one sample at the centre of each pixel.
 
     `light` (h · w, 3): display-linear light. `background_light` (h · w, 3): the light without moving bodies. `open_share` (h ·
-    w,): the unoccluded share of the hemisphere above the surface. `covered_pixels` (h · w,): whether a moving body is in front.
-    `moving_pixels` (h · w,): whether a moving body is in front at any shutter time, or a tiny one may be there."""
+    w,): the unoccluded share of the hemisphere above the surface. `body_distance` (h · w,): the distance of a moving body in
+    front, infinite without one."""
 
     light: Floats
     background_light: Floats
     open_share: Floats
-    covered_pixels: NDArray[np.bool_]
-    moving_pixels: NDArray[np.bool_]
+    body_distance: Floats
 
 
 def sample_centres(static_stage: StaticStage, lighting: PictureLighting, dyes: FieldColours) -> FirstPass:
@@ -71,25 +71,18 @@ def sample_centres(static_stage: StaticStage, lighting: PictureLighting, dyes: F
 
     run_each(fill_pixels, split_rows(len(samples)), threads)
     light = behind.copy()
-    front, swept = np.zeros(len(samples), np.bool_), cast.tiny_body_pixels.copy()
-    near = np.flatnonzero(cast.near_pixels)
-    every = [
-        find_moving_hits(static_stage, lighting, near, samples.distance[near], (0.5, 0.5), time_index)
-        for time_index in range(len(cast.rays))
-    ]
-    hit_rows, hits = every[len(every) // 2]
-    rows = near[hit_rows]
-    front[rows] = True
-    if len(every) > 1:
-        for other, _ in every:
-            swept[near[other]] = True
-    start, direction = static_stage.view.make_rays(rows)
-    place = np.broadcast_to(start, direction.shape).astype(np.float32)
-    for own in split_rows(len(rows)):
-        part = _select_hits(hits, own)
-        lit = compute_moving_light(lighting, part, place[own], direction[own], len(every) // 2, lighting.sun.direction)
-        light[rows[own]] = apply_tone_curve(lit)
-    return FirstPass(light, behind, opened, front, swept)
+    body_distance = np.full(len(samples), np.inf, np.float32)
+    if lighting.shutter.open_frames <= 0:
+        near = np.flatnonzero(cast.near_pixels)
+        hit_rows, hits = find_moving_hits(static_stage, lighting, near, samples.distance[near], (0.5, 0.5))
+        rows = near[hit_rows]
+        body_distance[rows] = hits.t
+        start, direction = static_stage.view.make_rays(rows)
+        place = np.broadcast_to(start, direction.shape).astype(np.float32)
+        for own in split_rows(len(rows)):
+            lit = compute_moving_light(lighting, hits.select(own), place[own], direction[own], 0, lighting.sun.direction)
+            light[rows[own]] = apply_tone_curve(lit)
+    return FirstPass(light, behind, opened, body_distance)
 
 
 def _compute_lamp_light(static_stage: StaticStage, lighting: PictureLighting) -> Floats | None:
@@ -114,53 +107,54 @@ def find_moving_hits(
     pixels: Rows,
     max_distances: Floats,
     position_in_pixel: tuple[float, float],
-    time_index: int,
 ) -> tuple[Rows, PictureHits]:
-    """Return the rows of the rays that hit a moving body nearer than `max_distances` at one shutter time, and these hits.
+    """Return the rows of the rays that hit a moving body nearer than `max_distances`, and these hits.
 
     `position_in_pixel`: the position of a ray in its pixel, as shares from the upper left corner."""
     start, direction = static_stage.view.make_rays(pixels, *position_in_pixel)
-    hits = lighting.actors.rays[time_index].find_first_hits(start, direction, lighting.threads)
+    hits = lighting.actors.rays[0].find_first_hits(start, direction, lighting.threads)
     rows = np.flatnonzero(hits.t < max_distances)
-    return rows, _select_hits(hits, rows)
-
-
-def _select_hits(hits: PictureHits, rows: Rows | slice) -> PictureHits:
-    """Return the hits in `rows`."""
-    return PictureHits(*(getattr(hits, each.name)[rows] for each in fields(PictureHits)))
+    return rows, hits.select(rows)
 
 
 def refine_pixels(
-    static_stage: StaticStage, lighting: PictureLighting, dyes: FieldColours, first: FirstPass, max_samples: int
-) -> Floats:
-    """Return the display-linear light (h · w, 3) of all pixels.
+    static_stage: StaticStage, lighting: PictureLighting, dyes: FieldColours, first: FirstPass, samples: int
+) -> tuple[PictureLayer, PictureLayer]:
+    """Return the layers of static surfaces and of moving bodies. With an open shutter, there are no bodies.
 
-    Pixels with edges or motion have the mean of several samples, at most `max_samples`. Other pixels have the light of
-    `first`."""
-    light = first.light.copy()
-    pixels = _find_unsettled_pixels(static_stage, first)
-    if max_samples == 1 or not len(pixels):
-        return light
-    moments = len(lighting.actors.rays)
-    count = int(
-        np.clip(_MEAN_SAMPLES_PER_PIXEL * len(light) / len(pixels), _MIN_REFINED_SAMPLES if moments == 1 else 8, max_samples)
+    Pixels with edges have the mean of several samples, at most 2 · `samples`². Other pixels have the light of `first`."""
+    is_body, max_samples = np.isfinite(first.body_distance), 2 * samples**2 if samples > 1 else 1
+    static = PictureLayer(first.background_light.copy(), np.ones(len(is_body), np.float32), static_stage.centre_samples.distance)
+    bodies = PictureLayer(np.where(is_body[:, None], first.light, np.float32(0)), is_body.astype(np.float32), first.body_distance)
+    is_sharp = lighting.shutter.open_frames <= 0
+    pixels = (
+        _find_unsettled_pixels(static_stage, first, lighting.actors.tiny_body_pixels) if is_sharp else static_stage.edge_pixels
     )
-    count = max(count, min(moments, max_samples))
+    if max_samples == 1 or not len(pixels):
+        return static, bodies
+    if lighting.shutter.has_camera_motion:  # the edges are blurred anyway
+        max_samples = _MIN_REFINED_SAMPLES
+    count = int(np.clip(_MEAN_SAMPLES_PER_PIXEL * len(is_body) / len(pixels), _MIN_REFINED_SAMPLES, max_samples))
     spots = lighting.sun.sample_disc(count)
     at_edge = static_stage.grid.is_edge[pixels]
-    edges, others = np.flatnonzero(at_edge), np.flatnonzero(~at_edge)
-    total = np.zeros((len(pixels), 3), np.float32)
-    # Shutter times have a different order than positions in the pixel.
-    order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
-    for number, time_index in enumerate(order.tolist()):
-        one = _EdgeSample(static_stage, lighting, compute_pixel_offset(number, count), time_index, spots[number], number, count)
-        total[edges] += one.compute_light(dyes, first, static_stage.sample_edges(number, count, lighting.threads))
-        # Where the surface continues, the static light of the pixel's centre is used.
-        total[others] += one.add_moving_light(
-            pixels[others], static_stage.centre_samples.distance[pixels[others]], first.background_light[pixels[others]]
+    edges, others = np.flatnonzero(at_edge), pixels[~at_edge]
+    edge_light, body_sums = np.zeros((len(edges), 3), np.float32), np.zeros((len(is_body), 5), np.float32)
+    times = len(lighting.actors.times)
+    for number in range(count):
+        one = _EdgeSample(
+            static_stage, lighting, compute_pixel_offset(number, count), number * times // count, spots[number], number, count
         )
-    light[pixels] = total / count
-    return light
+        at_edges = static_stage.sample_edges(number, count, lighting.threads)
+        edge_light += one.compute_light(dyes, first, at_edges)
+        if is_sharp:
+            one.add_bodies(at_edges.pixel, at_edges.distance, body_sums)
+            # Where the surface continues, the static light of the pixel's centre is used.
+            one.add_bodies(others, static_stage.centre_samples.distance[others], body_sums)
+    static.light[pixels[edges]] = edge_light / count
+    own = body_sums[pixels]
+    bodies.light[pixels], bodies.cover[pixels] = own[:, :3] / count, own[:, 3] / count
+    bodies.distance[pixels] = own[:, 4] / np.maximum(own[:, 3], 1e-6)
+    return static, bodies
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +173,7 @@ class _EdgeSample:
     count: int
 
     def compute_light(self, dyes: FieldColours, first: FirstPass, samples: SurfaceSamples) -> Floats:
-        """Return display-linear light (n, 3) of samples of static surfaces, and of moving bodies in front of them."""
+        """Return display-linear light (n, 3) of samples of static surfaces."""
         visible = compute_sun_visibility(self.lighting, samples, self.time_index, self.sun_point)
         shot, lamps = self.lighting, None
         if shot.lamps:
@@ -187,35 +181,34 @@ class _EdgeSample:
             lamps = compute_lamp_light(
                 shot.lamps, samples.point, samples.normal, shot.ray_offset, occluders, self.number, self.count, shot.threads
             )
-        light = compute_static_light(
-            shot, samples, slice(None), dyes.colour_samples(samples), visible, first.open_share[samples.pixel], lamps
-        )
-        return self.add_moving_light(samples.pixel, samples.distance, apply_tone_curve(light))
-
-    def add_moving_light(self, pixels: Rows, max_distances: Floats, light: Floats) -> Floats:
-        """Return `light` (n, 3) of pixels, replaced where a moving body is nearer than the static surface at `max_distances`
-        (n,)."""
-        near = np.flatnonzero(self.lighting.actors.near_pixels[pixels])
-        rows, hits = find_moving_hits(
-            self.stage, self.lighting, pixels[near], max_distances[near], self.position_in_pixel, self.time_index
-        )
-        if len(rows):
-            start, direction = self.stage.view.make_rays(pixels[near[rows]], *self.position_in_pixel)
-            begin = np.broadcast_to(start, direction.shape).astype(np.float32)
-            light = light.copy()
-            light[near[rows]] = apply_tone_curve(
-                compute_moving_light(self.lighting, hits, begin, direction, self.time_index, self.sun_point)
+        return apply_tone_curve(
+            compute_static_light(
+                shot, samples, slice(None), dyes.colour_samples(samples), visible, first.open_share[samples.pixel], lamps
             )
-        return light
+        )
+
+    def add_bodies(self, pixels: Rows, max_distances: Floats, sums: Floats) -> None:
+        """Add moving bodies to `sums` (h · w, 5): light, a count and the distance.
+
+        `max_distances` (n,): the distances of the static surfaces at `pixels`, which hide bodies behind them."""
+        near = np.flatnonzero(self.lighting.actors.near_pixels[pixels])
+        rows, hits = find_moving_hits(self.stage, self.lighting, pixels[near], max_distances[near], self.position_in_pixel)
+        if len(rows):
+            own = pixels[near[rows]]
+            start, direction = self.stage.view.make_rays(own, *self.position_in_pixel)
+            begin = np.broadcast_to(start, direction.shape).astype(np.float32)
+            light = compute_moving_light(self.lighting, hits, begin, direction, 0, self.sun_point)
+            ones = np.ones((len(own), 1), np.float32)
+            sums[own] += np.concatenate([apply_tone_curve(light), ones, hits.t[:, None]], axis=1)
 
 
-def _find_unsettled_pixels(static_stage: StaticStage, first: FirstPass) -> Rows:
+def _find_unsettled_pixels(static_stage: StaticStage, first: FirstPass, tiny_body_pixels: NDArray[np.bool_]) -> Rows:
     """Return the pixels that need more samples.
 
-    These are pixels in which surfaces meet or a body moves, and pixels of a body that differ from their neighbours."""
+    These are pixels in which surfaces meet or a tiny body may be, and pixels of a body that differ from their neighbours."""
     high, wide = static_stage.view.height, static_stage.view.width
-    unsettled = first.moving_pixels.copy().reshape(high, wide)
-    front = first.covered_pixels.reshape(high, wide)
+    unsettled = tiny_body_pixels.copy().reshape(high, wide)
+    front = np.isfinite(first.body_distance).reshape(high, wide)
     brightness = np.sqrt(first.light @ np.array([0.3, 0.6, 0.1], np.float32)).reshape(high, wide)
     for one_side, other_side in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         step = (front[one_side] | front[other_side]) & (

@@ -10,7 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.camera import CameraView, make_view
+from antdsl.outputs.pictures.blur.depth_of_field import blur_layers, compose_layers
+from antdsl.outputs.pictures.blur.motion_blur import smear_bodies, smear_surfaces
+from antdsl.outputs.pictures.blur.shutter import make_shutter
+from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.lamps import find_lamps
 from antdsl.outputs.pictures.light import SunLight, encode_srgb, make_sun
 from antdsl.outputs.pictures.model import Camera, Picture
@@ -73,25 +76,29 @@ class Renderer:
         self._cached_settings: list[tuple[tuple[int, ...], StaticSetting, tuple[object, ...]]] = []
         self._cached_stages: dict[tuple[object, ...], _CameraCache] = {}
 
-    def draw(self, picture: Picture, camera: Camera, *, show: Iterable[str] = ("trail",)) -> Image:
+    def draw(
+        self, picture: Picture, camera: Camera, *, show: Iterable[str] = ("trail",), next_camera: Camera | None = None
+    ) -> Image:
         """Return the picture as sRGB bytes (height, width, 3).
 
-        `show`: words of DISPLAY_OPTIONS. Raises ValueError for another word."""
+        `show`: words of DISPLAY_OPTIONS. `next_camera`: the camera in the next frame, for motion blur; None for the same one.
+        Raises ValueError for another word."""
         options = tuple(show)
         wrong = [word for word in options if word not in DISPLAY_OPTIONS]
         if wrong:
             raise ValueError(f"cannot show `{wrong[0]}`: there are {', '.join(DISPLAY_OPTIONS)}")
         up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
         sun = make_sun(up, picture.light)
-        camera_view = make_view(camera, self.width, self.height, picture.up)
+        shutter = make_shutter(picture, camera, next_camera, (self.width, self.height), self.blur)
+        camera_view = shutter.middle
         still = self._get_setting(picture, up)
         scales = PictureScales(still.extent, _choose_grain(picture, still.extent))
-        camera_cache = self._get_camera_cache(picture, camera, still, camera_view, sun, scales)
+        camera_cache = self._get_camera_cache(picture, (camera, next_camera), still, camera_view, sun, scales)
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
-        cast = make_actors(bodied, camera_view, self.least, still, self.blur, self.enlarged)
+        cast = make_actors(bodied, shutter, self.least, still, self.enlarged)
         camera_cache.field_colours.set_trails(picture.trails if "trail" in options else ())
         lamps = find_lamps(picture.items, picture.up, picture.light.lamps)
-        lighting = PictureLighting(cast, still.rays, sun, scales, camera_view, self.threads, lamps)
+        lighting = PictureLighting(cast, still.rays, sun, scales, camera_view, self.threads, shutter, lamps)
         image = self._compute_image(camera_cache, cast, lighting)
         return draw_overlay(
             image,
@@ -117,14 +124,15 @@ class Renderer:
     def _get_camera_cache(
         self,
         picture: Picture,
-        camera: Camera,
+        cameras: tuple[Camera, Camera | None],
         setting: StaticSetting,
         camera_view: CameraView,
         sun: SunLight,
         scales: PictureScales,
     ) -> _CameraCache:
-        """Return the cached samples for a camera, which are computed at its first use."""
-        key = (id(setting), camera, picture.up, picture.light, scales)
+        """Return the cached samples for a camera, which are computed at its first use. `cameras`: those of the picture's frame
+        and of the next one."""
+        key = (id(setting), cameras, picture.up, picture.light, scales)
         if key not in self._cached_stages:
             new_stage = make_stage(setting, camera_view, sun, scales, self.threads)
             # The samples of two cameras stay cached, for films that alternate between them.
@@ -135,11 +143,18 @@ class Renderer:
         return self._cached_stages[key]
 
     def _compute_image(self, camera_cache: _CameraCache, actors: SceneActors, lighting: PictureLighting) -> Image:
-        """Return the picture as sRGB bytes: one sample per pixel, then more samples at edges and moving bodies."""
-        still = camera_cache.stage
+        """Return the picture as sRGB bytes: one sample per pixel, then more samples at edges and moving bodies, then blur."""
+        still, shutter = camera_cache.stage, lighting.shutter
         first = sample_centres(still, lighting, camera_cache.field_colours)
-        most = 2 * self.samples**2 * (2 if len(actors.rays) > 1 else 1) if self.samples > 1 else 1
-        light = refine_pixels(still, lighting, camera_cache.field_colours, first, most)
+        static, bodies = refine_pixels(still, lighting, camera_cache.field_colours, first, self.samples)
+        if shutter.open_frames > 0:
+            bodies = smear_bodies(lighting)
+        if shutter.has_camera_motion:
+            static = smear_surfaces(still, lighting, static.light)
+        if lighting.view.aperture > 0:
+            light = blur_layers(lighting.view, static, bodies, self.threads)
+        else:
+            light = compose_layers(static, bodies)
         return encode_srgb(light.reshape(self.height, self.width, 3))
 
 

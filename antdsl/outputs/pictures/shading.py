@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureHits, PictureRays
 from antdsl.outputs.pictures import surface_materials
+from antdsl.outputs.pictures.blur.shutter import Shutter
 from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.lamps import Lamp, compute_lamp_light
 from antdsl.outputs.pictures.light import HEADLAMP_LIGHT, SunLight, apply_haze, compute_ambient_light, compute_sky_light
@@ -26,7 +27,8 @@ _RAY_OFFSET_EXTENTS = 2e-5  # extents; distance of ray origins from a surface
 class PictureLighting:
     """The inputs for the light of a frame.
 
-    `actors`: the moving bodies. `ground`: the rays to static surfaces. `lamps`: items that emit light."""
+    `actors`: the moving bodies. `ground`: the rays to static surfaces. `view`: the camera in the middle of the time for which
+        the `shutter` is open. `lamps`: items that emit light."""
 
     actors: SceneActors
     ground: PictureRays
@@ -34,6 +36,7 @@ class PictureLighting:
     scales: PictureScales
     view: CameraView
     threads: int
+    shutter: Shutter
     lamps: tuple[Lamp, ...] = ()
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 from antdsl.bodies.body import compute_vertex_normals
 from antdsl.bodies.shapes import build_item_mesh
 from antdsl.numerics.vector_rows import normalise_or_fallback
+from antdsl.outputs.cache.manifest import LensEntry
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
@@ -121,6 +122,9 @@ class _CameraWriter:
         camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths_per_mm)
         camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths_per_mm)
         self._clipping_range = camera.CreateClippingRangeAttr()
+        lens = gallery.manifest.named_cameras[name]
+        if isinstance(lens, LensEntry) and lens.f_stop is not None:
+            camera.CreateFStopAttr(lens.f_stop)
         self._transform = stage_output.add_samples(
             camera.AddTransformOp(), lambda rows: import_pxr_module("Gf").Matrix4d(*rows.ravel().tolist())
         )
@@ -139,7 +143,7 @@ class _CameraWriter:
         far = float(np.linalg.norm(np.asarray(camera.look_at) - eye))
         self._transform.set(frame, rows)
         self._focal.set(frame, [camera.focal * self._tenths_per_mm])
-        self._focus_distance.set(frame, [far])
+        self._focus_distance.set(frame, [far if camera.focus is None else camera.focus])
         if not self._has_clipping_range:
             self._clipping_range.Set(import_pxr_module("Gf").Vec2f(far / 1000, far * 1000))
             self._has_clipping_range = True

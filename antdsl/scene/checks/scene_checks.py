@@ -14,7 +14,7 @@ from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
-from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, FollowCamera, UsdCamera
+from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, UsdCamera
 from antdsl.scene.checks.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown_name
 from antdsl.scene.checks.existence_checks import check_absent_species, check_bodies, check_dark_lamps
 from antdsl.scene.checks.shape_checks import list_item_names
@@ -24,7 +24,7 @@ from antdsl.scene.document import PathKey
 from antdsl.scene.field_settings import check_field_dynamics
 from antdsl.scene.load import Scene
 from antdsl.scene.notes.note_checks import check_notes
-from antdsl.scene.notes.selectors import SelectorNames, find_problems
+from antdsl.scene.notes.selectors import AgentName, SelectorNames, find_problems
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
 
@@ -175,9 +175,10 @@ def _check_cameras(scene: Scene, program: Program, report: Report) -> None:
         path = scene.model.find_camera_path(name)
         if isinstance(camera, UsdCamera):
             check_file(scene, report, camera.usd, *path, "usd")
-        if isinstance(camera, FollowCamera):
-            for problem in find_problems(camera.follow, list_selector_names(scene, program)):
-                report.error("unknown-thing", problem.message, scene.span(*path, "follow"), problem.help)
+        for key in ("follow", "focus"):
+            agent = getattr(camera, key, None)
+            for problem in find_problems(agent, list_selector_names(scene, program)) if isinstance(agent, AgentName) else ():
+                report.error("unknown-thing", problem.message, scene.span(*path, key), problem.help)
         if name in CAMERA_VIEWS:
             words = f"`{name}` is a view that every cache has, so no camera of the scene can have this name"
             report.error("duplicate-name", words, scene.span(*path, key=True), "write another name")
