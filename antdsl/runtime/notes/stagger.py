@@ -68,6 +68,8 @@ def _name_delays(key: str, species: str) -> str:
 
 def _compute_delays(world: World, stagger: Stagger, ids: Mapping[str, Delays], known_count: int) -> dict[str, Delays]:
     """Return the delays of agents with these ids, by species. `known_count`: how many agents have one already."""
+    if not ids:
+        return {}
     if stagger.random is not None:
         draws = {name: draw_uniform(world.setting.seed, 0, name, _SITE, 0, own) for name, own in ids.items()}
         return {name: np.floor(own.astype(np.float64) * (stagger.random + 1)).astype(np.int64) for name, own in draws.items()}
