@@ -11,8 +11,10 @@ from antdsl.lsp.features.actions import QuickFix
 from antdsl.lsp.features.expression_completion import CompletionItem
 from antdsl.lsp.features.hints import InlayHint
 from antdsl.lsp.features.outline import FoldedRange, OutlineSymbol
+from antdsl.lsp.features.signatures import Signature
 from antdsl.lsp.text import TextEdit, TextRange, path_to_uri
 from antdsl.lsp.workspace import OpenDocument, Workspace
+from antdsl.program.tables.colours import RgbTriple
 
 DIAGNOSTIC_SOURCE = "antdsl"
 _SYMBOL_KINDS = {
@@ -87,6 +89,29 @@ def to_document_symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.Docu
         entry.detail or None,
         children=[to_document_symbol(document, each) for each in entry.children],
     )
+
+
+def to_workspace_symbol(document: OpenDocument, entry: OutlineSymbol, uri: str) -> lsp.WorkspaceSymbol:
+    """Convert a symbol of the document `uri` for a search in all files."""
+    place = lsp.Location(uri, to_lsp_range(document.find_range(entry.name_span)))
+    return lsp.WorkspaceSymbol(place, entry.name or "…", _SYMBOL_KINDS[entry.kind], container_name=document.path.name)
+
+
+def to_signature(signature: Signature) -> lsp.SignatureInformation:
+    """Convert a signature, with the parameter at the cursor."""
+    parameters = [lsp.ParameterInformation(label) for label in signature.parameters]
+    help = lsp.MarkupContent(lsp.MarkupKind.Markdown, signature.help) if signature.help else None
+    return lsp.SignatureInformation(signature.label, help, parameters, signature.active_parameter)
+
+
+def to_lsp_colour(rgb: RgbTriple) -> lsp.Color:
+    """Convert a colour from 0..255 to 0..1."""
+    return lsp.Color(rgb[0] / 255, rgb[1] / 255, rgb[2] / 255, 1.0)
+
+
+def to_rgb(colour: lsp.Color) -> RgbTriple:
+    """Convert a colour from 0..1 to 0..255."""
+    return round(colour.red * 255), round(colour.green * 255), round(colour.blue * 255)
 
 
 def to_folding_range(region: FoldedRange) -> lsp.FoldingRange:

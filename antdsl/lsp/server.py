@@ -11,96 +11,27 @@ from typing import Any, TypeVar
 
 from lsprotocol import types as lsp
 from pygls.exceptions import JsonRpcInvalidParams
-from pygls.lsp.server import LanguageServer
 
-from antdsl import __version__
 from antdsl.atomic_write import write_parts
 from antdsl.lsp import protocol
-from antdsl.lsp.features import navigation, tokens
-from antdsl.lsp.features.actions import find_quick_fixes
+from antdsl.lsp.features import navigation
 from antdsl.lsp.features.completion import complete_program
 from antdsl.lsp.features.context import is_line_start
-from antdsl.lsp.features.formatting import find_formatting_edits
-from antdsl.lsp.features.hints import find_hints
-from antdsl.lsp.features.outline import find_folds, list_symbols
+from antdsl.lsp.features.signatures import find_signatures
 from antdsl.lsp.features.symbol_help import describe_symbol
+from antdsl.lsp.overviews import register_overviews
 from antdsl.lsp.scene_help import complete_scene
-from antdsl.lsp.text import path_to_uri, uri_to_path
+from antdsl.lsp.session import AntLanguageServer
+from antdsl.lsp.text import uri_to_path
 from antdsl.lsp.word_descriptions import find_scene_key_help
 from antdsl.lsp.word_help import describe_keyword
-from antdsl.lsp.workspace import OpenDocument, Workspace
+from antdsl.lsp.workspace import OpenDocument
 
 T = TypeVar("T")
-_log = logging.getLogger(__name__)
-
-
-class AntLanguageServer(LanguageServer):
-    """The pygls server with the documents of the session. `uris`: the URI of each open document as the editor sent it, because
-    editors expect that URI in answers."""
-
-    def __init__(self) -> None:
-        super().__init__("antdsl", __version__)
-        self.files = Workspace()
-        self.uris: dict[Path, str] = {}
-        self.exited_without_shutdown = False  # whether the editor exited without a shutdown request
-        self.is_shutdown_requested = False
-        self.pending_paths: set[Path] = set()  # documents with findings to report when no other message waits
-
-    def find_path(self, uri: str) -> Path:
-        """Return the path of the file that a URI names. A document that is not saved yet gets a path in the current folder."""
-        file_path = uri_to_path(uri)
-        if file_path is None:
-            name = "".join(c if c.isalnum() or c in "._-" else "_" for c in uri)
-            file_path = Path.cwd() / (name if name.endswith((".ant", ".yaml", ".yml")) else f"{name}.ant")
-        return file_path
-
-    def find_document(self, uri: str) -> OpenDocument | None:
-        """Return the document behind a URI; None if it cannot be read."""
-        return self.files.find_document(self.find_path(uri))
-
-    def make_location(self, target: navigation.NameLocation) -> lsp.Location:
-        """Return a location in the protocol's form."""
-        path = target.document.path
-        return lsp.Location(self.uris.get(path, path_to_uri(path)), protocol.to_lsp_range(target.range))
-
-    def supports_snippets(self) -> bool:
-        """Return whether the editor accepts snippets in completions."""
-        capabilities = self.client_capabilities.text_document
-        completion = capabilities.completion if capabilities is not None else None
-        item = completion.completion_item if completion is not None else None
-        return bool(item is not None and item.snippet_support)
-
-    # --- findings ---
-
-    def schedule_check(self, path: Path) -> None:
-        """Check a file after all pending messages have been read. Then several key presses at once cause only one check."""
-        import asyncio
-
-        self.pending_paths.add(path)
-        asyncio.get_running_loop().call_soon(self._check_pending)
-
-    def _check_pending(self) -> None:
-        """Check all pending files, then the scenes that use them."""
-        waiting, self.pending_paths = self.pending_paths, set()
-        for path in sorted(waiting):
-            self.publish_findings(path)
-        for path in sorted({scene for each in waiting for scene in self.files.find_scenes_using(each)} - waiting):
-            self.publish_findings(path)
-
-    def publish_findings(self, path: Path) -> None:
-        """Publish the findings in an open document."""
-        document = self.files.open_documents.get(path)
-        if document is None or path not in self.uris:
-            return
-        try:
-            diagnostics = [protocol.to_lsp_diagnostic(self.files, document, each) for each in self.files.find_diagnostics(path)]
-        except Exception:  # an internal error must not end an editor's session
-            _log.exception("cannot check %s", path)
-            return
-        self.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(self.uris[path], diagnostics, document.version))
 
 
 language_server = AntLanguageServer()
+register_overviews(language_server)
 
 
 @language_server.feature(lsp.SHUTDOWN)
@@ -236,6 +167,15 @@ def _handle_completion(ls: AntLanguageServer, params: lsp.CompletionParams) -> l
     return _answer_at_position(ls, params, answer)
 
 
+@language_server.feature(lsp.TEXT_DOCUMENT_SIGNATURE_HELP, lsp.SignatureHelpOptions(trigger_characters=["(", ","]))
+def _handle_signature_help(ls: AntLanguageServer, params: lsp.SignatureHelpParams) -> lsp.SignatureHelp | None:
+    def answer(document: OpenDocument, offset: int) -> lsp.SignatureHelp | None:
+        signatures = find_signatures(ls.files, document, offset) if document.is_program else []
+        return lsp.SignatureHelp([protocol.to_signature(each) for each in signatures], 0) if signatures else None
+
+    return _answer_at_position(ls, params, answer)
+
+
 @language_server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
 def _handle_definition(ls: AntLanguageServer, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
     return _answer_at_position(
@@ -290,67 +230,6 @@ def _handle_rename(ls: AntLanguageServer, params: lsp.RenameParams) -> lsp.Works
         return protocol.to_workspace_edit(edits, ls.uris)
 
     return _answer_at_position(ls, params, answer)
-
-
-# --- questions about a document --------------------------------------------------------------------------------------
-
-
-@language_server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_SYMBOL)
-def _handle_document_symbols(ls: AntLanguageServer, params: lsp.DocumentSymbolParams) -> list[lsp.DocumentSymbol]:
-    document = ls.find_document(params.text_document.uri)
-    return [protocol.to_document_symbol(document, each) for each in list_symbols(document)] if document is not None else []
-
-
-@language_server.feature(lsp.TEXT_DOCUMENT_FOLDING_RANGE)
-def _handle_folding_ranges(ls: AntLanguageServer, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
-    document = ls.find_document(params.text_document.uri)
-    return [protocol.to_folding_range(each) for each in find_folds(document)] if document is not None else []
-
-
-_TOKEN_LEGEND = lsp.SemanticTokensLegend(list(tokens.TOKEN_TYPES), list(tokens.TOKEN_MODIFIERS))
-
-
-@language_server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_FULL, _TOKEN_LEGEND)
-def _handle_semantic_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
-    document = ls.find_document(params.text_document.uri)
-    return lsp.SemanticTokens(tokens.encode_tokens(document) if document is not None and document.is_program else [])
-
-
-@language_server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_RANGE, _TOKEN_LEGEND)
-def _handle_semantic_range_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensRangeParams) -> lsp.SemanticTokens:
-    document = ls.find_document(params.text_document.uri)
-    if document is None or not document.is_program:
-        return lsp.SemanticTokens([])
-    return lsp.SemanticTokens(tokens.encode_tokens(document, params.range.start.line, params.range.end.line))
-
-
-@language_server.feature(lsp.TEXT_DOCUMENT_INLAY_HINT)
-def _handle_inlay_hints(ls: AntLanguageServer, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
-    document = ls.find_document(params.text_document.uri)
-    if document is None or not document.is_program:
-        return []
-    all_hints = [protocol.to_inlay_hint(document, each) for each in find_hints(ls.files, document)]
-    return [each for each in all_hints if params.range.start.line <= each.position.line <= params.range.end.line]
-
-
-@language_server.feature(lsp.TEXT_DOCUMENT_CODE_ACTION, lsp.CodeActionOptions([lsp.CodeActionKind.QuickFix]))
-def _handle_code_actions(ls: AntLanguageServer, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
-    document = ls.find_document(params.text_document.uri)
-    if document is None:
-        return []
-    start, end = params.range.start, params.range.end
-    text = document.text
-    fixes = find_quick_fixes(
-        ls.files, document, text.find_offset(start.line, start.character), text.find_offset(end.line, end.character)
-    )
-    return [protocol.to_code_action(ls.files, document, each, params.text_document.uri) for each in fixes]
-
-
-@language_server.feature(lsp.TEXT_DOCUMENT_FORMATTING)
-def _handle_formatting(ls: AntLanguageServer, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
-    document = ls.find_document(params.text_document.uri)
-    edits = find_formatting_edits(document) if document is not None and document.is_program else None
-    return protocol.to_text_edits(document, edits) if document is not None and edits is not None else None
 
 
 class _MessageOutput(io.RawIOBase):

@@ -179,7 +179,7 @@ def propose_argument_names(request: CompletionRequest) -> Iterator[CompletionIte
         return
     passed_names = set(re.findall(r"([a-z_][a-z_0-9]*)\s*:", context.arguments))
     function_name = context.called_function or ""
-    behaviour = _find_behaviour(request, function_name)
+    behaviour = find_behaviour(request, function_name)
     if behaviour is not None:
         for argument in behaviour.arguments:
             if argument.name.text not in passed_names:
@@ -209,7 +209,7 @@ def _make_argument_item(name: str, detail: str) -> CompletionItem:
     return CompletionItem(f"{name}:", "argument", detail, "", f"{name}: ")
 
 
-def _find_behaviour(request: CompletionRequest, function_name: str) -> nodes.Behaviour | None:
+def find_behaviour(request: CompletionRequest, function_name: str) -> nodes.Behaviour | None:
     """Return the behaviour with this name, or with this name after the alias of a file; None if there is none."""
     alias, dot, name = function_name.partition(".")
     if dot:

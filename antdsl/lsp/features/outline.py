@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from antdsl.lsp.word_help import MEMBER_WORDS
-from antdsl.lsp.workspace import OpenDocument
+from antdsl.lsp.workspace import PROGRAM_SUFFIX, OpenDocument, Workspace
 from antdsl.program.names.file_declarations import find_declaring_node
 from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, SequenceNode
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
+_MAX_WORKSPACE_SYMBOLS = 500
 _PIECE_PATTERN = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]]')
 
 
@@ -35,6 +36,24 @@ def list_symbols(document: OpenDocument) -> list[OutlineSymbol]:
     if not document.is_program:
         return list(_list_key_symbols(document.scene.document)) if document.scene.document is not None else []
     return [symbol for item in document.parsed[0].items if (symbol := _make_item_symbol(item)) is not None]
+
+
+def find_workspace_symbols(workspace: Workspace, query: str) -> list[tuple[OpenDocument, OutlineSymbol]]:
+    """Return the symbols of all programs whose names contain the letters of a query in order, with their documents.
+
+    Names that begin with the query come first. An empty query returns all symbols, up to the limit."""
+    letters = re.compile(".*?".join(map(re.escape, query.lower())))
+    matches = []
+    for path in workspace.list_files():
+        document = workspace.find_document(path) if path.suffix == PROGRAM_SUFFIX else None
+        symbols = list_symbols(document) if document is not None else []
+        while document is not None and symbols:
+            symbol = symbols.pop(0)
+            symbols[:0] = symbol.children
+            if letters.search(symbol.name.lower()):
+                matches.append((document, symbol))
+    matches.sort(key=lambda match: not match[1].name.lower().startswith(query.lower()))
+    return matches[:_MAX_WORKSPACE_SYMBOLS]
 
 
 def _make_item_symbol(item: Any) -> OutlineSymbol | None:

@@ -1,0 +1,36 @@
+"""The colours of states: where they are in a program, and which names are near a colour."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from antdsl.lsp.workspace import OpenDocument
+from antdsl.program.tables.colours import COLOUR_BY_NAME, RgbTriple, find_rgb
+from antdsl.program.traverse import iterate_nodes
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+
+class ColourName(NamedTuple):
+    """The name of a colour in a program. `rgb`: sRGB values 0..255."""
+
+    span: Span
+    rgb: RgbTriple
+
+
+def find_colours(document: OpenDocument) -> Iterator[ColourName]:
+    """Yield the colours of all states of a program."""
+    for item in document.parsed[0].items:
+        for node, _ in iterate_nodes(item):
+            if isinstance(node, nodes.State) and node.colour is not None and (rgb := find_rgb(node.colour.text)) is not None:
+                yield ColourName(node.colour.span, rgb)
+
+
+def find_near_colour_names(rgb: RgbTriple, count: int = 5) -> list[str]:
+    """Return the names of the colours nearest to sRGB values 0..255, nearest first."""
+
+    def squared_distance(name: str) -> int:
+        return sum((a - b) ** 2 for a, b in zip(COLOUR_BY_NAME[name], rgb, strict=True))
+
+    return sorted(COLOUR_BY_NAME, key=squared_distance)[:count]
