@@ -38,7 +38,8 @@ class RunChoices:
     """Choices of the user in addition to the scene.
 
     `grants`: the folder of each granted root, by name.
-    `frames`, `seed`, `until`, `params`: values that override those of the scene.
+    `frames`, `seed`, `until`, `params`: values that override those of the scene. `params` also has values of keys of the scene
+        (`crowd.walker.count`).
     `changes`: what a spec also sets: params and settings of fields.
     `notes`: further notes, each a line such as `{hold: guards, frames: 10..20}`."""
 
@@ -149,13 +150,14 @@ def open_scene(
     from antdsl.scene.field_settings import replace_field_settings
     from antdsl.scene.notes.note_programs import add_note_machines
     from antdsl.scene.overrides import apply_field_changes, apply_param_changes, read_overrides
+    from antdsl.scene.scene_values import select_params
     from antdsl.scene.staging.stage_scene import build_setting
 
     choices = choices or RunChoices()
     scene, program, loaded, report = _read_scene(path, choices, parsed=parsed)
     if scene is None or program is None or not report.ok:
         return None, report
-    param_overrides = read_overrides(scene, program, choices.params, Report())
+    param_overrides = read_overrides(scene, program, select_params(choices.params), Report())
     program = replace_field_settings(program, scene, {**scene.model.set, **param_overrides})
     program = add_note_machines(apply_field_changes(program, choices.changes), scene)
     orders = {name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None}
@@ -216,11 +218,13 @@ def _read_scene(
     from antdsl.scene.load import load_scene, load_text
     from antdsl.scene.overrides import read_overrides
     from antdsl.scene.paths import Roots
+    from antdsl.scene.scene_values import select_params
 
     if data is None:
-        scene, report = load_scene(path, choices.grants, choices.notes)
+        scene, report = load_scene(path, choices.grants, choices.notes, choices.params)
     else:
-        scene, report = load_text(data, str(path), Roots(resolve_path(path).parent, dict(choices.grants)), texts)
+        roots = Roots(resolve_path(path).parent, dict(choices.grants))
+        scene, report = load_text(data, str(path), roots, texts, values=choices.params)
     loaded = LoadedSources(resolve_path(path).parent, parse_cache={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
@@ -241,7 +245,7 @@ def _read_scene(
     report.extend(findings)
     if program is not None and findings.ok:
         report.extend(match_scene(scene, program))
-        read_overrides(scene, program, choices.params, report)
+        read_overrides(scene, program, select_params(choices.params), report)
         report.extend(check_until(scene, loaded, is_option=choices.until is not None))
     return scene, program, loaded, report
 
@@ -319,9 +323,12 @@ def check_path(
         from antdsl.bodies.crowd_bodies import load_crowd_bodies
         from antdsl.scene.notes.notes_model import GOAL_VERBS
         from antdsl.scene.overrides import read_overrides
+        from antdsl.scene.scene_values import select_params
         from antdsl.scene.staging.stage_scene import build_setting
 
-        setting, findings, _ = build_setting(scene, program, read_overrides(scene, program, choices.params, Report()))
+        setting, findings, _ = build_setting(
+            scene, program, read_overrides(scene, program, select_params(choices.params), Report())
+        )
         report.extend(findings)
         report.extend(load_crowd_bodies(scene, program)[1])
         if report.ok and any(note.verb in GOAL_VERBS for note in scene.model.notes):

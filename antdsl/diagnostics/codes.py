@@ -144,6 +144,7 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "empty-scene": "the scene is empty",
     "far-away": "parts of a world are so far apart that positions become imprecise",
     "inside-out": "an obstacle's faces point inward, so that it holds agents inside",
+    "late-avoidance": "agents that avoid each other walk far between two decisions",
     "long-step": "agents walk farther than their body length in one step, although contacts are on",
     "mirrored": "the scale of a mesh is negative",
     "missing-key": "a part of a scene or of a body lacks a required key",

@@ -16,6 +16,7 @@ from antdsl.scene.document import MappingNode, PathKey, ScalarNode, decode_sourc
 from antdsl.scene.inheritance import merge_parents
 from antdsl.scene.notes.note_lines import append_notes
 from antdsl.scene.paths import PathRefused, Roots, read_user_file
+from antdsl.scene.scene_values import replace_entries
 from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, make_comma_diagnostic
 
@@ -85,26 +86,35 @@ class Scene:
         return hashlib.blake2b(repr(relevant).encode(), digest_size=16).hexdigest()
 
 
-def load_scene(path: Path, grants: Mapping[str, Path] | None = None, notes: Sequence[str] = ()) -> tuple[Scene | None, Report]:
+def load_scene(
+    path: Path, grants: Mapping[str, Path] | None = None, notes: Sequence[str] = (), values: Mapping[str, str] | None = None
+) -> tuple[Scene | None, Report]:
     """Read a scene's file and return the typed scene and a report. The scene is None if there are errors.
 
     Files that the scene names are not accessed. They may only be in the scene's own folder and in `grants`.
-    `notes`: lines of notes in addition to those of the file."""
+    `notes`: lines of notes in addition to those of the file. `values`: texts that replace values of the file
+    (`scene_values.replace_entries`)."""
     try:
         data = read_user_file(path, limits.MAX_SCENE_BYTES)
     except PathRefused as error:
         report = Report()
         report.error(error.code, str(error), None, error.help)
         return None, report
-    return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})), notes=notes)
+    return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})), notes=notes, values=values)
 
 
 def load_text(
-    data: bytes, name: str, roots: Roots, unsaved_texts: Mapping[Path, bytes] | None = None, notes: Sequence[str] = ()
+    data: bytes,
+    name: str,
+    roots: Roots,
+    unsaved_texts: Mapping[Path, bytes] | None = None,
+    notes: Sequence[str] = (),
+    values: Mapping[str, str] | None = None,
 ) -> tuple[Scene | None, Report]:
     """Return the typed scene of a file's bytes, and a report, as `load_scene` does. The scene is None if there are errors.
 
-    `unsaved_texts`: contents that override the files of scenes that this scene extends. `notes`: as in `load_scene`."""
+    `unsaved_texts`: contents that override the files of scenes that this scene extends. `notes`, `values`: as in
+    `load_scene`."""
     source, report = decode_source(data, name)
     if not report.ok:
         return None, report
@@ -112,6 +122,8 @@ def load_text(
     if document is None:
         return None, report
     document = merge_parents(document, name, roots, report, unsaved_texts)
+    if document is not None:
+        document = replace_entries(document, values or {}, report)
     if document is not None:
         document = append_notes(document, notes, report)
     if document is None:

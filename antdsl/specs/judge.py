@@ -25,7 +25,8 @@ _NUMBER_PATTERN = re.compile(NUMBER_REGEX)
 class SpecJudge:
     """Judges one spec over a run. Call `judge_frame` for each frame, from the first on, until `is_over` is true.
 
-    `failures`: the failures in the order of detection. A spec that compares runs also needs the reference run."""
+    `failures`: the failures in the order of detection. `fulfilled_at_start`: lines with `within` or `eventually` that hold in the
+    first frame already, so that they test nothing. A spec that compares runs also needs the reference run."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ComparedRun | None = None) -> None:
         self.plan, self.first, self.reference_run = plan, world.frame, compared_run
@@ -36,6 +37,7 @@ class SpecJudge:
             for j in plan.judgements
         ]
         self.failures: list[SpecFailure] = []
+        self.fulfilled_at_start: list[JudgementPlan] = []
         self.is_over = False
 
     def judge_frame(self, world: World) -> None:
@@ -51,6 +53,8 @@ class SpecJudge:
         for line in self.lines:
             if line.is_open and line.plan.kind != "until" and (final or not line.plan.is_at_end):
                 observation = self._observe_line(world, spec_world, line, final)
+                if world.frame == self.first and line.is_fulfilled_at_start(observation):
+                    self.fulfilled_at_start.append(line.plan)
                 failing_agents = (
                     self._judge_sooner(line, observation) if line.plan.kind == "sooner" else line.find_failed(observation)
                 )

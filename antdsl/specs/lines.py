@@ -100,6 +100,11 @@ class JudgementLine:
             return _JUDGE_BY_SINCE_KIND[self.plan.kind](self, observation)
         return _JUDGE_BY_KIND[self.plan.kind](self, observation)
 
+    def is_fulfilled_at_start(self, observation: FrameObservation) -> bool:
+        """Return whether the first frame already fulfils a line that waits for its condition, for all agents that it concerns."""
+        waits = self.plan.kind in ("within", "eventually") and observation.since_holds is None and self.held_steps is None
+        return waits and len(observation.ids) > 0 and bool(observation.condition_holds.all())
+
     def find_start_frame(self, agent: int) -> int | None:
         """Return the frame in which an agent's expired waiting time began, if the line has a `when`."""
         is_pending = self.plan.start_condition is not None and agent < len(self.pending_since_frames)

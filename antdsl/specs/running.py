@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 from antdsl.pipeline import Shot
+from antdsl.plan.lowering.spec_plans import JudgementPlan
 from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, step
 from antdsl.specs.cases import SpecCase, SpecFailure, SpecRun
 from antdsl.specs.comparison import ComparedRun
@@ -93,6 +94,7 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
                 case.frames = world.frame - first + 1
                 judge.judge_frame(world)
                 case.failures[:] = judge.failures
+                work.messages |= dict.fromkeys(map(_describe_vacuous_line, judge.fulfilled_at_start))
                 if judge.failures and trail is not None and id(case) not in failure_points:
                     failure_points[id(case)] = trail.make_failure_point(world)
         if watch is not None:
@@ -110,6 +112,11 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
                 failure_point = FailurePoint(frame_number, None, trail.last)
                 failure_points |= {id(case): failure_point for case in run.cases if id(case) not in failure_points}
             return _fail_with_fault(run, error)
+
+
+def _describe_vacuous_line(line: JudgementPlan) -> str:
+    text = " ".join(line.span.text.split())
+    return f"{line.span}: `{text}` already holds in the first frame, so it tests nothing; write `always`, or another condition"
 
 
 def _make_world(shot: Shot, seed: int, work: RunContext) -> World:

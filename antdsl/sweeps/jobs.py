@@ -84,7 +84,9 @@ def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]])
         several = len(scenes) > 1 or not any(points)
         head = [scene.stem if stems.count(scene.stem) == 1 else str(scene.with_suffix(""))] if several else []
         for params in points:
-            words = [f"{name.rpartition('.')[2]} {value}" for name, value in params.items()]
+            ends = [name.rpartition(".")[2] for name in params]
+            short_names = [end if ends.count(end) == 1 else name for end, name in zip(ends, params, strict=True)]
+            words = [f"{name} {value}" for name, value in zip(short_names, params.values(), strict=True)]
             combinations.append(Variation(scene, params, ", ".join(head + words)))
     return combinations
 

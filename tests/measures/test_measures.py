@@ -181,3 +181,24 @@ def test_mistakes_in_measures(line: str, code: str) -> None:
 
 def test_a_spec_can_name_measures(folder: Path) -> None:
     assert "1 passed" in run("test", folder / "walker.ant", "--no-keep")
+
+
+def test_lines_that_hold_from_the_start_are_reported(folder: Path) -> None:
+    lines = """
+      within 0.2 s: number == 12
+      eventually: order < 2
+      within 0.2 s: resting > 2
+      each walker { eventually: age >= 0 s; within 0.1 s: age > 0.05 s }
+    """
+    (folder / "walker.ant").write_text(PROGRAM + f'spec "vacuous" on "scene.yaml" {{ for 0.5 s {lines} }}\n')
+    output = run("test", folder / "walker.ant", "--no-keep", "-k", "vacuous", code=1)
+    reported = [line for line in output.splitlines() if "already holds in the first frame" in line]
+    assert ["within 0.2 s: number == 12" in reported[0], "eventually: order < 2" in reported[1], len(reported)] == [True, True, 3]
+
+
+def test_a_sweep_varies_counts_and_other_keys_of_a_scene(folder: Path) -> None:
+    values = ("--vary", "crowd.walker.count=3,5", "--vary", "fps=12,24")
+    run("sweep", folder / "scene.yaml", "--frames", "1..2", "--seeds", 1, "--jobs", 1, *values, "--no-plots")
+    rows = read_rows(folder / "out" / "sweep" / "runs.csv")
+    cells = [(row["crowd.walker.count"], row["fps"], float(row["measures.number"])) for row in rows]
+    assert cells == [("3", "12", 3), ("3", "24", 3), ("5", "12", 5), ("5", "24", 5)]

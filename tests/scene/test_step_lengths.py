@@ -73,3 +73,29 @@ def test_the_suggested_substeps_are_enough(tmp_path: Path) -> None:
     count = re.search(r"substeps: (\d+)", finding)
     assert count and findings(tmp_path, f"contacts: hard\nsubsteps: {count[1]}") == []
     assert findings(tmp_path, f"contacts: hard\nsubsteps: {int(count[1]) - 1}") != []
+
+
+@pytest.mark.parametrize(
+    ("fps", "radius", "layer", "expected"),
+    [
+        (8, "0.22 m", "keep_clear(heading, within: 4 m)", ["write `fps: 10` or more"]),  # 1.4 / 8 = 0.175 m
+        (12, "0.22 m", "keep_clear(heading, within: 4 m)", []),
+        (8, "uniform(0.3 m, 0.4 m)", "keep_clear(heading, within: 4 m)", []),
+        (8, "0.22 m", "match(clear_velocity(heading * max_speed, within: 3 m))", ["write `fps: 10` or more"]),
+        (8, "0.22 m", "heading", []),
+    ],
+)
+def test_agents_that_avoid_others_need_short_steps(
+    fps: int, radius: str, layer: str, expected: list[str], tmp_path: Path
+) -> None:
+    shutil.copy(MINIMAL / "ground.ply", tmp_path)
+    (tmp_path / "walker.ant").write_text(
+        "ant 1\nuse steering\nworld { surface ground }\n"
+        f"species walker {{ size 0.5 m; radius {radius}; max_speed 1.4 m/s; start go; state go {{ steer {layer} }} }}\n"
+    )
+    (tmp_path / "scene.yaml").write_text(
+        f"antdsl: 1\nfps: {fps}\nworld: {{ground: {{mesh: ground.ply}}}}\n"
+        "crowd: [{species: walker, from: walker.ant, count: 1, place: {on: ground}}]\n"
+    )
+    _, report = check_path(tmp_path / "scene.yaml")
+    assert report.ok and [each.help for each in report.diagnostics if each.code == "late-avoidance"] == expected

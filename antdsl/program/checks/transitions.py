@@ -77,18 +77,17 @@ def _report_shadowed(reader: ConditionReader, change: Transition, first: Transit
     certain = first.delay is None and first.hold_time is None and is_always_true(reader, first.condition)
     label = "this one always happens" if certain else "this one happens whenever the later one could"
     advice = f"move it above the one that {'always happens' if certain else 'comes first'}"
+    if first.take_action is not None:
+        label = "this one is chosen whenever the later one could be; if its `take` fails, the agent stays in its state"
+        advice = "add a condition to the first that is false when nothing is left to take, such as `and food.load > 0`"
     report.warning("shadowed-change", "this transition never happens", change.span, advice, labels=(Label(first.span, label),))
 
 
 def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition) -> bool:
-    """Return whether transition `first` happens whenever the later transition `change` could happen.
+    """Return whether transition `first` is chosen whenever the later transition `change` could be.
 
-    A transition with a `take` shadows no other, because the take may fail."""
-    if (
-        first.take_action is not None
-        or not _is_wait_shorter(first.delay, change.delay)
-        or not _is_wait_shorter(first.hold_time, change.hold_time)
-    ):
+    That includes a transition with a `take`: if the take fails, no other transition is tried in that step."""
+    if not _is_wait_shorter(first.delay, change.delay) or not _is_wait_shorter(first.hold_time, change.hold_time):
         return False
     if change.condition is not None and is_always_false(reader, change.condition):
         return False  # a condition that never holds is already reported

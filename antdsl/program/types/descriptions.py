@@ -209,6 +209,9 @@ def report_disagreement(
             write = format_with_unit(node.value, other.type.dimension)
             advice, fix = f"write `{write}` for {quote_source(node.span)}", Fix(node.span, write)
             break
+    for node, own, other in ((left_node, a, b), (right_node, b, a)):
+        if own.type.kind is TypeKind.VECTOR and other.type.kind is TypeKind.NUMBER:
+            advice = advice or f"write `length({' '.join(node.span.text.split())})` for {quote_source(node.span)}"
     labels = (Label(left_node.span, describe_type(a.type)), Label(right_node.span, describe_type(b.type)))
     missing = any(isinstance(n, nodes.Number) for n in (left_node, right_node)) and a.type.kind is b.type.kind
     code = "missing-unit" if missing and fix else "units-differ" if a.type.kind is b.type.kind else "kinds-differ"

@@ -18,7 +18,7 @@ from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, Usd
 from antdsl.scene.checks.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown_name
 from antdsl.scene.checks.existence_checks import check_absent_species, check_bodies, check_dark_lamps
 from antdsl.scene.checks.shape_checks import list_item_names
-from antdsl.scene.checks.step_checks import check_step_lengths
+from antdsl.scene.checks.step_checks import check_avoidance_steps, check_step_lengths
 from antdsl.scene.crowds.crowd_checks import check_around, check_crowd, count_agents
 from antdsl.scene.document import PathKey
 from antdsl.scene.field_settings import check_field_dynamics
@@ -230,5 +230,6 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_level_of_detail,
     _check_output_attributes,
     _check_notes,
+    check_avoidance_steps,  # next to the last, for the same reason as the last
     check_step_lengths,  # last, because it warns about values that the others have checked
 )

@@ -1,15 +1,50 @@
-"""Warns about agents that walk farther than their body length in one step although contacts are on."""
+"""Warns about time steps that are too long: agents walk past each other in one step, or avoid each other too late."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import ceil
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
-from antdsl.program.model import AttributeDecl, Constant, Expr, OperationExpr, ParamRef, Program
+from antdsl.program.model import AttributeDecl, Constant, Expr, OperationExpr, ParamRef, Program, Species
+from antdsl.program.traverse import iterate_parts
 from antdsl.scene.checks.entry_checks import convert_constant
 from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, find_body_for_species
 from antdsl.scene.load import Scene
+
+_MAX_AVOIDANCE_SHARE = 0.7  # of an agent's collision radius in a step; above it, people in a corridor lose a tenth of their pace
+
+
+def check_avoidance_steps(scene: Scene, program: Program, report: Report) -> None:
+    """Warn once for each species that avoids others by `clear_velocity` and walks too far from one decision to the next.
+
+    Substeps do not help, because agents decide once per frame."""
+    for number, species in _find_first_lines(scene, program):
+        if not any(isinstance(each, OperationExpr) and each.name == "clear_velocity" for each in iterate_parts(species)):
+            continue
+        attributes = {each.name: each for each in species.attributes}
+        speed, radius, size = (
+            _compute_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "radius", "size")
+        )
+        radius = radius or (size or 0.0) / 2
+        frame_step = (speed or 0.0) * float(1 / scene.model.fps)
+        if not speed or radius <= 0 or frame_step <= _MAX_AVOIDANCE_SHARE * radius:
+            continue
+        words = f"a `{species.name}` walks {frame_step / radius:.2g} of its radius between two decisions, and avoids others late"
+        place = scene.span("fps") if "fps" in scene.document.entries else scene.span("crowd", number, "species")
+        fps = ceil(speed / (_MAX_AVOIDANCE_SHARE * radius))
+        advice = f"write `fps: {fps}` or more" if fps <= limits.MAX_FPS else "write a greater `radius`, or a lower `max_speed`"
+        report.warning("late-avoidance", words, place, advice, labels=(Label(attributes["max_speed"].span, "its speed"),))
+
+
+def _find_first_lines(scene: Scene, program: Program) -> Iterator[tuple[int, Species]]:
+    """Yield each species of the crowd with the number of its first line."""
+    seen: set[str] = set()
+    for number, line in enumerate(scene.model.crowd):
+        if line.species not in seen and line.species in program.species:
+            seen.add(line.species)
+            yield number, program.species[line.species]
 
 
 def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
@@ -17,14 +52,12 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
 
     Steps follow from `fps`, `substeps` and `max_speed`, body lengths from `size` and a body of the library. Species with other
     bodies are not checked, nor values that depend on more than params and draws."""
-    model, seen = scene.model, set()
+    model = scene.model
     if model.contacts == "off":
         return
-    for number, line in enumerate(model.crowd):
-        if line.species in seen or line.species not in program.species:
-            continue
-        seen.add(line.species)
-        attributes = {each.name: each for each in program.species[line.species].attributes}
+    for number, species in _find_first_lines(scene, program):
+        line = model.crowd[number]
+        attributes = {each.name: each for each in species.attributes}
         body = line.body or find_body_for_species(line.species)
         speed, size = (_compute_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "size"))
         if body not in BODY_WORDS or not speed or not size or min(speed, size) <= 0:
