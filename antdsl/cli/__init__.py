@@ -27,6 +27,7 @@ from antdsl.cli.commands import (  # noqa: E402
     edit,
     explain,
     export,
+    fit,
     fmt,
     graph,
     info,
@@ -94,6 +95,12 @@ COMMANDS = (
     CommandEntry("test", test.test, SIMULATE_HEADING, "antdsl test ."),
     CommandEntry(
         "sweep", sweep.sweep, SIMULATE_HEADING, "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept"
+    ),
+    CommandEntry(
+        "fit",
+        fit.fit,
+        SIMULATE_HEADING,
+        "antdsl fit scene.yaml --vary walker.pace=20mm/s..40mm/s --to 'half are home after 20 s'",
     ),
     CommandEntry("render", render.render, RESULTS_HEADING, "antdsl render walk --frames 48..48 --out stills"),
     CommandEntry("edit", edit.edit, RESULTS_HEADING, "antdsl edit walk --smooth orient:5"),

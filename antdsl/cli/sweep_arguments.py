@@ -70,16 +70,16 @@ def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
         if scene.suffix == ".ant":
             raise typer.BadParameter(f"`{scene}` is a program; name scenes that use it", param_hint="SCENE")
     sweep_factors, report = parse_factors(parse_pairs(request.vary, "--vary"))
-    _require_no_errors(report)
+    require_no_errors(report)
     chosen, report = choose_design(request.design, sweep_factors, request.points, request.design_seed)
-    _require_no_errors(report)
+    require_no_errors(report)
     assert chosen is not None
     job_options: dict[str, Any] = {
         "frames": parse_frame_range(request.frames),
         "until": request.until,
         "grants": parse_grants(request.root),
     }
-    numbers = _parse_seeds(request.seeds)
+    numbers = parse_seeds(request.seeds)
     _, report = build_jobs(
         make_variations(scenes, build_end_points(sweep_factors) or [{}]), (), **job_options
     )  # each end once, not once for each point beyond it
@@ -101,7 +101,8 @@ def open_scene_shots(study: Study, request: SweepRequest) -> list[Shot]:
     return [shot for shot in shots if shot is not None]
 
 
-def _require_no_errors(report: Report) -> None:
+def require_no_errors(report: Report) -> None:
+    """Print a report with errors, and end the command with a usage error."""
     from antdsl.cli.printing.reports import print_report
 
     if not report.ok:
@@ -127,13 +128,14 @@ def parse_widths(request: SweepRequest) -> list[WidthGoal]:
             words = f"`{text}` is not a width: write `{name}=0.5`, or a share of the median: `{name}=10%`"
             raise typer.BadParameter(words, param_hint="--until-known")
         widths.append(WidthGoal(name, number * (0.01 if unit else 1.0), bool(unit)))
-    if widths and len(_parse_seeds(request.seeds)) < find_min_runs():
+    if widths and len(parse_seeds(request.seeds)) < find_min_runs():
         words = f"a median needs at least {find_min_runs()} runs: write `--seeds 50`, the maximum number of runs"
         raise typer.BadParameter(words, param_hint="--until-known")
     return widths
 
 
-def _parse_seeds(text: str) -> range:
+def parse_seeds(text: str) -> range:
+    """Return the seeds of `N` or `A..B`. Raises BadParameter for another text."""
     from antdsl.scene.quantities import QuantityError, parse_integer_range
 
     try:

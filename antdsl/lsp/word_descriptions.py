@@ -95,6 +95,7 @@ FORM_HELP = {
     "for": "the duration of the run",
     "seeds": "the seeds of the runs",
     "set": "a value that the spec sets",
+    "goal": "a number that the run should reach at its end, within a tolerance",
     "always": "must hold in every frame",
     "never": "must not hold in any frame",
     "eventually": "must hold in at least one frame",

@@ -93,6 +93,15 @@ class ExpectationReading:
 
 
 @expression_class
+class Goal:
+    """A number that a run should reach at its end. `tolerance`: the accepted share of the target by which it may differ."""
+
+    value: Expr
+    target: Expr
+    tolerance: float
+
+
+@expression_class
 class Expectation:
     """One expectation.
 
@@ -101,7 +110,8 @@ class Expectation:
     - `species`: the species of which each agent is judged separately; None for the complete run.
     - `is_at_end`: it uses a measure that is known only at the end of the run.
     - `hold_time`: the condition counts after it has held for this time.
-    - `start_condition`: the time starts whenever this condition becomes true."""
+    - `start_condition`: the time starts whenever this condition becomes true.
+    - `goal`: of a `goal`, which is judged like a `finally`."""
 
     kind: str
     block_number: int  # 0: the spec itself; from 1: the `each` blocks in order
@@ -113,6 +123,7 @@ class Expectation:
     span: Span
     hold_time: Expr | None = None
     start_condition: Expr | None = None
+    goal: Goal | None = None
 
 
 @expression_class

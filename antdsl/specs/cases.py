@@ -47,6 +47,16 @@ class SpecFailure:
 
 
 @dataclass(frozen=True, slots=True)
+class GoalValue:
+    """The value of a goal at the end of a run. `text`: the goal's line in the source. `tolerance`: a share of the target."""
+
+    text: str
+    value: float
+    target: float
+    tolerance: float
+
+
+@dataclass(frozen=True, slots=True)
 class SavedFrames:
     """The cache with the frames from `first_frame` to the failure in `frame`.
 
@@ -75,6 +85,7 @@ class SpecCase:
 
     - `outcome`: passed, failed, allowed or waiting. An allowed case has failed, but enough other seeds have passed. A waiting
       case has not run to its end.
+    - `goals`: the values of its goals, after the last frame.
     - `frames`, `seconds`: the number of judged frames, and the time that the run took."""
 
     spec: Spec
@@ -87,6 +98,7 @@ class SpecCase:
     seconds: float = 0.0
     comparison_shot: ComparisonShot | None = None
     saved_frames: SavedFrames | None = None
+    goals: list[GoalValue] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -122,14 +134,16 @@ def collect_cases(
         for spec in program.specs:
             if name_filter.lower() in spec.name.lower():
                 finder.add_spec(file, spec)
-    return finder.make_runs(seeds), report
+    return finder.make_runs(None if seeds is None else range(1, seeds + 1)), report
 
 
 class CaseFinder:
-    """Opens each scene once for each set of changed params."""
+    """Opens each scene once for each set of changed params. `params`: values that override those of all scenes."""
 
-    def __init__(self, grants: dict[str, Path], parsed_files: ParsedFileCache, report: Report) -> None:
-        self.grants, self.parsed, self.report = grants, parsed_files, report
+    def __init__(
+        self, grants: dict[str, Path], parsed_files: ParsedFileCache, report: Report, params: Mapping[str, str] | None = None
+    ) -> None:
+        self.grants, self.parsed, self.report, self.params = grants, parsed_files, report, dict(params or {})
         self.missing_scene_report = Report()  # scenes that do not exist
         self.shots: dict[tuple[Path, tuple[str, ...]], Shot | None] = {}
         self.scene_and_spec_by_key: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
@@ -167,8 +181,8 @@ class CaseFinder:
         path = roots.path(name.text)
         return program_path.parent / name.text if (program_path.parent / name.text).resolve() == path.resolve() else path
 
-    def make_runs(self, seeds: int | None) -> list[SpecRun]:
-        """Return the runs of all added specs. `seeds`: run each spec with seeds 1 to this number, not with its listed seeds."""
+    def make_runs(self, seeds: Sequence[int] | None) -> list[SpecRun]:
+        """Return the runs of all added specs. `seeds`: run each spec with these seeds, not with its listed seeds."""
         made: dict[tuple[int, int], SpecRun] = {}
         for scene, spec in self.scene_and_spec_by_key.values():
             shot = self._open_shot(scene, spec.changes)
@@ -176,7 +190,7 @@ class CaseFinder:
             other = None if spec.reference_run is None or plan is None else self._find_comparison_shot(scene, spec)
             if shot is None or plan is None or (spec.reference_run is not None and other is None):
                 continue
-            for seed in range(1, seeds + 1) if seeds else spec.seeds or (shot.scene.model.seed,):
+            for seed in seeds or spec.seeds or (shot.scene.model.seed,):
                 run = made.setdefault((id(shot), seed), SpecRun(shot, seed, []))
                 run.cases.append(SpecCase(plan.spec, plan, scene, seed, comparison_shot=other))
         self.report.extend(merge_repeated_findings(self.missing_scene_report))
@@ -201,7 +215,7 @@ class CaseFinder:
         """Return the shot of a scene with changed params, opened once; None if it has errors."""
         key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in changes)))
         if key not in self.shots:
-            shot, report = open_scene(scene, RunChoices(self.grants, changes=changes), parsed=self.parsed)
+            shot, report = open_scene(scene, RunChoices(self.grants, params=self.params, changes=changes), parsed=self.parsed)
             self.report.extend(report)
             self.shots[key] = shot
         return self.shots[key]

@@ -13,7 +13,7 @@ from antdsl.measures.evaluator import RunEvaluator, extend_table
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_plans import JudgementPlan, ReadingPlan, SpecPlan
 from antdsl.runtime.world import World
-from antdsl.specs.cases import MAX_NAMED_AGENTS, SpecFailure
+from antdsl.specs.cases import MAX_NAMED_AGENTS, GoalValue, SpecFailure
 from antdsl.specs.comparison import ComparedRun
 from antdsl.specs.lines import AgentIds, FrameObservation, JudgementLine, count_duration_steps, observe_aggregate
 from antdsl.specs.value_text import describe_states_and_position, format_value
@@ -38,6 +38,7 @@ class SpecJudge:
         ]
         self.failures: list[SpecFailure] = []
         self.fulfilled_at_start: list[JudgementPlan] = []
+        self.goals: list[GoalValue] = []
         self.is_over = False
 
     def judge_frame(self, world: World) -> None:
@@ -65,7 +66,14 @@ class SpecJudge:
                 released_ids = line.find_failed(self._observe_line(world, spec_world, line, final))
                 line.is_fulfilled = extend_table(line.is_fulfilled, spec_world.populations[line.plan.species].ids, False)
                 line.is_fulfilled[released_ids] = True
+        if final:
+            self.goals = [self._read_goal(world, line.plan) for line in self.lines if line.plan.goal is not None]
         self.is_over = final or not any(line.is_open for line in self.lines if line.plan.kind != "until")
+
+    def _read_goal(self, world: World, plan: JudgementPlan) -> GoalValue:
+        assert plan.goal is not None
+        value, target = (float(self.evaluator.evaluate_node(world, node)) for node in (plan.goal.value, plan.goal.target))
+        return GoalValue(" ".join(plan.span.text.split()), value, target, plan.goal.tolerance)
 
     def _observe_line(self, world: World, spec_world: World, line: JudgementLine, final: bool) -> FrameObservation:
         """Evaluate the condition of a line in this frame."""

@@ -93,7 +93,7 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
             if not judge.is_over:
                 case.frames = world.frame - first + 1
                 judge.judge_frame(world)
-                case.failures[:] = judge.failures
+                case.failures[:], case.goals = judge.failures, judge.goals
                 work.messages |= dict.fromkeys(map(_describe_vacuous_line, judge.fulfilled_at_start))
                 if judge.failures and trail is not None and id(case) not in failure_points:
                     failure_points[id(case)] = trail.make_failure_point(world)

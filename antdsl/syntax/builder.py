@@ -317,7 +317,7 @@ class Builder:
         return self._make_claim(str(parts[0].value), None, parts[1], parts)
 
     def spec_within(self, parts: list[Any]) -> n.SpecLine:
-        return self._make_claim("within", parts[1], parts[2], parts)
+        return self._make_claim(str(parts[0].value), parts[1], parts[2], parts)
 
     def spec_when(self, parts: list[Any]) -> n.SpecLine:
         return self._make_claim(str(parts[2].value), parts[3] if len(parts) > 4 else None, parts[-1], parts, parts[1])

@@ -584,9 +584,9 @@ class SpecLine:
     """A line of a spec.
 
     - `kind`: the word `for`, `seeds`, `pass`, `set`, `against`, `always`, `never`, `eventually`, `finally`, `sooner`, `within`,
-      `until` or `each`.
+      `goal`, `until` or `each`.
     - `target`: what `set` sets, the species of `each` (a NameRef), or the scene of `against` (a Text).
-    - `time`: the time of `for` and `within`. A `for` without a condition sets the length of the run.
+    - `time`: the time of `for` and `within`, or the tolerance of `goal`. A `for` without a condition sets the length of the run.
     - `condition`: the condition of an expectation, or the value of `seeds` (a number or a range), `pass` or `set`.
     - `lines`: the lines inside `each` or `against`. `held`: the time for which the condition must have held.
     - `since`: the condition of a `when`, at which the time starts."""

@@ -57,7 +57,7 @@ LINE_WORDS_BY_RULE: dict[str, tuple[str, ...]] = {
     "rule": (),
     "weight": (),
     "behaviour_line": ("keep", "let"),
-    "spec_line": ("for", "seeds", "pass", "set", "against", *_CLAIM_WORDS, "within", "when", "each"),
+    "spec_line": ("for", "seeds", "pass", "set", "against", *_CLAIM_WORDS, "within", "goal", "when", "each"),
 }
 
 # First words from other languages, with the intended word.
@@ -162,6 +162,7 @@ EXAMPLE_LINES: dict[str, str] = {
     "sooner": "sooner: total(food.load) == 0",
     "until": "until: total(food.load) == 0",
     "within": "within 20 s: total(nest.load) > 0",
+    "goal": "goal 5 %: total(nest.load) == 400",
     "each": "each forager { never: speed > 40 mm/s }",
 }
 
@@ -196,6 +197,7 @@ CONTINUATION_TEXTS: dict[str, str] = {
     "after": "a time, such as `0.5 s`",
     "over": "a time, such as `4 s`",
     "within": "a time, such as `20 s`",
+    "goal": "a tolerance, such as `5 %`",
     "least": "a time, such as `1 s`",
     "take": "an amount, such as `1 load`",
     "from": "where from",

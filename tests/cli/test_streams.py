@@ -63,6 +63,7 @@ USES = {
     "preview": Use(f"preview scene.yaml --no-open --port {PORT}"),
     "test": Use("test scene.yaml --json tested.json --no-keep", "tested.json"),
     "sweep": Use("sweep scene.yaml --frames 1..2 --seeds 2 --out swept --no-plots", "swept/table.csv"),
+    "fit": Use("fit scene.yaml --vary walker.pace=1mm/s..2mm/s --to none", code=1),
     "render": Use("render cache --width 64 --height 64 --out drawn", "drawn"),
     "edit": Use("edit cache --smooth orient:3 --out edited", "edited/frames/frame.0003.npz"),
     "export": Use("export cache --to points.csv", "points.csv"),

@@ -26,8 +26,8 @@ ROOMS = (
     "cpu_budget", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "measures", "files", "pipeline", "checking", "outputs",
-    "specs", "explain", "settling", "executors", "sweeps", "api", "shots", "farm", "bench", "preview", "lsp", "mcp",
-    "cli", "__main__",
+    "specs", "explain", "settling", "executors", "sweeps", "fitting", "api", "shots", "farm", "bench", "preview", "lsp",
+    "mcp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
 GROUND = frozenset(["source", "diagnostics", "limits", "resources", "safe_read", "source_hash", "atomic_write", "child_processes",

@@ -92,6 +92,7 @@ CASES: dict[str, tuple[Case, ...]] = {
         Case(("sweep", "scene.yaml", "--seeds", "2", "--jobs", "2", "--out", "swept"), SCENE, ("swept", "swept/*")),
         Case(("sweep", "scene.yaml", "--seeds", "2", "--jobs", "2"), SCENE, codes=(2, 3)),
     ),
+    "fit": (Case(("fit", "scene.yaml", "--vary", "walker.pace=1mm/s..2mm/s", "--to", "no spec"), codes=(1,)),),
     "render": (
         Case(("render", "cache", "--width", "64", "--height", "36", "--out", "drawn"), CACHE, ("drawn", "drawn/*")),
         Case(("render", "cache", "--width", "64", "--height", "36"), CACHE, codes=(2, 3)),

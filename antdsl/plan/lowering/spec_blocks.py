@@ -23,6 +23,7 @@ from antdsl.plan.lowering.rules import LOWERING_RULES
 from antdsl.plan.lowering.spec_plans import (
     AggregatePlan,
     FirstTimePlan,
+    GoalPlan,
     JudgementPlan,
     MeasuresPlan,
     ReadingPlan,
@@ -264,13 +265,18 @@ class _SpecLowering:
             if e.start_condition is not None:
                 since_node = self._check_pure(w, lower_condition(w, e.start_condition), e.start_condition)
                 since = since_node if e.species is None else w.store_result("act", f"line#{number}.since", since_node, e.span)
+            goal = None if e.goal is None else self._lower_goal(e.goal)
             readings = [self._lower_reading(w, r, f"line#{number}.{k}") for k, r in enumerate(e.readings)]
         except UnsupportedConstruct as missing:
             report_unsupported(w, missing)
             return None
         return JudgementPlan(
-            e.kind, e.block_number, e.species, condition, time, tuple(readings), e.is_at_end, e.span, held, since
+            e.kind, e.block_number, e.species, condition, time, tuple(readings), e.is_at_end, e.span, held, since, goal
         )
+
+    def _lower_goal(self, goal: expectations.Goal) -> GoalPlan:
+        value, target = (lower_scalar(self.run_writer, each) for each in (goal.value, goal.target))
+        return GoalPlan(value, target, goal.tolerance)
 
     def _lower_reading(self, w: _SpecWriter, reading: expectations.ExpectationReading, name: str) -> ReadingPlan:
         e, value = reading.expr, lower_expression(w, reading.expr)

@@ -70,6 +70,15 @@ class ReadingPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GoalPlan:
+    """A goal: the nodes of its value and target, and the share of the target by which the value may differ."""
+
+    value: PlanNode
+    target: PlanNode
+    tolerance: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class JudgementPlan:
     """One expectation.
 
@@ -87,6 +96,7 @@ class JudgementPlan:
     span: Span
     hold_time: PlanNode | None = None
     start_condition: PlanNode | str | None = None
+    goal: GoalPlan | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

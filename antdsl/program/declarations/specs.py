@@ -13,6 +13,7 @@ from antdsl.program.expectations import (
     ComparisonRun,
     Expectation,
     ExpectationReading,
+    Goal,
     MeasureValue,
     MotionMeasure,
     ReferenceRunValue,
@@ -22,7 +23,7 @@ from antdsl.program.expectations import (
     TimeOf,
 )
 from antdsl.program.kinds import NUMBER_TYPE, TIME_TYPE
-from antdsl.program.model import ChangeRate, Expr, Field, OperationExpr, Param, TypeKind
+from antdsl.program.model import ChangeRate, Constant, Expr, Field, OperationExpr, Param, TypeKind
 from antdsl.program.names.scope import Declarations, FileNames, NameScope, StableKeys, list_names, suggest_name
 from antdsl.program.tables.units import choose_default_unit, find_unit_measure
 from antdsl.program.tables.vocabulary import DRAWING_OPERATIONS
@@ -37,6 +38,7 @@ from antdsl.syntax.words import FIXED_FIELD_SETTINGS
 MAX_SEEDS = 1000
 _COMPARISON_OPERATIONS = ("lt", "le", "gt", "ge", "eq", "ne")
 _REFERENCE_KINDS = (TypeKind.ITEM, TypeKind.AGENT)
+_WHOLE_SPEC_WORDS = ("seeds", "pass", "set", "against", "sooner", "goal", "each")  # words of lines outside of `each`
 _SETTING_WORDS = ("seeds", "pass", "set", "until")  # words of lines that set up the run
 
 
@@ -85,7 +87,7 @@ def _check_line(work: _SpecCheck, line: nodes.SpecLine) -> None:
         _read_seeds(work, line)
     elif line.kind == "pass":
         _check_repeat(work, line, work.pass_share is not None)
-        work.pass_share = _read_pass_share(work, line)
+        work.pass_share = _read_share(work, line, line.condition)
     elif line.kind == "against":
         _check_repeat(work, line, work.reference_run is not None)
         work.reference_run = _check_reference_run(work, line)
@@ -93,6 +95,8 @@ def _check_line(work: _SpecCheck, line: nodes.SpecLine) -> None:
         _add_change(work, line)
     elif line.kind == "each":
         _check_each_block(work, line)
+    elif line.kind == "goal":
+        _add_goal(work, line)
     else:
         _add_expectation(work, line, None)
 
@@ -119,18 +123,18 @@ def _type_time(
     return expr
 
 
-def _read_pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
-    """Return the share of the seeds that must pass, from 0 to 1; None after an error."""
-    assert line.condition is not None
-    expr = type_value_as(make_outer_scope(work.declarations, work.names, "spec"), line.condition, NUMBER_TYPE, "`pass`")
+def _read_share(work: _SpecCheck, line: nodes.SpecLine, node: nodes.Expr | None) -> float | None:
+    """Return the share of the seeds that must pass, or the tolerance of a goal, from 0 to 1; None after an error."""
+    assert node is not None
+    word = f"`{line.kind}`"
+    expr = type_value_as(make_outer_scope(work.declarations, work.names, "spec"), node, NUMBER_TYPE, word)
     known = find_constant(expr)
     if known is not None and 0 < known.number <= 1:
         return known.number
     if expr.type.kind is not TypeKind.BAD:
-        words = f"`pass` needs a share of the seeds, not {quote_source(line.condition.span)}"
-        work.declarations.report.error(
-            "out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`"
-        )
+        words, sample = ("share of the seeds", "pass 80 %") if line.kind == "pass" else ("tolerance", "goal 5 %: …")
+        message = f"{word} needs a {words}, not {quote_source(node.span)}"
+        work.declarations.report.error("out-of-range", message, node.span, f"write a share up to `100 %`, such as `{sample}`")
     return None
 
 
@@ -250,7 +254,9 @@ def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
     make_outer_scope(declared, work.names, "spec").bind(line.target.span, "species", species)
     work.block_count += 1
     for inner in line.lines:
-        if inner.kind in ("seeds", "pass", "set", "against", "sooner", "each") or (inner.kind == "for" and not inner.condition):
+        if inner.kind in ("seeds", "pass", "set", "against", "sooner", "goal", "each") or (
+            inner.kind == "for" and not inner.condition
+        ):
             message = f"`{inner.kind}` belongs to the whole spec"
             declared.report.error("misplaced-line", message, inner.span, f"write it outside of `each {species}`")
         else:
@@ -274,6 +280,36 @@ def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None
     if all(_is_judgeable(work, line, species, each, at_end) for each in conditions) and _allows_time(work, line):
         readings, block = tuple(_iterate_readings(expr, line.condition)), work.block_count if species else 0
         work.expectations.append(Expectation(line.kind, block, species, expr, time, readings, at_end, line.span, held, since))
+
+
+def _add_goal(work: _SpecCheck, line: nodes.SpecLine) -> None:
+    """Add a goal as an expectation about the last frame: the value differs from the target by no more than the tolerance."""
+    report, node, tolerance = work.declarations.report, line.condition, _read_share(work, line, line.time)
+    if not isinstance(node, nodes.Binary) or node.op != "==" or line.held is not None:
+        span = line.span if node is None else node.span
+        report.error(
+            "wrong-argument", "a `goal` compares a number with a target", span, "write `goal 5 %: total(nest.load) == 400`"
+        )
+        return
+    scope = make_outer_scope(SpecRules(work.declarations, work.has_reference_run).declarations, work.names, ".spec")
+    equal = type_condition(scope, node, "`goal`")
+    if tolerance is None or any(isinstance(p, Expr) and p.type.kind is TypeKind.BAD for p in iterate_parts(equal)):
+        return
+    value, target = equal.args[:2] if isinstance(equal, OperationExpr) else (None, None)
+    if value is None or target is None or value.type.kind is not TypeKind.NUMBER:
+        report.error("wrong-kind", "a `goal` is about a number", node.span, "compare a number, such as `total(nest.load)`")
+    elif _is_judgeable(work, line, None, equal, False):
+        share = Constant(NUMBER_TYPE, ChangeRate.CONST, line.span, tolerance)
+        difference = OperationExpr(value.type, equal.rate, node.span, "sub", (value, target))
+        limit = OperationExpr(value.type, equal.rate, node.span, "mul", (_make_absolute(target), share))
+        close = OperationExpr(equal.type, equal.rate, node.span, "le", (_make_absolute(difference), limit))
+        readings = tuple(_iterate_readings(equal, node))
+        goal = Goal(value, target, tolerance)
+        work.expectations.append(Expectation("finally", 0, None, close, None, readings, False, line.span, goal=goal))
+
+
+def _make_absolute(expr: Expr) -> Expr:
+    return OperationExpr(expr.type, expr.rate, expr.span, "abs", (expr,))
 
 
 def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
