@@ -143,6 +143,12 @@ def _build_ball() -> ColouredMesh:
     return vertices, faces, np.full((len(vertices), 3), (0.86, 0.80, 0.62), np.float32)
 
 
+def _build_globe() -> ColouredMesh:
+    """Return a white sphere of radius 1 around the origin."""
+    vertices, faces = build_sphere(3)
+    return vertices, faces, np.ones((len(vertices), 3), np.float32)
+
+
 def _build_leaf() -> ColouredMesh:
     """Return a leaf that lies on the ground: pointed, curled, with a midrib and a stalk. It is 2 long."""
     along, across = 28, 13
@@ -267,6 +273,7 @@ ITEM_SHAPES: dict[str, Callable[[], ColouredMesh]] = {
     "lamp": _build_lamp,
     "flag": _build_flag,
     "sphere": _build_ball,
+    "globe": _build_globe,
 }
 
 

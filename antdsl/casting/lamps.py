@@ -18,7 +18,11 @@ from antdsl.numerics.vector_rows import dot
 MAX_LAMPS = 16  # of a picture or of one name; the largest count
 UNIT_DISTANCE_IN_RADII = 10.0  # radii at which a lamp of strength 1 gives the light 1
 _RAY_END_IN_RADII = 1.06  # rays end just outside the lamp's own surface
-_BULB_BY_SHAPE = {"lamp": (1.75, 0.92), "sphere": (0.85, 1.0)}  # height of the centre and radius, in radii of the item
+_BULB_BY_SHAPE = {
+    "lamp": (1.75, 0.92),
+    "sphere": (0.85, 1.0),
+    "globe": (0.0, 1.0),
+}  # height of the centre and radius, in radii of the item
 _DEFAULT_BULB = (0.5, 1.0)
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 AnyFloats = NDArray[Any]

@@ -30,7 +30,14 @@ from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.outputs.pictures.model import Crowd, FlowArrows, Item, LegendRow, Picture, Solid, Trail
 from antdsl.outputs.pictures.trail_colours import estimate_full_strength
-from antdsl.scene.looks import INVISIBLE_LOOK, KIND_BY_LOOK, choose_drawn_shape, compute_remaining_share, find_kind_by_name
+from antdsl.scene.looks import (
+    INVISIBLE_LOOK,
+    KIND_BY_LOOK,
+    LAMP_SHAPE,
+    choose_drawn_shape,
+    compute_remaining_share,
+    find_kind_by_name,
+)
 from antdsl.scene.thing_models import UP_VECTORS
 
 REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
@@ -307,9 +314,10 @@ class Gallery:
             positions = group.position if moved is None else [to_tuple(place) for place in moved]
             for number, (name, position, radius) in enumerate(zip(group.names, positions, group.radius, strict=True)):
                 look = group.looks[number] if number < len(group.looks) else None
-                shape = choose_drawn_shape(group.name, name, look)
+                power, colour = (None, None) if group.lamp is None else (group.lamp.power, group.lamp.colour)
+                shape = choose_drawn_shape(group.name, name, look) if group.lamp is None else LAMP_SHAPE
                 left = self._compute_remaining_share(group.name, group.attributes, number, arrays)
-                items.append(Item(name, position, radius, left, shape, None if look == INVISIBLE_LOOK else look))
+                items.append(Item(name, position, radius, left, shape, None if look == INVISIBLE_LOOK else look, power, colour))
         return tuple(items)
 
     def _compute_remaining_share(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
@@ -364,9 +372,7 @@ class Gallery:
         return self._computed_strengths
 
     def _measure_grain(self, first: Arrays) -> float | None:
-        """Return the reference length of the ground's grain: the median body length of the first frame.
-
-        Births do not change it, because it is that of the first frame."""
+        """Return the reference length of the ground's grain: the median body length of the first frame, despite births."""
         lengths = np.asarray(first["pscale"], np.float64)
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
         return float(np.median(lengths)) if len(lengths) else None
@@ -380,9 +386,7 @@ def choose_coordinate_format(gallery: Gallery) -> str:
 
 
 def _split_selected(crowd: Crowd, selected_ids: frozenset[int]) -> list[Crowd]:
-    """Return the crowd, or the selected and the other agents as two crowds if `selected_ids` has ids.
-
-    The other agents lose their ids and velocities, so that they have no overlays."""
+    """Return the crowd, or the selected agents and the others, without ids and velocities, as two crowds if ids are selected."""
     if not selected_ids or crowd.ids is None:
         return [crowd]
     chosen = np.isin(crowd.ids, sorted(selected_ids))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from antdsl.numerics.vector_rows import normalise_or_fallback
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.frame_agents import get_agent_ids, get_species_numbers
-from antdsl.outputs.cache.manifest import CameraEntry, FollowEntry, LensEntry, Manifest, make_camera_array_name
+from antdsl.outputs.cache.manifest import Manifest, make_camera_array_name
+from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry, LensEntry
 from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.pictures.camera import to_tuple

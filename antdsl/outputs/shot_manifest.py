@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.body_arrays import StoredBodies
 from antdsl.outputs.cache.frame_maker import make_manifest
-from antdsl.outputs.cache.manifest import AnyCameraEntry, CameraEntry, FollowEntry, Look, Manifest, join_line, shorten_line
+from antdsl.outputs.cache.manifest import AnyCameraEntry, Look, Manifest, join_line, shorten_line
+from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry
 from antdsl.outputs.feelers import list_feelers
 from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.pipeline import Shot
 from antdsl.runtime import World
 from antdsl.scene.camera_models import Camera, FollowCamera, LensCamera
+from antdsl.scene.looks import LAMP_LOOK
 from antdsl.scene.notes.selectors import AgentName
 from antdsl.scene.scene_model import SceneModel
 from antdsl.scene.setting import CameraData
-from antdsl.scene.thing_models import PlacedThing, convert_point
+from antdsl.scene.thing_models import LampThing, PlacedThing, convert_point
 
 
 def make_shot_manifest(shot: Shot, world: World, attributes: tuple[str, ...], stored_bodies: StoredBodies) -> Manifest:
@@ -100,6 +102,8 @@ def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
         if isinstance(thing, dict):
             own = {item: placed.look for item, placed in thing.items() if placed.look is not None}
             looks |= {name: own} if own else {}
+        elif isinstance(thing, LampThing):
+            looks[name] = LAMP_LOOK
         elif isinstance(thing, PlacedThing) and thing.look is not None:
             looks[name] = thing.look
     return looks

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from antdsl.program.model import Dimension
-from antdsl.scene.values import Angle, ScenePart, make_error, parse_any_quantity
+from antdsl.scene.values import Angle, ScenePart, make_error, parse_any_quantity, parse_number_between
 
 MAX_STRENGTH = 1000.0  # times the usual light
 _Factor = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -40,7 +40,9 @@ def _parse_strength(value: Any) -> float:
     return quantity.number
 
 
-Strength = Annotated[float, BeforeValidator(_parse_strength)]
+_Channel = Annotated[float, BeforeValidator(parse_number_between(0, 1))]
+LightColour = tuple[_Channel, _Channel, _Channel]  # display values of red, green and blue
+LightStrength = Annotated[float, BeforeValidator(_parse_strength)]
 
 
 class Light(ScenePart):
@@ -50,10 +52,10 @@ class Light(ScenePart):
     bright as the sun.
     `elevation`, `azimuth`: the direction to the sun, above the ground and about the scene's up."""
 
-    sun: Strength = DEFAULT_LIGHT.sun
-    sky: Strength = DEFAULT_LIGHT.sky
-    haze: Strength = DEFAULT_LIGHT.haze
-    lamps: Strength = DEFAULT_LIGHT.lamps
+    sun: LightStrength = DEFAULT_LIGHT.sun
+    sky: LightStrength = DEFAULT_LIGHT.sky
+    haze: LightStrength = DEFAULT_LIGHT.haze
+    lamps: LightStrength = DEFAULT_LIGHT.lamps
     elevation: Angle | None = None
     azimuth: Angle | None = None
 

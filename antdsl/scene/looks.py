@@ -45,14 +45,15 @@ SURFACE_KINDS: dict[str, SurfaceKind] = {
     "grass": SurfaceKind((0.44, 0.48, 0.22), 0.8, bumps=1.0, look="grass", words=("grass", "meadow", "lawn")),
     "food": SurfaceKind((0.83, 0.66, 0.41), 0.7, bumps=0.5, look="food"),
 }
-INVISIBLE_LOOK = "none"
+INVISIBLE_LOOK, LAMP_LOOK = "none", "light"
+LAMP_SHAPE = "globe"  # of things of the kind `lamp`
 KIND_BY_LOOK = {row.look: name for name, row in SURFACE_KINDS.items() if row.look is not None}
 LOOKS = (*KIND_BY_LOOK, INVISIBLE_LOOK)
 
 
 def is_lamp_look(look: str | None) -> bool:
     """Return whether items with a look emit light."""
-    return look == "light"
+    return look == LAMP_LOOK
 
 
 def compute_remaining_share(amounts: Iterable[tuple[float, float]]) -> float:

@@ -222,5 +222,6 @@ SCENE_KINDS: Mapping[str, SceneKind] = {
     "items": ItemsKind((dict, forms.UsdThing), "items", missing_data="place"),
     "flow": FlowKind(_FLOW_FORMS, "flows"),
     "map": FlowKind((forms.PaintedThing,), "maps"),
+    "lamp": SceneKind((forms.LampThing,), "items", missing_data="place"),
     "camera": CameraKind((Camera, UsdCamera, FollowCamera, str), "cameras", missing_data="place"),
 }

@@ -132,13 +132,17 @@ FlowData = PaintedValues | SpreadFlowData | BorderFlowData | SolvedFlowData
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ItemData:
-    """One item. `attributes`: in base units; absent attributes have the declared default. `look`: its look in pictures."""
+    """One item. `attributes`: in base units; absent attributes have the declared default. `look`: its look in pictures.
+
+    `power`: the strength of a lamp; None for other items. `colour`: that of its light, display values; None for warm white."""
 
     name: str
     position: PointMm
     radius: float
     attributes: Mapping[str, float] = field(default_factory=dict)
     look: str | None = None
+    power: float | None = None
+    colour: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
+from antdsl.scene.light_model import LightColour, LightStrength
 from antdsl.scene.looks import LOOKS
 from antdsl.scene.values import (
     Angle,
@@ -262,6 +263,24 @@ class ItemThing(ScenePart):
     radius: PositiveLength | None = None
     keys: PlaceKeys = {}
     look: Look | None = None
+
+
+class LampThing(ThingModel):
+    """A lamp: a sphere that emits light, at a point.
+
+    `power`: its strength; at a distance of ten radii, 100 % is as bright as the sun. `colour`: of its light, as display values
+    from 0 to 1; it does not change the brightness. `keys`: its position at some frames."""
+
+    lamp: PointValue
+    radius: PositiveLength | None = None
+    power: LightStrength = 1.0
+    colour: LightColour | None = None
+    keys: PlaceKeys = {}
+
+    @property
+    def at(self) -> PointValue:
+        """Return the position before the first key."""
+        return self.lamp
 
 
 def convert_rotation(thing: PlacedThing) -> tuple[float, float, float]:

@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.frame_agents import make_agent_keys
-from antdsl.outputs.cache.manifest import FollowEntry, Manifest
+from antdsl.outputs.cache.manifest import Manifest
+from antdsl.outputs.cache.manifest_parts import FollowEntry
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer
 from antdsl.outputs.edits.cache_selection import Selection, list_selector_names
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY

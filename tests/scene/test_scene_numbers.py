@@ -26,7 +26,7 @@ EXTREMES = (
 PROGRAM = """ant 1
 use steering
 world { surface ground; surface hills; obstacle rock; curve line; items food { load = 3 }; flow drift; flow away; flow rim
-  flow guide; flow brush; flow home; map paint }
+  flow guide; flow brush; flow home; map paint; lamp bulb }
 field trail on ground { half_life 3 s; diffuse 4 mm^2/s; cell 4 mm }
 species walker {
   param pace = 20 mm/s in 5 mm/s .. 50 mm/s
@@ -54,6 +54,7 @@ world:
   line: {curve: line.json, at: [1, 2, 3]}
   food: {crumb: {at: [30, 0, 20], on: ground, radius: 3 mm, load: 7, keys: {1: {at: [5, 6, 7]}}}}
   drift: {tangent: line, strength: 0.5, radius: 40 mm, cell: 9 mm, gather: 2}
+  bulb: {lamp: [1, 60, 2], radius: 5 mm, power: 150 %, colour: [1, 0.5, 0.2]}
   away: {away: [30, 0, 20], strength: 0.5, radius: 40 mm, cell: 9 mm}
   rim: {border: ground, within: 30 mm, strength: 0.5, cell: 9 mm}
   home: {toward: [30, 0, 20], strength: 0.5, radius: 40 mm, cell: 9 mm}

@@ -26,14 +26,8 @@ from antdsl.outputs.cache.hashes import (
     find_static_damage,
     read_lines,
 )
-from antdsl.outputs.cache.manifest import (
-    CAMERA_PARTS,
-    MANIFEST_FILE_NAME,
-    CameraEntry,
-    Manifest,
-    make_camera_array_name,
-    read_manifest,
-)
+from antdsl.outputs.cache.manifest import CAMERA_PARTS, MANIFEST_FILE_NAME, Manifest, make_camera_array_name, read_manifest
+from antdsl.outputs.cache.manifest_parts import CameraEntry
 from antdsl.outputs.cache.npz import ArrayFileError, read_npz
 from antdsl.scene.setting import CameraData
 from antdsl.scene.thing_models import UNIT_MM, UP_VECTORS

@@ -23,7 +23,6 @@ from antdsl.outputs.cache.manifest import (
     ClipEntry,
     FeelersEntry,
     FieldEntry,
-    FollowEntry,
     ImportEntry,
     ItemsEntry,
     LineEntry,
@@ -36,6 +35,7 @@ from antdsl.outputs.cache.manifest import (
     WornBodyEntry,
     make_camera_array_name,
 )
+from antdsl.outputs.cache.manifest_parts import FollowEntry, LampEntry
 from antdsl.outputs.cache.pose_arrays import (
     list_playing_machines,
     list_wearable_layers,
@@ -238,6 +238,7 @@ def make_manifest(
                 attributes=tuple(world.items[name].amounts) if name in world.items else (),
                 moves=name in setting.motion.items,
                 looks=_list_item_looks(looks.get(name), [item.name for item in items]),
+                lamp=next((LampEntry(power=item.power, colour=item.colour) for item in items if item.power is not None), None),
             )
             for name, items in setting.items.items()
         ),

@@ -10,10 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from antdsl import limits
 from antdsl.atomic_write import write_atomically
+from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry, LampEntry, ManifestPart, Triple, Word
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, ThingKindRow
 from antdsl.safe_read import FileTooLarge, read_size_limited
 from antdsl.scene.camera_models import DEFAULT_CAMERA
@@ -27,18 +28,10 @@ EDIT_ARRAYS_PATTERN = re.compile(r"^edits\.[0-9a-f]{32}\.npz$")  # the name of t
 MAX_COUNTED_ID = 2**50  # that edits can count on from
 _MAX_MANIFEST_BYTES = 16 * limits.MIB
 
-Word = Annotated[str, Field(max_length=500)]
 _MAX_LINE = 400  # characters of a note or an edit
 ScenePath = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
-Triple = tuple[float, float, float]
 Look = Annotated[Word, Field(pattern=f"^({'|'.join(LOOKS)})$")]
 MeshKind = Annotated[Word, Field(pattern=f"^({'|'.join(KINDS_WITH_FACES)})$")]
-
-
-class ManifestPart(BaseModel):
-    """An object of the manifest. Unknown keys are ignored."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, hide_input_in_errors=True)
 
 
 class StateEntry(ManifestPart):
@@ -212,6 +205,7 @@ class ItemsEntry(ManifestPart):
     attributes: tuple[Word, ...]
     moves: bool = False
     looks: tuple[Look | None, ...] = ()
+    lamp: LampEntry | None = None
 
 
 class LineEntry(ManifestPart):
@@ -236,36 +230,9 @@ class EditsEntry(ManifestPart):
     name: Word
     text: Annotated[str, Field(max_length=limits.MAX_EDITS_BYTES)]
     arrays: Annotated[str, Field(pattern=EDIT_ARRAYS_PATTERN.pattern)] | None = None
-    caches: dict[Word, Word] = {}
-    next_ids: dict[Word, Annotated[int, Field(ge=0, le=MAX_COUNTED_ID)]] = {}
+    caches: dict[Word, Word] = Field({})
+    next_ids: dict[Word, Annotated[int, Field(ge=0, le=MAX_COUNTED_ID)]] = Field({})
     counted_frames: int = 0
-
-
-class LensEntry(ManifestPart):
-    """The lens of a camera. `focal`: in mm for a sensor 36 mm wide. `focus`: a distance in scene units, or an agent."""
-
-    focal: float | None = None
-    f_stop: Annotated[float, Field(gt=0)] | None = None
-    focus: Annotated[float, Field(gt=0)] | Word | None = None
-
-
-class CameraEntry(LensEntry):
-    """A camera, with points in scene units. `moves`: whether `static.npz` has the camera at each frame."""
-
-    at: Triple
-    look_at: Triple
-    up: Triple | None = None
-    moves: bool = False
-
-
-class FollowEntry(LensEntry):
-    """A camera that follows an agent, at the displacement `by` in scene units, or close to it.
-
-    `smooth`: the time in seconds over which the agent's motion is averaged, before and after a frame."""
-
-    follow: Word
-    by: Triple | None = None
-    smooth: float | None = None
 
 
 AnyCameraEntry = CameraEntry | FollowEntry | Literal["fit"]  # `fit`: one that holds the crowd in the frames that are drawn
@@ -335,7 +302,7 @@ class Manifest(ManifestPart):
     notes: tuple[Word, ...] = ()
     edits: EditsEntry | None = None
     camera: CameraEntry | Literal["fit"] | None = None
-    cameras: dict[Word, AnyCameraEntry] = {}
+    cameras: dict[Word, AnyCameraEntry] = Field({})
     light: LightSettings = DEFAULT_LIGHT
 
     @property

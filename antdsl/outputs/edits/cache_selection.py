@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, read_camera
 from antdsl.outputs.cache.frame_agents import LongArray, make_agent_keys
-from antdsl.outputs.cache.manifest import CameraEntry, MachineEntry, Manifest, SpeciesEntry
+from antdsl.outputs.cache.manifest import MachineEntry, Manifest, SpeciesEntry
+from antdsl.outputs.cache.manifest_parts import CameraEntry
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.runtime.sensing.sensed_camera import CameraInFrame
 from antdsl.scene.crowds.line_ids import LineIds

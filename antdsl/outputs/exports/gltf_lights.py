@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.transforms import matrix_to_quaternion
 from antdsl.casting.lamps import UNIT_DISTANCE_IN_RADII, place_bulb
 from antdsl.outputs.exports.gltf_stage import GltfStage
-from antdsl.outputs.pictures.lamps import LAMP_COLOUR, find_lamps
+from antdsl.outputs.pictures.lamps import find_lamps
 from antdsl.outputs.pictures.light import SUN_LIGHT, make_sun
 from antdsl.outputs.pictures.model import Picture
 from antdsl.scene.scene_model import UNIT_MM
@@ -40,7 +40,7 @@ def add_lights(stage: GltfStage, picture: Picture) -> None:
             centre, _ = place_bulb(item.shape, np.zeros(3), 1.0, up)
             candela = (UNIT_DISTANCE_IN_RADII * item.drawn_radius * metres) ** 2
             lights[stage.add_child(index, f"{item.name} light", move=centre)] = {
-                "type": "point", **_make_strength(LAMP_COLOUR * lamp.strength, candela)
+                "type": "point", **_make_strength(lamp.light * lamp.strength, candela)
             }  # fmt: skip
     if lights:
         stage.writer.add_extension(_EXTENSION, {"lights": list(lights.values())})

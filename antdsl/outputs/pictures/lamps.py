@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.lamps import LightSphere, place_bulb, select_largest
 from antdsl.casting.picture_rays import PictureRays
+from antdsl.outputs.pictures.light import LUMINANCE_WEIGHTS, decode_srgb
 from antdsl.outputs.pictures.model import Item
 from antdsl.outputs.pictures.shading_rows import Floats
 from antdsl.scene.looks import is_lamp_look
@@ -16,14 +18,15 @@ from antdsl.scene.looks import is_lamp_look
 LAMP_COLOUR = np.array([2.65, 2.20, 1.62], np.float32)  # of the light 1, about that of the sun
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class Lamp(LightSphere):
-    """A lamp of a picture. An intensity of 1 is the light LAMP_COLOUR."""
+    """A lamp of a picture. `light`: the light (3,) of an intensity of 1."""
 
-    __slots__ = ()
+    light: Floats = field(default_factory=LAMP_COLOUR.copy)
 
     def compute_light(self, points: Floats, normal: Floats, flat_normal: Floats | None = None) -> Floats:
         """Return the light (n, 3) of the lamp at points with normals (n, 3), without occlusion, as `compute_intensity` does."""
-        return np.asarray(self.compute_intensity(points, normal, flat_normal)[:, None] * LAMP_COLOUR, np.float32)
+        return np.asarray(self.compute_intensity(points, normal, flat_normal)[:, None] * self.light, np.float32)
 
     def find_hidden(
         self,
@@ -45,6 +48,14 @@ class Lamp(LightSphere):
         return hidden
 
 
+def compute_lamp_colour(colour: tuple[float, float, float] | None) -> Floats:
+    """Return the light (3,) of an intensity of 1 for a colour in display values: as bright as LAMP_COLOUR. None: LAMP_COLOUR."""
+    if colour is None or not max(colour) > 0:
+        return LAMP_COLOUR
+    tint = decode_srgb(colour)
+    return np.asarray(tint * (LAMP_COLOUR @ LUMINANCE_WEIGHTS) / (tint @ LUMINANCE_WEIGHTS), np.float32)
+
+
 def find_lamps(items: Sequence[Item], up: tuple[float, float, float], strength: float) -> tuple[Lamp, ...]:
     """Return the lamps among items: items that emit light and have a remaining amount. `strength`: the intensity of each lamp."""
     lamps = []
@@ -52,7 +63,9 @@ def find_lamps(items: Sequence[Item], up: tuple[float, float, float], strength: 
         size = item.drawn_radius
         if is_lamp_look(item.look) and size > 0 and strength > 0 and item.shape != "none":
             place = place_bulb(item.shape, np.asarray(item.position, np.float64), size, np.asarray(up, np.float64))
-            lamps.append(Lamp(*place, strength))
+            power = strength if item.power is None else strength * item.power
+            if power > 0:
+                lamps.append(Lamp(*place, power, compute_lamp_colour(item.colour)))
     return select_largest(lamps)
 
 

@@ -17,6 +17,7 @@ ZENITH_COLOUR = np.array([0.30, 0.58, 1.05], np.float32)
 HORIZON_COLOUR = np.array([1.12, 1.20, 1.24], np.float32)
 _SRGB_TABLE_STEPS = 1 << 14  # linear values with an entry in the table; the error is less than half a byte in dark tones
 HEADLAMP_LIGHT = np.array([0.95, 0.84, 0.68], np.float32)  # a lamp at the camera
+LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)  # luminance weights of linear sRGB
 SUN_HALF_ANGLE_TANGENT = 0.03  # wider than the real sun, for soft edges
 
 

@@ -118,7 +118,8 @@ class Item:
     """A placed object, such as food or a nest.
 
     `remaining_share`: the remaining share of its amount, 0..1; the drawn body shrinks with it.
-    `look`: replaces the material of the item's shape."""
+    `look`: replaces the material of the item's shape.
+    `power`, `colour`: the strength and the colour (display values 0..1) of a lamp; None for those of items with a look."""
 
     name: str
     position: tuple[float, float, float]
@@ -126,6 +127,8 @@ class Item:
     remaining_share: float = 1.0
     shape: str = "sphere"
     look: str | None = None
+    power: float | None = None
+    colour: tuple[float, float, float] | None = None
 
     @property
     def drawn_radius(self) -> float:

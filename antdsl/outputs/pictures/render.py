@@ -17,10 +17,11 @@ from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.lamps import find_lamps
 from antdsl.outputs.pictures.light import SunLight, encode_srgb, make_sun
 from antdsl.outputs.pictures.model import Camera, Picture
-from antdsl.outputs.pictures.moving_bodies import SceneActors, make_actors
+from antdsl.outputs.pictures.moving_bodies import make_actors
 from antdsl.outputs.pictures.overlay import draw_overlay
 from antdsl.outputs.pictures.refining import refine_pixels, sample_centres
 from antdsl.outputs.pictures.shading import PictureLighting
+from antdsl.outputs.pictures.shading_rows import Floats
 from antdsl.outputs.pictures.static_setting import StaticSetting, make_setting
 from antdsl.outputs.pictures.static_stage import StaticStage, make_stage
 from antdsl.outputs.pictures.surface_materials import PictureScales
@@ -87,27 +88,41 @@ class Renderer:
         wrong = [word for word in options if word not in DISPLAY_OPTIONS]
         if wrong:
             raise ValueError(f"cannot show `{wrong[0]}`: there are {', '.join(DISPLAY_OPTIONS)}")
+        light, stage = self._compute_image(picture, camera, next_camera, "trail" in options)
+        distance = stage.centre_samples.distance.reshape(self.height, self.width)
+        return draw_overlay(encode_srgb(light), picture, stage.view, distance, options, self.marks)
+
+    def compute_light(self, picture: Picture, camera: Camera) -> Floats:
+        """Return the display-linear light (height, width, 3) of a picture without overlays, float32."""
+        return self._compute_image(picture, camera, None, True)[0]
+
+    def _compute_image(
+        self, picture: Picture, camera: Camera, next_camera: Camera | None, has_trails: bool
+    ) -> tuple[Floats, StaticStage]:
+        """Return the display-linear light (height, width, 3) of a picture, and the samples of its static surfaces.
+
+        There is one sample per pixel, then more samples at edges and moving bodies, then blur."""
         up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
         sun = make_sun(up, picture.light)
         shutter = make_shutter(picture, camera, next_camera, (self.width, self.height), self.blur)
-        camera_view = shutter.middle
-        still = self._get_setting(picture, up)
+        view, still = shutter.middle, self._get_setting(picture, up)
         scales = PictureScales(still.extent, _choose_grain(picture, still.extent))
-        camera_cache = self._get_camera_cache(picture, (camera, next_camera), still, camera_view, sun, scales)
+        camera_cache = self._get_camera_cache(picture, (camera, next_camera), still, view, sun, scales)
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
-        cast = make_actors(bodied, shutter, self.least, still, self.enlarged)
-        camera_cache.field_colours.set_trails(picture.trails if "trail" in options else ())
+        actors = make_actors(bodied, shutter, self.least, still, self.enlarged)
+        camera_cache.field_colours.set_trails(picture.trails if has_trails else ())
         lamps = find_lamps(picture.items, picture.up, picture.light.lamps)
-        lighting = PictureLighting(cast, still.rays, sun, scales, camera_view, self.threads, shutter, lamps)
-        image = self._compute_image(camera_cache, cast, lighting)
-        return draw_overlay(
-            image,
-            picture,
-            camera_view,
-            camera_cache.stage.centre_samples.distance.reshape(self.height, self.width),
-            options,
-            self.marks,
-        )
+        lighting = PictureLighting(actors, still.rays, sun, scales, view, self.threads, shutter, lamps)
+        stage = camera_cache.stage
+        first = sample_centres(stage, lighting, camera_cache.field_colours)
+        static, bodies = refine_pixels(stage, lighting, camera_cache.field_colours, first, self.samples)
+        if shutter.open_frames > 0:
+            bodies = smear_bodies(lighting)
+        if shutter.has_camera_motion:
+            static = smear_surfaces(stage, lighting, static.light)
+        has_lens = view.aperture > 0
+        light = blur_layers(view, static, bodies, self.threads) if has_lens else compose_layers(static, bodies)
+        return light.reshape(self.height, self.width, 3), stage
 
     def _get_setting(self, picture: Picture, up: Array) -> StaticSetting:
         """Return the ray scene of the solids, from the cache if they are the same.
@@ -141,21 +156,6 @@ class Renderer:
         else:
             self._cached_stages[key].stage.is_reused = True
         return self._cached_stages[key]
-
-    def _compute_image(self, camera_cache: _CameraCache, actors: SceneActors, lighting: PictureLighting) -> Image:
-        """Return the picture as sRGB bytes: one sample per pixel, then more samples at edges and moving bodies, then blur."""
-        still, shutter = camera_cache.stage, lighting.shutter
-        first = sample_centres(still, lighting, camera_cache.field_colours)
-        static, bodies = refine_pixels(still, lighting, camera_cache.field_colours, first, self.samples)
-        if shutter.open_frames > 0:
-            bodies = smear_bodies(lighting)
-        if shutter.has_camera_motion:
-            static = smear_surfaces(still, lighting, static.light)
-        if lighting.view.aperture > 0:
-            light = blur_layers(lighting.view, static, bodies, self.threads)
-        else:
-            light = compose_layers(static, bodies)
-        return encode_srgb(light.reshape(self.height, self.width, 3))
 
 
 def render_frame(

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.light import decode_srgb
+from antdsl.outputs.pictures.light import LUMINANCE_WEIGHTS, decode_srgb
 from antdsl.outputs.pictures.model import Trail
 from antdsl.outputs.pictures.shading_rows import Floats, split_rows
 from antdsl.outputs.pictures.static_stage import SurfaceSamples
@@ -13,7 +13,6 @@ Array = NDArray[np.float64]
 
 _MAX_VOXELS = 40_000_000
 _MAX_GROUND_COVER = 0.66  # share of the ground's own colour that a trail may replace
-_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)  # luminance weights of linear sRGB
 _GRAIN_BRIGHTNESS_RANGE = (0.5, 1.6)  # factors of the light of soil
 
 
@@ -156,7 +155,7 @@ def colour_ground(albedo: Floats, share: Floats, trail: Trail) -> Floats:
     """Return linear ground colours (n, 3) with a trail on them. `share` (n,): the share of the ground that the trail covers.
 
     The strongest part replaces two thirds of the ground's colour. The trail follows the brightness of the grains below it."""
-    light = np.clip((albedo @ _LUMINANCE_WEIGHTS) / np.float32(SOIL_COLOUR @ _LUMINANCE_WEIGHTS), *_GRAIN_BRIGHTNESS_RANGE)
+    light = np.clip((albedo @ LUMINANCE_WEIGHTS) / np.float32(SOIL_COLOUR @ LUMINANCE_WEIGHTS), *_GRAIN_BRIGHTNESS_RANGE)
     return np.asarray(
         albedo + (decode_srgb(trail.colour) * light[:, None] - albedo) * (_MAX_GROUND_COVER * share)[:, None], np.float32
     )

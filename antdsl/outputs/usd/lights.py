@@ -11,7 +11,7 @@ import numpy as np
 
 from antdsl.casting.lamps import UNIT_DISTANCE_IN_RADII
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.pictures.lamps import LAMP_COLOUR, Lamp, find_lamps
+from antdsl.outputs.pictures.lamps import Lamp, find_lamps
 from antdsl.outputs.pictures.light import SKY_LIGHT, SUN_LIGHT, make_sun
 from antdsl.outputs.pictures.model import Picture
 from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, ValueSamples
@@ -54,7 +54,7 @@ class LightWriter:
     def _add_lamp(self, number: int, lamp: Lamp) -> tuple[ValueSamples, ValueSamples]:
         """Add the light of a lamp, and return its positions and its radii over time."""
         sphere = import_pxr_module("UsdLux").SphereLight.Define(self._out.stage, f"{ROOT_PATH}/lights/lamp_{number}")
-        _set_colour(sphere, LAMP_COLOUR * (lamp.strength * UNIT_DISTANCE_IN_RADII**2 / np.pi))
+        _set_colour(sphere, lamp.light * (lamp.strength * UNIT_DISTANCE_IN_RADII**2 / np.pi))
         vector = import_pxr_module("Gf").Vec3d
         move = self._out.add_samples(sphere.AddTranslateOp(), lambda v: vector(*v.tolist()))
         return move, self._out.add_samples(sphere.CreateRadiusAttr(), lambda v: float(v[0]))

@@ -9,7 +9,7 @@ import numpy as np
 from antdsl.bodies.body import compute_vertex_normals
 from antdsl.bodies.shapes import build_item_mesh
 from antdsl.numerics.vector_rows import normalise_or_fallback
-from antdsl.outputs.cache.manifest import LensEntry
+from antdsl.outputs.cache.manifest_parts import LensEntry
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail

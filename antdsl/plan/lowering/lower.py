@@ -70,7 +70,8 @@ def lower(
             for p in program.params.values()
         }
     world = program.world.values()
-    items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
+    item_groups = [t for t in world if KIND_BY_WORD[t.kind].is_item_group]
+    items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in item_groups}
     things = {k: tuple(t.name for t in world if t.kind == k) for k, row in KIND_BY_WORD.items() if not row.has_values}
     return ir.Plan(species, fields, items, params, things, tuple(builder.nodes)), report
 

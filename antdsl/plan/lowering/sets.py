@@ -15,6 +15,7 @@ from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.plan.simplify import get_constant_value
 from antdsl.program import model
 from antdsl.program.model import Dimension
+from antdsl.program.tables.things import KIND_BY_WORD
 
 T = TypeVar("T")
 ANY_DIRECTION_COSINE = -2.0  # below every cosine, so that every direction is inside
@@ -83,7 +84,7 @@ def _is_among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind:
 
 def _is_item_group(w: PlanWriter, name: str) -> bool:
     thing = w.program.world.get(name)
-    return thing is not None and thing.kind == "items"
+    return thing is not None and KIND_BY_WORD[thing.kind].is_item_group
 
 
 def lower_agent_scalar(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr) -> PlanNode:

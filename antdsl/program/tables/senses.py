@@ -211,7 +211,7 @@ _SENSE_ROWS = (
         (
             parse_row(
                 "light(of: items) -> number",
-                "the light of its lamps here: 1 is as bright as the sun, 0 is the dark",
+                "the light of a lamp, or of items that are lamps: 1 is as bright as the sun, 0 is the dark",
                 part="value",
                 depends_on_agent=True,
                 interval=POSITIVE_INTERVAL,

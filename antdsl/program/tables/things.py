@@ -26,7 +26,8 @@ class ThingKindRow:
     - `is_blocking`: agents cannot walk through it.
     - `is_dug`: agents change its shape, and its total is a volume.
     - `look`: the default look of its meshes in pictures.
-    - `section`: the key of a scene that holds its entries."""
+    - `section`: the key of a scene that holds its entries.
+    - `type_word`: the kind of its values in expressions, if that is not `word`."""
 
     word: str
     help: str
@@ -45,6 +46,12 @@ class ThingKindRow:
     is_dug: bool = False
     look: Literal["ground", "stone"] = "ground"
     section: str = "world"
+    type_word: str = ""
+
+    @property
+    def is_item_group(self) -> bool:
+        """Return whether the thing consists of items with positions and sizes."""
+        return self.nearest_op == "set.items"
 
     @property
     def has_faces(self) -> bool:
@@ -92,6 +99,12 @@ _THING_ROWS = (
         type_meaning="the name of a camera", nearest_op="camera.position", section="cameras",
         scene_form="a camera", scene="{at: [200, 150, 300], look_at: [0, 0, 0]}",
         snippet="{at: [${1:200}, ${2:150}, ${3:300}], look_at: [${4:0}, 0, ${5:0}]}",
+    ),
+    ThingKindRow(
+        "lamp", "a lamp, which lights pictures and can be sensed", "world { lamp bulb }", label="a lamp",
+        nearest_op="set.items", type_word="items",
+        scene_form="a lamp", scene="{lamp: [0, 60, 0], radius: 5 mm}",
+        snippet="{lamp: [${1:0}, ${2:60}, ${3:0}], radius: ${4:5 mm}}",
     ),
     ThingKindRow(
         "species", "agents that another file describes", "world { species beetle { hunger = 0 } }",

@@ -7,6 +7,7 @@ import re
 from antdsl.program.expectations import GEOMETRY_MEASURES
 from antdsl.program.model import Binding, BindingRef, ChangeRate, Dimension, TypeKind, ValueType
 from antdsl.program.names.scope import Declarations, NameScope
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.vocabulary import SENSE_TYPE_BY_NAME
 from antdsl.program.traverse import iterate_nodes
 from antdsl.program.typed import ThingRef
@@ -60,7 +61,7 @@ def find_thing_kind(declarations: Declarations, name: str) -> TypeKind | None:
     if name in declarations.species:
         return TypeKind.SPECIES
     thing = declarations.things.get(name)
-    return TypeKind.ITEMS if thing is not None and thing.kind == "items" else None
+    return TypeKind.ITEMS if thing is not None and KIND_BY_WORD[thing.kind].is_item_group else None
 
 
 def _has_values(declarations: Declarations, species: str, operand: nodes.Expr) -> bool:

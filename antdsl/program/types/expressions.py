@@ -91,7 +91,7 @@ def find_reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
     """Return the type of one item of the items `name` or of one agent of the species `name`; None, with an error, for others."""
     declared = scope.declarations
     thing = declared.things.get(name.text)
-    if thing is not None and thing.kind == "items":
+    if thing is not None and KIND_BY_WORD[thing.kind].is_item_group:
         scope.mark_used("thing", name.text)
         scope.bind(name.span, "thing", name.text)
         return ValueType(TypeKind.ITEM, referent=name.text)
@@ -99,7 +99,7 @@ def find_reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
         scope.mark_used("species", name.text)
         scope.bind(name.span, "species", name.text)
         return ValueType(TypeKind.AGENT, referent=name.text)
-    known = [t.name for t in declared.things.values() if t.kind == "items"] + list(declared.species)
+    known = [t.name for t in declared.things.values() if KIND_BY_WORD[t.kind].is_item_group] + list(declared.species)
     scope.report.error(
         "unknown-name", f"no items or species `{name.text}`", name.span,
         suggest_name(name.text, known, f"declare it: `world {{ items {name.text} }}`"),
@@ -242,7 +242,8 @@ def _type_world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     if thing is not None:
         scope.mark_used("thing", name)
         scope.bind(span, "thing", name)
-        return ThingRef(ValueType(TypeKind(thing.kind), referent=name), ChangeRate.CONST, span, name)
+        kind = TypeKind(KIND_BY_WORD[thing.kind].type_word or thing.kind)
+        return ThingRef(ValueType(kind, referent=name), ChangeRate.CONST, span, name)
     if name in declared.events and scope.species is not None:
         scope.mark_used("event", name)
         scope.mark_used("heard", f"{name} {scope.species.name}")

@@ -16,7 +16,7 @@ from antdsl.numerics.vectors import split_columns
 from antdsl.plan import ir
 from antdsl.runtime.sensing.thing_senses import Rows, read_exact_positions
 from antdsl.runtime.world import Population, World
-from antdsl.scene.looks import choose_drawn_shape, compute_drawn_radius, compute_remaining_share, is_lamp_look
+from antdsl.scene.looks import LAMP_SHAPE, choose_drawn_shape, compute_drawn_radius, compute_remaining_share, is_lamp_look
 
 _RAYS_PER_LAMP = 16  # to evenly spread points of the side that faces the agent
 _RAY_START_HEIGHT_PER_BODY = 0.02  # of the rays above the ground, in body lengths
@@ -50,8 +50,9 @@ def _find_lamps(world: World, name: str) -> Iterator[LightSphere]:
         )
         size = compute_drawn_radius(data.radius, compute_remaining_share(amounts))
         if is_lamp_look(data.look) and size > 0 and strength > 0:
-            shape = choose_drawn_shape(name, data.name, data.look)
-            yield LightSphere(*place_bulb(shape, items.position[index], size, world.up), strength)
+            shape = choose_drawn_shape(name, data.name, data.look) if data.power is None else LAMP_SHAPE
+            power = strength if data.power is None else strength * data.power
+            yield LightSphere(*place_bulb(shape, items.position[index], size, world.up), power)
 
 
 def _find_hidden_share(world: World, lamp: LightSphere, start: Floats) -> Floats:

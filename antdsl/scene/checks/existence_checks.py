@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from antdsl import limits
 from antdsl.diagnostics import Fix, Label, Report
@@ -17,6 +18,7 @@ from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.looks import is_lamp_look
 from antdsl.scene.paths import PathRefused, Roots
+from antdsl.scene.thing_models import LampThing, MeshThing
 from antdsl.source import Span
 
 _SUGGESTION_PATTERN = re.compile(r"did you mean `([^`]+)`\?")
@@ -82,7 +84,11 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
 
 
 def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
-    """Report a use of `light(ITEMS)` if none of the items emits light."""
+    """Report a use of `light(THING)` if none of the items emits light, and lamps that a strength of 0 makes dark."""
+    lamps = [name for name, thing in scene.model.world.items() if _has_lamp(thing)]
+    if scene.model.light.lamps == 0 and lamps:
+        message = f"`lamps: 0` makes `{lamps[0]}` dark, in pictures and for `light({lamps[0]})`"
+        report.warning("wrong-value", message, scene.span("light", "lamps"), "write `lamps: 100 %`, or leave the lamp out")
     sensed = {
         thing.name: part
         for part in iterate_parts(tuple(program.species.values()))
@@ -90,13 +96,18 @@ def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
     }
     for name, part in sensed.items():
         value = scene.model.world.get(name)
-        looks = [item.look for item in value.values()] if isinstance(value, dict) else [getattr(value, "look", None)]
-        if value is not None and not any(map(is_lamp_look, looks)):
+        if value is not None and not _has_lamp(value):
             message = f"no item of `{name}` emits light, so `light({name})` is always 0"
             label = Label(part.span, "sensed here")
             report.warning(
                 "missing-key", message, scene.span("world", name, key=True), "add `look: light` to the lamps", labels=(label,)
             )
+
+
+def _has_lamp(thing: Any) -> bool:
+    """Return whether a thing of a scene has an item that emits light."""
+    looks = [item.look for item in thing.values()] if isinstance(thing, dict) else [getattr(thing, "look", None)]
+    return isinstance(thing, LampThing) or (not isinstance(thing, MeshThing) and any(map(is_lamp_look, looks)))
 
 
 def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:

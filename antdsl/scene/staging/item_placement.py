@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from antdsl.numerics.elementary import atan2_float64
 from antdsl.program.model import Dimension, TypeKind, WorldThing
 from antdsl.scene import setting as setting_data
+from antdsl.scene.looks import LAMP_LOOK
 from antdsl.scene.staging.mesh_cache import cached_per_mesh
 from antdsl.scene.staging.stage_things import compute_item_positions, follow_surface, list_simulated_frames, stage_usd_items
 from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_misspelled_names
-from antdsl.scene.thing_models import ItemThing, UsdThing
+from antdsl.scene.thing_models import ItemThing, LampThing, UsdThing
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
@@ -23,13 +24,15 @@ DEFAULT_ITEM_RADIUS = 10.0  # mm
 
 
 def place_items(
-    staging: SceneStaging, name: str, value: UsdThing | dict[str, ItemThing]
+    staging: SceneStaging, name: str, value: UsdThing | LampThing | dict[str, ItemThing]
 ) -> tuple[setting_data.ItemData, ...] | None:
     """Return the items of one name, at the first frame. On failure, report an error and return None.
 
     Their motion is stored in `staging.item_tracks`."""
     if isinstance(value, UsdThing):
         return _place_usd_items(staging, name, value, staging.program.world[name])
+    if isinstance(value, LampThing):
+        return (_place_lamp(staging, name, value),)
     model = staging.scene.model
     dt = float(1 / model.fps)
     items, tracks = [], []
@@ -47,6 +50,15 @@ def place_items(
     if frames > 1:
         staging.item_tracks[name] = np.stack([np.broadcast_to(track, (frames, 3)) for track in tracks], axis=1)
     return tuple(items)
+
+
+def _place_lamp(staging: SceneStaging, name: str, thing: LampThing) -> setting_data.ItemData:
+    """Return a lamp as the only item of its name, at the first frame. Its motion is stored in `staging.item_tracks`."""
+    track = compute_item_positions(staging, name, None, thing)
+    if len(track) > 1:
+        staging.item_tracks[name] = track[:, None]
+    radius = DEFAULT_ITEM_RADIUS if thing.radius is None else thing.radius.to_millimetres(staging.scene.model.unit_mm)
+    return setting_data.ItemData(name, to_tuple(track[0]), radius, {}, LAMP_LOOK, thing.power, thing.colour)
 
 
 def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> NDArray[np.float64] | None:

@@ -25,6 +25,7 @@ from antdsl.scene.thing_models import (
     UNIT_MM,
     CurveThing,
     ItemThing,
+    LampThing,
     MeshThing,
     PaintedThing,
     PlacedThing,
@@ -287,16 +288,19 @@ def _apply_by_frame(transforms: Floats, positions: Floats) -> Floats:
 # ---- items
 
 
-def compute_item_positions(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> Floats:
-    """Return the positions (frames, 3) of an item in mm, by its keys. One frame if it has no keys."""
+def compute_item_positions(staging: SceneStaging, name: str, item: str | None, thing: ItemThing | LampThing) -> Floats:
+    """Return the positions (frames, 3) of an item or lamp in mm, by its keys. One frame if it has no keys. `item`: its name
+    below `name`, if the scene has one."""
     unit_mm = staging.scene.model.unit_mm
     placed = interpolate_keys(thing.keys, thing.at, None, list_simulated_frames(staging), unit_mm)
     if placed is None:
         return np.array([convert_point(thing.at, unit_mm)])
     if any(key.rotate is not None for key in thing.keys.values()):
         frame = next(f for f, key in thing.keys.items() if key.rotate is not None)
-        span = staging.scene.span("world", name, item, "keys", str(frame), "rotate")
-        staging.report.error("wrong-value", f"the item `{item}` has no orientation, so it cannot rotate", span, "delete `rotate`")
+        span = staging.scene.span("world", name, *([] if item is None else [item]), "keys", str(frame), "rotate")
+        staging.report.error(
+            "wrong-value", f"the item `{item or name}` has no orientation, so it cannot rotate", span, "delete `rotate`"
+        )
     return placed[0]
 
 
