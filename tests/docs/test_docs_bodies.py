@@ -55,6 +55,6 @@ def test_the_page_has_all_keys_parts_and_deformers_and_the_files_that_are_not_re
     assert [key for key in list_keys(BodyForm) if key not in words] == []
     assert [part for part in TRANSFORM_PARTS if part not in words] == []
     assert [name for name in DOCUMENTED_DEFORMERS if "+" not in name and name not in words] == []
-    assert {"bclip", "bgeo", "fbx", "abc"} <= set(_HELP_BY_CLOSED_FORMAT) and all(
-        f"`.{each}`" in TEXT for each in ("bclip", "bgeo", "fbx", "abc")
+    assert {"bclip", "sc", "fbx", "abc"} <= set(_HELP_BY_CLOSED_FORMAT) and all(
+        f"`.{each}`" in TEXT for each in ("bclip", "sc", "fbx", "abc")
     )

@@ -179,6 +179,20 @@ def feed_gltf(folder: Path) -> Feed:
     return feed
 
 
+def feed_clip(folder: Path) -> Feed:
+    """A clip of Houdini that a definition names."""
+    (folder / "rig.json").write_text('{"rig_version": 1, "transforms": {"root": ["hand"], "hand": []}}')
+    (folder / "body.json").write_text(
+        '{"antdsl_body": 1, "length": 1, "rig": {"file": "rig.json"}, "clips": [{"file": "part.clip"}]}'
+    )
+
+    def feed(data: bytes) -> str:
+        (folder / "part.clip").write_bytes(data)
+        return _body_text(folder / "body.json")
+
+    return feed
+
+
 def feed_body(folder: Path) -> Feed:
     """A definition file, or a part of one: a clip, layer, group or rig by its keys."""
     import gltf_bodies

@@ -12,9 +12,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import gltf_bodies
+import houdini_files
 import numpy as np
 from cases.hostile import meshes, numbers, rows, usd, volumes
 from fuzz.mutation import Mutator, insert_words
+from houdini_files import to_binary, to_text
 from random_programs import Author
 from random_sensing import Sensing
 
@@ -124,6 +126,26 @@ def stl_files() -> list[bytes]:
     corners = (0, 1, 0, 0, 0, 0, 10, 0, 0, 0, 0, 10)
     binary = b"ground".ljust(80) + struct.pack("<I", 2) + (struct.pack("<12f", *corners) + b"\0\0") * 2
     return [meshes.STL, binary, *_hostile(meshes.ROWS, ".stl")]
+
+
+def geo_files() -> list[bytes]:
+    values = [houdini_files.cube(), houdini_files.library()]
+    return [form for value in values for form in (to_text(value), to_binary(value), to_binary(value, ">"))]
+
+
+def geo_words() -> tuple[Mutator, ...]:
+    keys = ("pointcount", "pointref", "values", "tuples", "rawpagedata", "pagesize", "packing", "constantpageflags", "run", "p_r")
+    return _words([f'"{key}"' for key in keys], ("PackedFragment", "PolySoup", "r_v", "n_p", "embedded", "true", "null", "1e9"))
+
+
+def clip_files() -> list[bytes]:
+    return [houdini_files.CLIP.encode()]
+
+
+def clip_words() -> tuple[Mutator, ...]:
+    return _words(
+        ("{", "}", "=", "rate", "tracklength", "tracks", "name", "data", "data_rle", "@2", "@1e9", "nan", "quaternions")
+    )
 
 
 def mesh_words() -> tuple[Mutator, ...]:

@@ -50,6 +50,7 @@ TARGETS: dict[str, Target] = {
         Target("obj", seeds.obj_files, (*TEXT, *seeds.mesh_words()), feeds.feed_mesh("obj")),
         Target("ply", seeds.ply_files, (*TEXT, *BINARY, *seeds.mesh_words()), feeds.feed_mesh("ply")),
         Target("stl", seeds.stl_files, (*TEXT, *BINARY, *seeds.mesh_words()), feeds.feed_mesh("stl")),
+        Target("geo", seeds.geo_files, (*TEXT, *BINARY, *seeds.geo_words()), feeds.feed_mesh("bgeo")),
         Target("gltf", seeds.gltf_files, (*TEXT, *BINARY, *seeds.gltf_words()), feeds.feed_gltf),
         Target(
             "gltf_ground", seeds.gltf_files, (*TEXT, *BINARY, *seeds.gltf_words()),
@@ -60,6 +61,7 @@ TARGETS: dict[str, Target] = {
             allowed=READER,
         ),
         Target("body", seeds.body_files, (*TEXT, *seeds.body_words()), feeds.feed_body),
+        Target("clip", seeds.clip_files, (*TEXT, *seeds.clip_words()), feeds.feed_clip),
         Target(
             "image", seeds.image_files, BINARY,
             feeds.feed_ground(feeds.image_name, "{height: FILE, extent: [100 mm, 100 mm], scale: 10 mm}"),

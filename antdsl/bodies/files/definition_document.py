@@ -23,7 +23,7 @@ from antdsl.bodies.files.documents import (
     read_metadata,
 )
 from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown_name
-from antdsl.bodies.files.named_files import GLTF_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
+from antdsl.bodies.files.named_files import CLIP_ENDINGS, GLTF_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.bodies.files.shape_references import read_includes, read_shapes
 from antdsl.diagnostics import Label, Report
 from antdsl.source import Span
@@ -234,9 +234,9 @@ def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFil
     if get_file_ending(path) in (*GLTF_ENDINGS, *USD_ENDINGS):
         body = files.read_body(path, place, entry.prim or "", entry.rate or 0.0, rig)
         return {name: _fit_to_rig(files, clip, rig, place) for name, clip in (body.clips if body else {}).items()}
-    if get_file_ending(path) != "json":
+    if get_file_ending(path) not in CLIP_ENDINGS:
         if not files.is_closed_format(path, place):
-            kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF_ENDINGS, *USD_ENDINGS))
+            kinds = ", ".join(f".{kind}" for kind in (*CLIP_ENDINGS, *GLTF_ENDINGS, *USD_ENDINGS))
             files.report.error(
                 "wrong-kind", f"`{path[-80:]}` is not a file of clips", place, f"use a file of one of these types: {kinds}"
             )

@@ -14,23 +14,23 @@ from pathlib import Path
 from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Definition, Rig
 from antdsl.bodies.files.gltf.gltf_body import read_gltf
+from antdsl.bodies.files.houdini_clip import read_clip_text
 from antdsl.bodies.files.json_text import Node, read_tree
 from antdsl.diagnostics import Report
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots, read_user_file
 from antdsl.source import Span
 
-GLTF_ENDINGS, USD_ENDINGS, MESH_ENDINGS = ("glb", "gltf"), ("usd", "usda", "usdc", "usdz"), ("obj", "ply", "stl")
+GLTF_ENDINGS, USD_ENDINGS, MESH_ENDINGS = ("glb", "gltf"), ("usd", "usda", "usdc", "usdz"), ("obj", "ply", "stl", "geo", "bgeo")
+HOUDINI_ENDINGS = ("geo", "bgeo")
+CLIP_ENDINGS = ("json", "clip")
 DEFAULT_SAMPLE_RATE = 30.0  # samples per second of animations, if the file has no rate
 _ROOT_PREFIX_PATTERN = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
 _VARIABLE_PATTERN = re.compile(r"\$(?:\{([A-Za-z][A-Za-z0-9_]*)\}|([A-Za-z][A-Za-z0-9_]*))/(.*)", re.DOTALL)
 # Formats of other programs that cannot be read, with alternatives.
 _HELP_BY_CLOSED_FORMAT = {
-    "bclip": "its format is not published: export the clip as glTF or USD, or write it as a clip in JSON",
-    "clip": "it is a channel file of Houdini: export the clip as glTF or USD, or write it as a clip in JSON",
-    "bgeo": "it is a packed form of Houdini's own: export the shapes as glTF, USD, OBJ or PLY",
-    "geo": "it is a form of Houdini's own: export the shapes as glTF, USD, OBJ or PLY",
-    "sc": "it is packed: export the shapes as glTF, USD, OBJ or PLY",
+    "bclip": "its format is not published: write it as text by Houdini's `clcp walk.bclip walk.clip`, or export glTF or USD",
+    "sc": "it is compressed: save it as .bgeo, .geo or .clip",
     "fbx": "its format is not published: export it as glTF or USD; Blender reads it and writes both",
     "abc": "Alembic has no joints: export the body as glTF or USD",
     "blend": "export it from Blender as glTF: File, Export, glTF 2.0",
@@ -80,7 +80,7 @@ class BodyFiles:
         return True
 
     def read_part(self, path: str, expected_part: str, place: Span | None) -> Node | None:
-        """Return the tree of a separate JSON file, or None after an error.
+        """Return the tree of a separate file, or None after an error. A `.clip` file is one of Houdini, any other is JSON.
 
         `expected_part`: what the file should contain, in words, such as `a rig`."""
         if self.is_closed_format(path, place):
@@ -90,7 +90,8 @@ class BodyFiles:
         except PathRefused as error:
             self.report_refusal(error, place)
             return None
-        root, report = read_tree(data, self.display_path(path), expected_part)
+        name = self.display_path(path)
+        root, report = read_clip_text(data, name) if get_file_ending(path) == "clip" else read_tree(data, name, expected_part)
         self.report.extend(report)
         return root
 

@@ -13,9 +13,9 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import BlendTargets, InBetweens, Shape
 from antdsl.bodies.files.document_model import BodyForm, ShapeReference
 from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown_name
-from antdsl.bodies.files.named_files import GLTF_ENDINGS, MESH_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
+from antdsl.bodies.files.named_files import GLTF_ENDINGS, HOUDINI_ENDINGS, MESH_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.diagnostics import Label
-from antdsl.scene.geometry.mesh_files import read_mesh
+from antdsl.scene.geometry.mesh_files import RawMesh, read_mesh, read_named_meshes
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.paths import PathRefused
 from antdsl.source import Span
@@ -90,7 +90,8 @@ def load_shapes(
 ) -> Mapping[str, Shape]:
     """Return the shapes of a file by name.
 
-    A glTF file gives all its shapes, a USD file those at and below `prim`. A mesh file gives one shape, called `name`."""
+    A glTF file gives all its shapes, a USD file those at and below `prim`. A .geo or .bgeo file gives a shape for each `name` of
+    its primitives. A file without names, and any other mesh file, gives one shape, called `name`."""
     kind = get_file_ending(path)
     if files.is_closed_format(path, place):
         return {}
@@ -108,19 +109,28 @@ def load_shapes(
         )
         return {}
     try:
-        mesh = read_mesh(files.read_file(files.to_root_path(path), limits.MAX_MESH_BYTES), path)
+        data = files.read_file(files.to_root_path(path), limits.MAX_MESH_BYTES)
+        meshes = read_named_meshes(data, path) or {name: read_mesh(data, path)}
     except PathRefused as error:
         files.report_refusal(error, place)
         return {}
     except MeshError as error:
         files.report.error("bad-mesh", f"the mesh `{path[-80:]}` {error}", place, error.help)
         return {}
-    if len(mesh.vertices) > limits.MAX_BODY_POINTS:
+    if sum(len(mesh.vertices) for mesh in meshes.values()) > limits.MAX_BODY_POINTS:
         words = f"`{path[-80:]}` has more than {limits.MAX_BODY_POINTS:,} points"
         files.report.error("too-large", words, place, "use a lighter mesh")
         return {}
+    if kind in HOUDINI_ENDINGS:
+        for sentence in dict.fromkeys(each for mesh in meshes.values() for each in mesh.notes.describe_skipped()):
+            files.report.warning("body-left-out", f"of `{files.display_path(path)}`: {sentence}", place)
+    return {name: _make_shape(name, mesh) for name, mesh in meshes.items()}
+
+
+def _make_shape(name: str, mesh: RawMesh) -> Shape:
+    """Return a mesh as a shape with the attribute `id`: the number of each point in the file."""
     ids = {"id": mesh.file_vertex_indices.astype(np.int64)}
-    return {name: Shape(name, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), attributes=dict(ids))}
+    return Shape(name, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), attributes=dict(ids))
 
 
 def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str, Shape], materials: Colours) -> None:

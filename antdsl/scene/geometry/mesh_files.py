@@ -4,7 +4,8 @@ This module also checks the results of all mesh readers: indices out of range, v
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.gltf_mesh import SiblingReader, read_gltf_mesh
+from antdsl.scene.geometry.houdini_mesh import read_houdini, read_houdini_by_name
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import compute_cosine_and_sine
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -50,7 +52,8 @@ class RawMesh:
 def read_mesh(data: bytes, name: str, group: str | None = None, read_sibling: SiblingReader | None = None) -> RawMesh:
     """Return the triangles of a file's bytes. Raises MeshError with the reason if there are none.
 
-    `group`: the only group or object of an .obj file to read, or the only node of a glTF file, with all below it.
+    `group`: the only group or object of an .obj file to read, the only node of a glTF file, with all below it, or the only `name`
+    of primitives of a .geo or .bgeo file.
     `read_sibling(path, max_bytes)`: returns the bytes of a file in the same folder."""
     is_cached = len(data) <= _MAX_CACHED_BYTES and not name.lower().endswith(
         ".gltf"
@@ -88,13 +91,34 @@ def read_mesh_arrays(
             f"is not one of {', '.join('.' + k for k in MESH_SUFFIXES)}", "export it as a .glb, .ply, .obj or .stl file"
         )
     if group is not None and kind in READER_BY_SUFFIX:
-        raise MeshError("has no groups, which only .obj and glTF files have", "leave `group` out")
-    try:
+        raise MeshError("has no groups, which only .obj, .geo, .bgeo and glTF files have", "leave `group` out")
+    with _raise_mesh_errors():
         if kind in READER_BY_SUFFIX:
             return _triangulate_mesh(READER_BY_SUFFIX[kind](data, notes), notes)
-        if kind == "obj":
-            return _triangulate_mesh(read_obj(data, notes, group), notes)
+        if kind in GROUP_READER_BY_SUFFIX:
+            return _triangulate_mesh(GROUP_READER_BY_SUFFIX[kind](data, notes, group), notes)
         return _triangulate_mesh(read_gltf_mesh(data, notes, group, read_sibling or _reject_sibling), notes)
+
+
+def read_named_meshes(data: bytes, name: str) -> dict[str, RawMesh]:
+    """Return the meshes of a .geo or .bgeo file by the names of their primitives. Other files have none.
+
+    Raises MeshError with the reason if that fails."""
+    if not name.lower().endswith((".geo", ".bgeo")):
+        return {}
+    skipped, meshes = ImportNotes(), dict[str, RawMesh]()
+    with _raise_mesh_errors():
+        for each, mesh in read_houdini_by_name(data, skipped).items():
+            notes = ImportNotes(skipped_elements=skipped.skipped_elements)
+            meshes[each] = check_mesh(*_triangulate_mesh(mesh, notes), notes)
+    return meshes
+
+
+@contextmanager
+def _raise_mesh_errors() -> Iterator[None]:
+    """Raise errors of the readers of untrusted files as MeshError."""
+    try:
+        yield
     except (MeshError, PathRefused, MemoryError):
         raise
     except HeaderError as error:
@@ -188,7 +212,12 @@ def _find_first_rows(rows: Faces, bound: int) -> NDArray[np.int64]:
 
 READER_BY_SUFFIX: dict[str, Callable[[bytes, ImportNotes], PolygonMesh]] = {"ply": read_ply, "stl": read_stl}
 GLTF_SUFFIXES = ("gltf", "glb")
-MESH_SUFFIXES = (*READER_BY_SUFFIX, "obj", *GLTF_SUFFIXES)
+GROUP_READER_BY_SUFFIX: dict[str, Callable[[bytes, ImportNotes, str | None], PolygonMesh]] = {
+    "obj": read_obj,
+    "geo": read_houdini,
+    "bgeo": read_houdini,
+}
+MESH_SUFFIXES = (*READER_BY_SUFFIX, *GROUP_READER_BY_SUFFIX, *GLTF_SUFFIXES)
 
 
 def _reject_sibling(path: str, max_bytes: int) -> bytes:

@@ -1,0 +1,178 @@
+"""Parser of Houdini's geometry files (since version 12): JSON as text (`.geo`) or as binary tokens (`.bgeo`).
+
+The binary form is that of the open readers houio (D. Koerner) and bgeo_reader (Laika). A token is one byte, followed by its data.
+The magic number gives the byte order. Arrays of one type are stored as raw numbers."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any, Literal
+
+import numpy as np
+
+from antdsl.scene.geometry.mesh_text import MeshError
+
+_MAGIC_BY_ORDER: dict[Literal["<", ">"], bytes] = {"<": b"\x7fNSJb", ">": b"\x7fbJSN"}
+_CLASSIC_MAGICS = (b"PGEOMETRY", b"BgeoV")
+_COMPRESSED_MAGICS = {b"scf1": "Blosc", b"\x1f\x8b": "gzip"}
+_MAP_BEGIN, _MAP_END, _ARRAY_BEGIN, _ARRAY_END, _UNIFORM_ARRAY = 0x7B, 0x7D, 0x5B, 0x5D, 0x40
+_NULL, _BOOL, _FALSE, _TRUE = 0x00, 0x10, 0x30, 0x31
+_STRING, _TOKEN_DEFINITION, _TOKEN_REFERENCE, _TOKEN_REMOVAL = 0x27, 0x2B, 0x26, 0x2D
+_NUMBER_TYPES = {
+    0x11: "i1", 0x12: "i2", 0x13: "i4", 0x14: "i8", 0x18: "f2", 0x19: "f4", 0x1A: "f8", 0x21: "u1", 0x22: "u2",
+}  # fmt: skip
+_LENGTH_FORMATS = {0xF2: "H", 0xF4: "I", 0xF8: "Q"}
+_MAX_DEPTH = 64
+_SAVE_AGAIN_HELP = "save it again in Houdini as .bgeo or .geo"
+
+
+class HoudiniDocument:
+    """The content of a file.
+
+    `root`: lists, dictionaries, texts, numbers and arrays (NumPy). `byte_count`: the size of the file."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self.byte_count, self._offset_by_text = data, len(data), dict[str, int]()
+        if data.startswith(tuple(_MAGIC_BY_ORDER.values())):
+            parser = _BinaryParser(data)
+            self.root, self._offset_by_text = parser.read_value(parser.read_byte(), 0), parser.offset_by_text
+            return
+        for magic, name in _COMPRESSED_MAGICS.items():
+            if data.startswith(magic):
+                raise MeshError(f"is compressed with {name} (at byte 0)", _SAVE_AGAIN_HELP)
+        if data.startswith(_CLASSIC_MAGICS):
+            raise MeshError("has the classic form of Houdini 11 and earlier (at byte 0)", f"{_SAVE_AGAIN_HELP} (12 or later)")
+        try:
+            self.root = json.loads(data)
+        except json.JSONDecodeError as error:
+            offset = len(error.doc[: error.pos].encode("utf-8", "surrogatepass"))
+            raise MeshError(f"is not JSON at byte {offset:,}: {error.msg}", _SAVE_AGAIN_HELP) from None
+        except RecursionError:
+            raise MeshError("has too many nested lists", _SAVE_AGAIN_HELP) from None
+        except UnicodeDecodeError as error:
+            raise MeshError(f"is neither JSON nor a .bgeo file (at byte {error.start:,})", _SAVE_AGAIN_HELP) from None
+
+    def find_offset(self, text: str) -> int:
+        """Return the byte at which a text first occurs as a value, or 0."""
+        return self._offset_by_text.get(text, max(self._data.find(json.dumps(text).encode()), 0))
+
+
+class _BinaryParser:
+    """Parser of binary tokens. Lengths are compared with the remaining bytes before anything is allocated.
+
+    `offset_by_text`: the byte at which each text first occurs."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._offset = data, 5
+        self._order = next(order for order, magic in _MAGIC_BY_ORDER.items() if data.startswith(magic))
+        self._text_by_token = dict[int, str]()
+        self.offset_by_text = dict[str, int]()
+
+    def read_byte(self) -> int:
+        """Return the next byte."""
+        return self._take_bytes(1)[0]
+
+    def _take_bytes(self, count: int) -> bytes:
+        """Return the next bytes. Raises MeshError if the file has fewer."""
+        start, self._offset = self._offset, self._offset + count
+        if self._offset > len(self._data):
+            raise MeshError(f"ends within a value at byte {start:,}: a part of it is missing", _SAVE_AGAIN_HELP)
+        return self._data[start : self._offset]
+
+    def _read_length(self) -> int:
+        """Return a length or the number of a token: a byte below 0xf1, or an integer of 2, 4 or 8 bytes after its mark."""
+        first = self.read_byte()
+        if first < 0xF1:
+            return first
+        if first not in _LENGTH_FORMATS:
+            raise MeshError(f"has an unknown length {first:#x} at byte {self._offset - 1:,}", _SAVE_AGAIN_HELP)
+        form = self._order + _LENGTH_FORMATS[first]
+        length: int = struct.unpack(form, self._take_bytes(struct.calcsize(form)))[0]
+        return length
+
+    def _read_text(self) -> str:
+        """Return a text after its length."""
+        start = self._offset
+        text = self._take_bytes(self._read_length()).decode("utf-8", "replace")
+        self.offset_by_text.setdefault(text, start)
+        return text
+
+    def _skip_definitions(self, token: int) -> int:
+        """Read definitions and removals of tokens, beginning with `token`. Return the first other token."""
+        while token in (_TOKEN_DEFINITION, _TOKEN_REMOVAL):
+            number = self._read_length()
+            if token == _TOKEN_DEFINITION:
+                self._text_by_token[number] = self._read_text()
+            else:
+                self._text_by_token.pop(number, None)
+            token = self.read_byte()
+        return token
+
+    def read_value(self, token: int, depth: int) -> Any:
+        """Return the value that begins with `token`, which is already read. `depth`: the number of values around it."""
+        token, start = self._skip_definitions(token), self._offset - 1
+        if depth > _MAX_DEPTH:
+            raise MeshError(f"has more than {_MAX_DEPTH} nested lists at byte {start:,}", _SAVE_AGAIN_HELP)
+        if token == _ARRAY_BEGIN:
+            return self._read_list(depth)
+        if token == _MAP_BEGIN:
+            return self._read_map(depth)
+        if token == _UNIFORM_ARRAY:
+            return self._read_uniform_array()
+        if token in (_STRING, _TOKEN_REFERENCE):
+            return self._read_text_item(token)
+        if token in _NUMBER_TYPES:
+            return self._read_numbers(token, 1)[0].item()
+        if token == _BOOL:
+            return self.read_byte() != 0
+        if token in (_NULL, _FALSE, _TRUE):
+            return None if token == _NULL else token == _TRUE
+        raise MeshError(f"has an unknown token {token:#04x} at byte {start:,}", _SAVE_AGAIN_HELP)
+
+    def _read_list(self, depth: int) -> list[Any]:
+        """Return the items up to the end of a list."""
+        items: list[Any] = []
+        while (token := self._skip_definitions(self.read_byte())) != _ARRAY_END:
+            items.append(self.read_value(token, depth + 1))
+        return items
+
+    def _read_map(self, depth: int) -> dict[str, Any]:
+        """Return the entries up to the end of a map."""
+        entries: dict[str, Any] = {}
+        while (token := self._skip_definitions(self.read_byte())) != _MAP_END:
+            if token not in (_STRING, _TOKEN_REFERENCE):
+                raise MeshError(f"has a key that is not text at byte {self._offset - 1:,}", _SAVE_AGAIN_HELP)
+            key = self._read_text_item(token)
+            entries[key] = self.read_value(self.read_byte(), depth + 1)
+        return entries
+
+    def _read_text_item(self, token: int) -> str:
+        """Return a text that is stored here, or that a token refers to."""
+        if token == _STRING:
+            return self._read_text()
+        start, number = self._offset - 1, self._read_length()
+        if number not in self._text_by_token:
+            raise MeshError(f"refers to a missing text (number {number}) at byte {start:,}", _SAVE_AGAIN_HELP)
+        self.offset_by_text.setdefault(self._text_by_token[number], start)
+        return self._text_by_token[number]
+
+    def _read_numbers(self, token: int, count: int) -> np.ndarray[Any, Any]:
+        """Return `count` numbers of one type."""
+        kind = np.dtype(_NUMBER_TYPES[token]).newbyteorder(self._order)
+        return np.frombuffer(self._take_bytes(count * kind.itemsize), kind)
+
+    def _read_uniform_array(self) -> Any:
+        """Return an array of numbers or bools, or a list of texts."""
+        start, token = self._offset, self.read_byte()
+        count = self._read_length()
+        if token in _NUMBER_TYPES:
+            return self._read_numbers(token, count)
+        if token == _BOOL:  # words of 32 bits
+            words = np.frombuffer(self._take_bytes(4 * -(-count // 32)), self._order + "u4")
+            return np.unpackbits(words.astype("<u4").view(np.uint8), bitorder="little")[:count].astype(np.bool_)
+        if token not in (_STRING, _TOKEN_REFERENCE) or count > len(self._data) - self._offset:
+            raise MeshError(
+                f"has an array of {count:,} values of the unknown type {token:#04x} at byte {start:,}", _SAVE_AGAIN_HELP
+            )
+        return [self._read_text_item(token) for _ in range(count)]
