@@ -345,7 +345,7 @@ class SpeciesPlan:
     look_groups: tuple[str, ...] = ()  # transform groups that states turn towards a point: `look#GROUP.x`, `.y`, `.z`
     has_body_clearance: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
     has_whole_body: bool = False  # whether head, abdomen and load take room in contacts
-    settings: tuple[str, ...] = ()  # the registers among height, upright and max_slope that move its agents
+    settings: tuple[str, ...] = ()  # the registers among height, upright, max_slope and crouch that move its agents
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -121,6 +121,8 @@ def test_numbers_within_a_factor_of_two_are_not_reported(tmp_path: Path, members
         ("height 1.7 m; upright 120 %", "out-of-range", "120 %"),
         ("height 1.7 m; upright 20 deg", "wrong-unit", "20 deg"),
         ("height 1.7 m; max_slope 3 mm", "wrong-unit", "3 mm"),
+        ("height 1.7 m; crouch 120 %", "out-of-range", "120 %"),
+        ("height 1.7 m; crouch 0 %", "out-of-range", "0 %"),
         ("size 0.5 m; mass height * 1 g/m", "unknown-name", "height"),
     ],
 )

@@ -189,7 +189,7 @@ def test_feet_of_a_frame(count: int, threads: int) -> None:
         array[:] = rng.choice(EXTREMES, array.shape)
         array[..., count // 2 :] = rng.normal(size=array[..., count // 2 :].shape) * 1000
     feet.swing[:] = rng.choice(np.array([-1.0, 0.0, 0.5], np.float32), feet.swing.shape)
-    world = SimpleNamespace(feet={"ant": feet}, options=SimpleNamespace(threads=threads))
+    world = SimpleNamespace(feet={"ant": feet}, populations={}, options=SimpleNamespace(threads=threads))
     arrays = make_feet_arrays(world, "ant", scale)  # type: ignore[arg-type]
     feet = feet.sorted_by_id()
     with np.errstate(all="ignore"):

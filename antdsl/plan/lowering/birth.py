@@ -30,10 +30,11 @@ VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTER_COLUMN_BY_NAME.items
 # Of bodies that stay outside their ground: the shift of the body, how much its feet wait for it, how deep it is inside a surface,
 # the direction out of what it has met, and for how many seconds its feet could not move. The runtime sets them.
 CLEARANCE_REGISTERS = ("~lift.x", "~lift.y", "~lift.z", "~wait", "~depth", "~out.x", "~out.y", "~out.z", "~idle")
+LOWERING_REGISTER = "~lowering"  # of bodies that crouch: by which share of the height a body is lower. The runtime sets it.
 # Built-in attributes, each after those that its default reads. The runtime sets `group`, the line of the scene's `crowd`.
 BIRTH_ATTRIBUTES = (
-    "height", "size", "mass", "radius", "clearance", "max_speed", "min_speed", "upright", "max_slope", "response", "max_turn",
-    "max_force",
+    "height", "size", "mass", "radius", "clearance", "max_speed", "min_speed", "upright", "max_slope", "crouch", "response",
+    "max_turn", "max_force",
 )  # fmt: skip
 
 
@@ -49,6 +50,8 @@ def declare_registers(w: PlanWriter) -> None:
     if w.species.has_body_clearance:
         for name in CLEARANCE_REGISTERS:
             w.declare_register(name, ValueKind.F32, "attribute")
+    if "crouch" in list_newer_attributes(w.species):
+        w.declare_register(LOWERING_REGISTER, ValueKind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.pair_species:
             pair_values.declare_registers(w, attribute)

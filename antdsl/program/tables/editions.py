@@ -41,7 +41,7 @@ class EditionDefault:
 STANDING_DEFAULTS = {"body_clearance": "false", "upright": "100 %", "max_slope": "40 deg"}
 STANDING_SETTING, CRAWLING_SETTING = "height", "size"
 # Attributes with a register only in species that set them; all other species have this value.
-OPTIONAL_ATTRIBUTES = {"min_speed": 0.0, "upright": 0.0, "max_slope": inf}
+OPTIONAL_ATTRIBUTES = {"min_speed": 0.0, "upright": 0.0, "max_slope": inf, "crouch": 1.0}
 
 EDITION_DEFAULTS = (
     EditionDefault("body_clearance", ("false", "true"), "bodies were drawn inside the ground and walls"),

@@ -157,6 +157,14 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         can_be_unlimited=True,
         can_be_zero=True,
     ),
+    "crouch": BuiltinAttribute(
+        "number",
+        True,
+        "100 %",
+        "lowest share of its height to which its body crouches below a low ceiling; lower places are walls; 100 %: never",
+        edition=2,
+        max_value=1,
+    ),
     "response": BuiltinAttribute("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
 }
 

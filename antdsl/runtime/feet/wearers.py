@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from antdsl.ground.protocol import Footing
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.body_rows import find_body_numbers, group_rows_by_body
+from antdsl.runtime.moving.crouching import LOWERING_REGISTER, get_heights, has_crouch
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key
 
@@ -75,6 +76,20 @@ def find_wearers(world: World, key: str) -> Wearers:
     names = (*_REGISTERS, *(name for name in LIFT_REGISTERS if name in population.now))
     registers = {name: population.now[name].take(rows) for name in names}
     return WearersInRows(population, key, rows, population.ids.take(rows), population.position.take(rows, axis=0), registers)
+
+
+def measure_lowering(world: World, key: str) -> NDArray[np.float32] | None:
+    """Return by how much (mm) the bodies `key` are lowered because they crouch, in the order of ids.
+
+    None for a species that does not crouch."""
+    population = world.populations.get(find_species_of_key(key))
+    if population is None or not has_crouch(population):
+        return None
+    rows = population.rows_by_id()
+    own_rows = dict(group_rows_by_body(population, world.setting))[key]
+    rows = rows if own_rows is None else rows[np.isin(rows, own_rows)]
+    lowering: NDArray[np.float32] = population.now[LOWERING_REGISTER][rows] * get_heights(population, rows).astype(np.float32)
+    return lowering
 
 
 def find_sorted_ids(world: World, key: str) -> NDArray[np.int64]:

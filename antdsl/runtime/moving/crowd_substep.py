@@ -31,6 +31,7 @@ from antdsl.runtime.moving.clearance.clear_steps import ClearStep, has_clearance
 from antdsl.runtime.moving.clearance.clearance_kernels import WINDOW_PER_BODY
 from antdsl.runtime.moving.clearance.head_clearance import MIN_BODY_HEIGHT_SHARE
 from antdsl.runtime.moving.clearance.walls_ahead import NO_WALLS, WallsAhead, find_walls
+from antdsl.runtime.moving.crouching import crouch_below_ceilings, has_crouch
 from antdsl.runtime.moving.falling import limit_fall_speed
 from antdsl.runtime.moving.obstacles import slide_steps, slow_velocities
 from antdsl.runtime.moving.orienting import orient_bodies
@@ -82,10 +83,11 @@ def move_agents(world: World, population: Population, substep: int) -> ClearStep
         return clear
     posture = find_posture(world, population)
     others = world.setting.orient != "normal"
-    crowd = _CrowdSubstep.build(world, population, dt, others or posture.is_set or has_slope_limit(population))
+    limits_slope, crouches = has_slope_limit(population), has_crouch(population)
+    crowd = _CrowdSubstep.build(world, population, dt, others or posture.is_set or limits_slope or crouches)
     previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
-    slopes = SlopeStart.from_population(population) if has_slope_limit(population) else None
-    if slopes is not None:
+    start = SlopeStart.from_population(population) if limits_slope or crouches else None
+    if limits_slope:
         turn_pushes_along_slopes(world, population)
     crowd.prepare_steps(substep)
     crowd.deflect_at_obstacles()
@@ -98,8 +100,10 @@ def move_agents(world: World, population: Population, substep: int) -> ClearStep
     parallel.run_in_parts(work, n, threads)
     came_from = population.position
     arrival = crowd.walk(world.ground)
-    if slopes is not None:
-        crowd.stop_at_slopes(slopes, arrival)
+    if start is not None and limits_slope:
+        crowd.stop_at_slopes(start, arrival)
+    if start is not None and crouches:
+        crowd.crouch_below_ceilings(start, arrival)
     if previous_pose is not None:
         orient_bodies(world, population, *previous_pose)
     crowd.follow_feet(came_from, walls, posture)
@@ -254,7 +258,21 @@ class _CrowdSubstep:
         rows = find_rows_blocked_by_slope(self.world, p, start)
         if not len(rows):
             return
-        step, moved = deflect_steps(self.world, p, start, rows, vec.stack_rows(vec.take_rows(self.step, rows)))
+        self._replace_walks(
+            rows, *deflect_steps(self.world, p, start, rows, vec.stack_rows(vec.take_rows(self.step, rows))), arrival
+        )
+
+    def crouch_below_ceilings(self, start: SlopeStart, arrival: ArrivalArrays) -> None:
+        """Lower the bodies of agents below low ceilings, and walk again those that do not fit there yet."""
+        changes = crouch_below_ceilings(self.world, self.population, start, vec.stack_rows(self.step), float(self.dt))
+        if changes is not None:
+            self._replace_walks(*changes, arrival)
+
+    def _replace_walks(
+        self, rows: NDArray[np.intp], step: NDArray[np.float64], moved: GroundMove, arrival: ArrivalArrays
+    ) -> None:
+        """Replace the walks of agents. `step` (k, 3): their steps (mm). `moved`: the ends of these steps."""
+        p = self.population
         for k in range(3):
             self.step[k][rows] = step[:, k]
             self.velocity[k][rows] = step[:, k] / self.dt

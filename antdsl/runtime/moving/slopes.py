@@ -149,17 +149,17 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
     into = _dot_vectors(step, wall)[:, None]
     along = step - wall * into
     away = along - wall * (np.sign(into) * _TURN_AWAY_STEP_SHARE * np.sqrt(_dot_vectors(step, step))[:, None])
-    result, moved = along.copy(), _move_along_ground(world, population, start, rows, along)
+    result, moved = along.copy(), move_along_ground(world, population, start, rows, along)
     for other in (away, np.zeros_like(step)):
         again = start.find_steep(world, population, rows, moved.footing, (moved.position, moved.up))
         if not len(again):
             break
         result[again] = other[again]
-        moved.put_rows(again, _move_along_ground(world, population, start, rows[again], other[again]))
+        moved.put_rows(again, move_along_ground(world, population, start, rows[again], other[again]))
     return result, moved
 
 
-def _move_along_ground(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> GroundMove:
+def move_along_ground(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> GroundMove:
     """Return where the ground moves agents from their start by steps (k, 3) mm."""
     normal, heading = start.normal[rows].astype(np.float64), population.read_vector("heading")[rows].astype(np.float64)
     size = population.now["size"][rows].astype(np.float64)

@@ -36,6 +36,7 @@ from antdsl.runtime.moving.clearance.body_tables import (
 from antdsl.runtime.moving.clearance.clearance_kernels import aim_bodies, limit_steps, shift_bodies
 from antdsl.runtime.moving.clearance.obstacle_clearance import mark_near_obstacles
 from antdsl.runtime.moving.contacts.body_contacts import MAX_SHIFT_ROUNDS
+from antdsl.runtime.moving.crouching import has_crouch
 from antdsl.runtime.moving.obstacles import slide_rows
 from antdsl.runtime.moving.postures import has_posture
 from antdsl.runtime.moving.slopes import has_slope_limit
@@ -65,8 +66,9 @@ _MAX_YIELD = _F(0.012)  # body lengths; a body that is stuck may become so deep
 def has_clearance(world: World, population: Population) -> bool:
     """Return whether the bodies of a species stay outside their ground.
 
-    The ground must consist of meshes, and the bodies must follow it. Bodies with a posture or a slope limit do not."""
-    follows_ground = not has_posture(population) and not has_slope_limit(population)
+    The ground must consist of meshes, and the bodies must follow it. Bodies that stand upright, limit their slope or crouch do
+    not."""
+    follows_ground = not (has_posture(population) or has_slope_limit(population) or has_crouch(population))
     return population.plan.has_body_clearance and follows_ground and isinstance(world.ground, MeshGround)
 
 

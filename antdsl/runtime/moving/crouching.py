@@ -1,0 +1,182 @@
+"""Bodies that crouch below low ceilings: they lower themselves before a ceiling, and where they do not fit, it acts as a wall.
+
+The registers exist for species with `crouch`. Rays up from points around each agent measure the free height. An agent lowers
+itself to the least of them, no faster than a body moves, and stands up after the ceiling. A step below a ceiling for which it is
+still too tall is taken back. Each agent is computed from its own values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rays import RayScene
+from antdsl.ground.protocol import GroundMove
+from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vector_rows import dot
+from antdsl.runtime.moving.slopes import SlopeStart, move_along_ground
+from antdsl.runtime.world import Population, World
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+CROUCH_REGISTER = "crouch"  # for species that set it in `SpeciesPlan.settings`
+LOWERING_REGISTER = "~lowering"  # share of the height by which a body is lower than when it stands
+_RAY_START_SHARE = 0.5  # share of the least height; rays start there, above uneven ground
+_BODY_RADII = 0.9  # share of the radius; distance of the points behind and before a body, so that a wall beside it is no ceiling
+_HEADROOM = 1.02  # multiple of a body's height that it needs below a ceiling
+_ROUNDING_SHARE = 1e-4  # share of the height; within it, a body is as low as the ceiling
+_LOOKAHEAD_SECONDS = 0.5  # s; a body lowers itself for the ceiling that it reaches in this time
+_LOWER_PER_SECOND, _RISE_PER_SECOND = np.float32(1.2), np.float32(0.8)  # shares of the height
+_MIN_NORMAL_RISE = 0.2  # least up component of a normal, for points along the ground
+_TURN_COSINE, _TURN_SINE = 0.5, 0.8660254037844386  # of 60 degrees, between a direction ahead and one to the side
+
+
+def has_crouch(population: Population) -> bool:
+    """Return whether the bodies of a species can crouch."""
+    return CROUCH_REGISTER in population.plan.settings
+
+
+def get_heights(population: Population, rows: Rows | slice = slice(None)) -> Floats:
+    """Return the heights (mm) of standing bodies; the `size` of species without a height."""
+    height = population.now["height" if "height" in population.plan.settings else "size"][rows].astype(np.float64)
+    return np.where(np.isfinite(height) & (height > 0), height, 0.0)
+
+
+def crouch_below_ceilings(
+    world: World, population: Population, start: SlopeStart, steps: Floats, dt: float
+) -> tuple[Rows, Floats, GroundMove] | None:
+    """Lower and raise bodies after a walk. Return the rows whose steps are taken back, their new steps (k, 3) mm, and their ends.
+
+    `steps` (n, 3): the steps of the walk (mm). None if no step is taken back."""
+    every = np.arange(len(population))
+    free = _measure_free_heights(world, population, every, population.position, steps, dt)
+    least, lowering = _find_least_shares(population, every), population.now[LOWERING_REGISTER]
+    goal, seconds = np.minimum(free.around, np.where(free.soon < least, 1.0, free.soon)), np.float32(dt)
+    tall = np.flatnonzero(free.around < 1 - lowering.astype(np.float64))
+    start_share = _measure_free_heights(world, population, tall, start.position[tall], steps[tall], dt).above
+    is_wall = free.around[tall] < least[tall]
+    goal[tall] = np.where(is_wall, start_share, goal[tall])
+    change = (1 - np.clip(goal, least, 1.0)).astype(np.float32) - lowering
+    lowering += np.clip(change, -_RISE_PER_SECOND * seconds, _LOWER_PER_SECOND * seconds)
+    share = 1 - lowering[tall].astype(np.float64) - _ROUNDING_SHARE  # else it would wait for the last bit
+    is_blocked = (free.around[tall] < share) & (start_share >= share)  # a body below a ceiling that came down can leave
+    rows = tall[is_blocked]
+    if not len(rows):
+        return None
+    return rows, *_step_aside(world, population, start, rows, steps[rows], free.ahead[rows], is_wall[is_blocked], dt)
+
+
+def _find_least_shares(population: Population, rows: Rows) -> Floats:
+    """Return the lowest share of their height to which bodies crouch."""
+    return np.clip(population.now[CROUCH_REGISTER][rows].astype(np.float64), 0.05, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FreeHeights:
+    """The free heights at k agents, as shares of the height that a standing body needs.
+
+    `ahead` (k, 3): the directions in which they go. `above`, `around`, `soon` (k): the free height at their position; the least
+    of those at, before, beside and behind it; and where they will be soon."""
+
+    ahead: Floats
+    above: Floats
+    around: Floats
+    soon: Floats
+
+
+def _measure_free_heights(
+    world: World, population: Population, rows: Rows, position: Floats, steps: Floats, dt: float
+) -> _FreeHeights:
+    """Return the free heights at agents. `position`, `steps` (k, 3): of the agents in `rows` (mm).
+
+    A face between the body and the point before it leaves no room there."""
+    up, height = np.asarray(world.up, np.float64), get_heights(population, rows)
+    level = steps - dot(steps, up)[:, None] * up
+    far = np.sqrt(dot(level, level))
+    heading = population.read_vector("heading")[rows].astype(np.float64)
+    heading = heading - dot(heading, up)[:, None] * up
+    ahead = np.where((far > 1e-6 * height)[:, None], level, heading)
+    ahead = ahead / np.maximum(np.sqrt(dot(ahead, ahead)), 1e-12)[:, None]
+    radius = np.nan_to_num(population.now["radius"][rows].astype(np.float64))
+    soon = radius + far * (_LOOKAHEAD_SECONDS / dt)
+    normal = population.normal[rows].astype(np.float64)
+    rise = np.maximum(dot(normal, np.broadcast_to(up, normal.shape)), _MIN_NORMAL_RISE)
+    low, needed = _RAY_START_SHARE * _find_least_shares(population, rows) * height, height * _HEADROOM
+    middle = position + low[:, None] * up
+
+    def measure_at(reach: Floats, hidden_share: float) -> Floats:
+        """Return the free heights at points `reach` (k, 3) mm away. `hidden_share`: the result where a face hides that point."""
+        reach = reach - (dot(reach, normal) / rise)[:, None] * up  # along the ground
+        part = _cast(world, middle + reach, up * (needed - low)[:, None])
+        free = np.nan_to_num((low + (needed - low) * part) / np.maximum(needed, 1e-12), nan=1.0)
+        return np.where(_cast(world, middle, reach) < 1, hidden_share, free)
+
+    near, side = ahead * (_BODY_RADII * radius)[:, None], _find_side(ahead, up)
+    above = around = measure_at(np.zeros_like(near), 1.0)
+    aside = side * (_BODY_RADII * radius * _TURN_SINE)[:, None]
+    left, right = near * _TURN_COSINE - aside, near * _TURN_COSINE + aside
+    for reach, hidden_share in ((near, 0.0), (-near, 1.0), (left, 1.0), (right, 1.0)):
+        around = np.minimum(around, measure_at(reach, hidden_share))
+    return _FreeHeights(ahead, above, around, measure_at(ahead * soon[:, None], 1.0))
+
+
+def _find_side(ahead: Floats, up: Floats) -> Floats:
+    """Return the directions (k, 3) to the side of level directions `ahead` (k, 3)."""
+    return np.stack(vec.cross(tuple(np.broadcast_to(up, ahead.shape).T), tuple(ahead.T)), axis=1)
+
+
+def _cast(world: World, origin: Floats, displacement: Floats) -> Floats:
+    """Return the shares of rays from `origin` by `displacement` (k, 3) mm before their first hit; 1 without a hit."""
+    part, threads = np.ones(len(origin)), world.options.threads
+    length = np.sqrt(dot(displacement, displacement))
+    for obstacle in world.obstacles.values():
+        if isinstance(obstacle, RayScene):
+            hit, share, *_ = obstacle.find_hits_along_step(origin, displacement, threads)
+            part[hit] = np.minimum(part[hit], share)
+        elif isinstance(obstacle, SolidFeelers):
+            unit = displacement / np.maximum(length, 1e-12)[:, None]
+            rays = vec.split_columns(origin, np.float64), vec.split_columns(unit, np.float64)
+            hits = obstacle.cast_feelers(*rays, length, threads)
+            part = np.minimum(part, np.where(hits.hit, hits.t / np.maximum(length, 1e-12), 1.0))
+    return part
+
+
+def _step_aside(
+    world: World,
+    population: Population,
+    start: SlopeStart,
+    rows: Rows,
+    steps: Floats,
+    ahead: Floats,
+    is_wall: NDArray[np.bool_],
+    dt: float,
+) -> tuple[Floats, GroundMove]:
+    """Return other steps (k, 3) mm of the agents in `rows`, and their ends.
+
+    Before a wall (`is_wall`) an agent walks along it, to the side with more room. All others, and agents without room there, stay
+    where they were and wait until the body is low enough."""
+    up, result = np.asarray(world.up, np.float64), np.zeros_like(steps)
+    moved = move_along_ground(world, population, start, rows, result)
+    side = _find_side(ahead, up)
+    length = np.sqrt(dot(steps, steps))[:, None]
+    tries = np.flatnonzero(is_wall)
+    if not len(tries):
+        return result, moved
+    shares, options = [], []
+    for sign in (1.0, -1.0):
+        option = (ahead * _TURN_COSINE + side * (sign * _TURN_SINE))[tries] * length[tries] * _TURN_SINE
+        end = start.position[rows[tries]] + option
+        shares.append(_measure_free_heights(world, population, rows[tries], end, option, dt).around)
+        options.append(option)
+    is_right = shares[1] > shares[0]
+    chosen = np.where(is_right[:, None], options[1], options[0])
+    standing = 1 - population.now[LOWERING_REGISTER][rows[tries]].astype(np.float64) - _ROUNDING_SHARE
+    fits = np.where(is_right, shares[1], shares[0]) >= standing
+    which = tries[fits]
+    if len(which):
+        result[which] = chosen[fits]
+        moved.put_rows(which, move_along_ground(world, population, start, rows[which], chosen[fits]))
+    return result, moved
