@@ -146,10 +146,10 @@ def test_a_lamp_of_the_world_is_sensed_and_seen(tmp_path: Path) -> None:
     arrays, (lamp,) = gallery.cache.frame(2), gallery.make_picture(1).items
     assert (lamp.shape, lamp.power, lamp.colour, lamp.position) == ("globe", 1.5, (1.0, 0.2, 0.1), (0.0, 30.0, 0.0))
     # The values of a frame were sensed where the agents and the lamp are at its beginning.
-    before = gallery.cache.frame(1)["P"].astype(float)
-    away = np.subtract((0, 30, 0), before)
+    earlier = gallery.cache.frame(1)["P"].astype(float)
+    away = np.subtract((0, 30, 0), earlier)
     distance = np.linalg.norm(away, axis=1)
-    assert np.allclose(arrays["far"], distance, rtol=1e-5) and len(before) == 6
+    assert np.allclose(arrays["far"], distance, rtol=1e-5) and len(earlier) == 6
     assert np.allclose(arrays["lit"], 3.0 * 400 * away[:, 1] / distance**3, rtol=1e-4)
     drawn = find_lamps([lamp], (0, 1, 0), gallery.light.lamps)[0]
     assert drawn.centre.tolist() == [0, 30, 0] and drawn.strength == pytest.approx(3.0)
@@ -169,5 +169,5 @@ def test_a_lamp_of_the_world_is_sensed_and_seen(tmp_path: Path) -> None:
     ],
 )
 def test_lamps_with_mistakes(tmp_path: Path, old: str, new: str, severity: str, words: str) -> None:
-    found = check_path(write_lamp_scene(tmp_path, LAMP_SCENE.replace(old, new)))[1].diagnostics
-    assert any(words in each.message and each.severity == severity and each.help for each in found), found
+    diagnostics = check_path(write_lamp_scene(tmp_path, LAMP_SCENE.replace(old, new)))[1].diagnostics
+    assert any(words in each.message and each.severity == severity and each.help for each in diagnostics), diagnostics
