@@ -48,7 +48,7 @@ def get_heights(population: Population, rows: Rows | slice = slice(None)) -> Flo
 def crouch_below_ceilings(
     world: World, population: Population, start: SlopeStart, steps: Floats, dt: float
 ) -> tuple[Rows, Floats, GroundMove] | None:
-    """Lower and raise bodies after a walk. Return the rows whose steps are taken back, their new steps (k, 3) mm, and their ends.
+    """Lower and raise bodies after a walk. Return the rows of steps that are taken back, other steps (k, 3) mm, and their ends.
 
     `steps` (n, 3): the steps of the walk (mm). None if no step is taken back."""
     every = np.arange(len(population))
