@@ -120,8 +120,8 @@ def test_feet_bend_the_legs_of_bodies_that_crouch(tmp_path: Path) -> None:
     )
     shot = stick_bodies.opened(tmp_path / "scene.yaml")
     world = bind(shot.plan, shot.setting, Options(backend="numpy", feet=True))
-    rises = []
+    lifts = []
     for _ in range(30):
         step(world)
-        rises.append(make_feet_arrays(world, "a", 1.0)["feet.a.rise"])
-    assert rises[0].min() > -150 and rises[-1] == pytest.approx([-1_700 + 1_400 / 1.02] * 2, abs=30)
+        lifts.append(make_feet_arrays(world, "a", 1.0)["feet.a.rise"])
+    assert lifts[0].min() > -150 and lifts[-1] == pytest.approx([-1_700 + 1_400 / 1.02] * 2, abs=30)

@@ -39,7 +39,7 @@ def list_symbols(document: OpenDocument) -> list[OutlineSymbol]:
 
 
 def find_workspace_symbols(workspace: Workspace, query: str) -> list[tuple[OpenDocument, OutlineSymbol]]:
-    """Return the symbols of all programs whose names contain the letters of a query in order, with their documents.
+    """Return the symbols of all programs with names that contain the letters of a query in order, and their documents.
 
     Names that begin with the query come first. An empty query returns all symbols, up to the limit."""
     letters = re.compile(".*?".join(map(re.escape, query.lower())))
