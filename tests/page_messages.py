@@ -106,17 +106,17 @@ def curves(frames: list[int], walk: list[float], **other: Any) -> dict[str, Any]
 
 def verbs(line: str = "guards", item: str = "leaf") -> dict[str, Any]:
     """The verbs of notes and edits, for a crowd of the agents 10 to 14 in a line."""
-    names = {"part": ["head"], "target": [item, line], "clip": ["walk"], "state": ["rest"]}
+    names = {"part": ["head"], "target": [item, line], "clip": ["walk"], "state": ["rest"], "cache": ["other_cache"]}
     lines = [{"name": line, "species": "ant", "ranges": [[0, 5]]}]
     return {"op": "verbs", **make_form_entries(names), "lines": lines, "origin": [0, 0, 0]}
 
 
-def notes(*lines: str, problem: str = "", op: str = "notes") -> dict[str, Any]:
+def notes(*lines: str, problem: str = "", op: str = "notes", **more: Any) -> dict[str, Any]:
     """The notes of a run, or its edits. The last one is off if there is a problem."""
     listed = [{"key": k, "line": line, "on": not problem or k < len(lines) - 1, "problem": ""} for k, line in enumerate(lines)]
     if problem:
         listed[-1]["problem"] = problem
-    return {"op": op, "lines": listed, "problem": "", "file": "walk.yaml" if op == "notes" else "edits.yaml"}
+    return {"op": op, "lines": listed, "problem": "", "file": "walk.yaml" if op == "notes" else "edits.yaml", **more}
 
 
 def directed(

@@ -40,8 +40,7 @@ _MAX_QUEUED_REQUESTS = 256  # maximum number of queued requests
 _FILE_POLL_SECONDS = 0.02  # interval between two polls of the files
 _MAX_SLEEP_SECONDS = 0.5  # maximum sleep of the thread when there is nothing to do
 _MAX_CATCH_UP_SECONDS = 0.1  # late steps are caught up within this time; further steps are dropped
-# displayed data of a page before its first request
-_EMPTY_DISPLAY = SetDisplay(op="look", columns=(), fields=(), flows=(), planned=None)
+_EMPTY_DISPLAY = SetDisplay(op="look", columns=(), fields=(), flows=(), planned=None)  # before the first request of a page
 _PAUSE_AFTER_BUG_SECONDS = 0.25  # pause after an internal error, so that the terminal is not flooded
 _MAX_REQUEST_SECONDS = 0.05  # after this time, requests give way to the simulation
 _MAX_SEEK_SECONDS = 0.05  # after this time, a seek gives way to requests
@@ -278,6 +277,7 @@ class Live:
         if self._session is not None:
             self._advance_once(self._session)
             self._look_ahead(self._session)
+            self.screen.settle_frames()
         self.screen.send_due_updates(monotonic())
         self._wait_for_work()
 
@@ -326,7 +326,8 @@ class Live:
             until = min(until, self._next_poll_time)
         if self._session is not None and (self._session.playing or self.is_seeking):
             until = 0.0 if self.is_seeking else min(until, self._next_step_time)
-        if self._session is not None and self._may_look_ahead(self._session) and self.look_ahead.needs_simulation(self._session):
+        session = self._session
+        if self.screen.is_settling or (session and self._may_look_ahead(session) and self.look_ahead.needs_simulation(session)):
             until = 0.0
         until = min(until, self.screen.next_refresh_time)
         with self._wake_condition:

@@ -1,5 +1,6 @@
-"""The requests that a page may send: one model per `op`. All other messages are rejected. No request can write a file or name a
-path."""
+"""The requests that a page may send: one model per `op`. All other messages are rejected.
+
+No request can write a file. Only edits name files, which must be in the folder of the scene or below it."""
 
 from __future__ import annotations
 
@@ -108,6 +109,13 @@ class SwitchLine(_RequestModel):
     list: LineList
     key: int = Field(ge=0, le=2**53)
     action: Literal["on", "off", "remove"]
+
+
+class Settle(_RequestModel):
+    """Simulate the agents again that edits affect, in all simulated frames. `on`: if false, stop this, and remove the result."""
+
+    op: Literal["settle"]
+    on: bool
 
 
 class Reload(_RequestModel):
@@ -221,6 +229,7 @@ AnyRequest = Annotated[
     | SwitchField
     | DraftLine
     | SwitchLine
+    | Settle
     | Reload
     | Restart
     | SetDisplay

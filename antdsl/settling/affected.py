@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from antdsl.outputs.edits.edited_cache import EditedCache
@@ -11,22 +13,19 @@ from antdsl.outputs.edits.side_effects import Trunks, find_changed, find_overlap
 _MIN_TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies is no contact
 
 
-def find_affected(cache: EditedCache, *, includes_touched: bool = True) -> dict[int, int]:
-    """Return the affected agents by key, each with the first frame in which it is affected.
+def iterate_affected(cache: EditedCache, *, includes_touched: bool = True) -> Iterator[tuple[int, set[int]]]:
+    """Yield each frame with the keys of the agents that edits affect in it.
 
     Of two agents that overlap because of edits, the agent that no edit changes is affected. If edits change both, it is the agent
     with the greater id. With `includes_touched`, an agent is also affected if it touched another one that edits removed or moved
     away."""
     sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
-    affected: dict[int, int] = {}
     for number in cache.frames():
         old, new = cache.original.frame(number), cache.frame(number)
         if any(name not in arrays for arrays in (old, new) for name in ("id", "P", "orient", "pscale")):
-            return {}
+            return
         old_trunks, new_trunks = make_trunks(cache.original, old, sizes[0]), make_trunks(cache, new, sizes[1])
-        for key in _find_affected_in_frame(old_trunks, new_trunks, includes_touched):
-            affected.setdefault(key, number)
-    return affected
+        yield number, _find_affected_in_frame(old_trunks, new_trunks, includes_touched)
 
 
 def _find_affected_in_frame(old: Trunks, new: Trunks, includes_touched: bool) -> set[int]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from antdsl.explain.history import CacheHistory, open_shot
+from antdsl.explain.history import CacheHistory, History, open_shot
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.frame_maker import FrameMaker
 from antdsl.outputs.cache_bodies import find_body_numbers
@@ -16,14 +16,15 @@ from antdsl.outputs.edits.edited_cache import EditedCache, find_next_ids
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, FrameRows, keep_rows
 from antdsl.outputs.edits.settled_layer import SettledFrames, SettledLayer
 from antdsl.pipeline import Shot
-from antdsl.runtime import World, state_hash, step
+from antdsl.runtime import FaultStop, LimitStop, World, state_hash, step
 from antdsl.runtime.moving.contacts.contact_solver import record_stances, resolve_contacts
 from antdsl.runtime.world import AXES
-from antdsl.settling.affected import find_affected
+from antdsl.settling.affected import iterate_affected
 from antdsl.settling.scripted_agents import Ids, hold_against_pushes, place_scripted_agents
 
 _MAX_SETTLING_ROUNDS = 3
 _REACTION_LEAD_SECONDS = 0.5  # before it is affected, an agent begins to react
+NOTHING_TO_SETTLE = "nothing to settle: edits make no agents overlap, and leave none without a neighbour"
 _START_ROUNDS, _START_SECONDS = 8, 0.25  # of contacts that separate agents in the first frame of a cache
 
 
@@ -36,6 +37,11 @@ class Settlement:
     frames: SettledFrames
     checkpoint_frame: int
     left_out_count: int
+
+    def describe(self) -> str:
+        """Return a text with the number of agents, their frames, and the checkpoint."""
+        others = f"; {self.left_out_count:,} others have another body or species and stay" if self.left_out_count else ""
+        return f"settled {self.frames.describe_agents()}, from the checkpoint of frame {self.checkpoint_frame}{others}"
 
 
 class SettlingError(Exception):
@@ -52,43 +58,86 @@ def settle_cache(
     """Return the frames of the agents that the edits of a cache affect; None if there are none.
 
     Raises SettlingError, or ExplainError if the shot of the cache is not found or has changed."""
-    affected = find_affected(cache)
-    if not affected:
-        return None
-    shot = _open_shot(cache, scene, grants)
-    settlement, rounds = _settle_agents(cache, shot, affected, threads), 1
-    while rounds < _MAX_SETTLING_ROUNDS:  # settled agents may walk into others
-        view = EditedCache(cache.folder, cache.manifest, SettledLayer.of(cache, settlement.frames), 3, cache.original)
-        added = {key: first for key, first in find_affected(view, includes_touched=False).items() if key not in affected}
-        if not added:
-            break
-        affected |= added
-        settlement, rounds = _settle_agents(cache, shot, affected, threads), rounds + 1
-    return settlement
+    settling = Settling(cache, lambda _: _open_history(cache, scene, grants, threads), find_next_ids(cache.original))
+    for _ in settling.run():
+        pass
+    return settling.settlement
 
 
-def _open_shot(cache: EditedCache, scene: Path | None, grants: Mapping[str, Path] | None) -> Shot:
-    """Return the shot of a cache with checkpoints. Raises SettlingError or ExplainError."""
+def _open_history(cache: EditedCache, scene: Path | None, grants: Mapping[str, Path] | None, threads: int) -> CacheHistory:
+    """Return the history of a cache with checkpoints. Raises SettlingError or ExplainError."""
     if not cache.original.checkpoints():
         raise SettlingError(
             f"`{cache.folder}` has no checkpoints, from which agents can be simulated again",
             "run the scene again, then edit and settle its cache: caches that `antdsl edit --to` wrote have none",
         )
-    return open_shot(cache.original, scene, grants, "settling")
+    shot = open_shot(cache.original, scene, grants, "settling")
+    return CacheHistory(cache.original, shot, threads, cache.original.read_state_hashes(), has_feet=True)
 
 
-def _settle_agents(cache: EditedCache, shot: Shot, affected: dict[int, int], threads: int) -> Settlement:
-    """Simulate affected agents again, from the nearest checkpoint."""
-    chosen = _choose_agents(cache, shot, affected)
-    if not chosen:
-        raise SettlingError(
-            f"edits affect {len(affected):,} agents, but only agents that they gave another body or species",
-            "settle before `replace` and `merge`: write the cache with `--to`, or change their lines",
-        )
-    lead = round(_REACTION_LEAD_SECONDS / shot.setting.dt)
-    begins = {key: max(first - lead, cache.frames()[0]) for key, first in chosen.items()}
-    world, point = _restore_world(cache, shot, min(begins.values()), threads)
-    return Settlement(_Resimulation(cache, shot, world, begins).run(), point, len(affected) - len(chosen))
+class Settling:
+    """Simulates the agents again that the edits of a cache affect. `run` works in parts, for callers with other work to do.
+
+    - `open_history`: returns the history of the cache for the first frame that is simulated again
+    - `next_ids`: by species, the first id that no agent of the run has
+    - `attributes`: the names of the arrays of agents in frames, by default those of the scene's output
+    - `settlement`: the result, None before the end and if edits affect no agent"""
+
+    def __init__(
+        self,
+        cache: EditedCache,
+        open_history: Callable[[int], History],
+        next_ids: Mapping[str, int],
+        attributes: tuple[str, ...] = (),
+    ) -> None:
+        self.cache, self.next_ids, self.attributes = cache, next_ids, attributes
+        self.settlement: Settlement | None = None
+        self._open_history = open_history
+
+    def run(self) -> Iterator[str]:
+        """Settle the cache. Yield a text about the progress after each frame.
+
+        Raises SettlingError, or what `open_history` raises."""
+        affected: dict[int, int] = {}
+        yield from self._find_affected(self.cache, affected, includes_touched=True)
+        if not affected:
+            return
+        history = self._open_history(min(affected.values()))
+        settlement = yield from self._settle_agents(history, affected)
+        for _ in range(_MAX_SETTLING_ROUNDS - 1):  # settled agents may walk into others
+            layer = SettledLayer.of(self.cache, settlement.frames)
+            view, found = EditedCache(self.cache.folder, self.cache.manifest, layer, 3, self.cache.original), dict(affected)
+            yield from self._find_affected(view, found, includes_touched=False)
+            if len(found) == len(affected):
+                break
+            affected = found
+            settlement = yield from self._settle_agents(history, affected)
+        self.settlement = settlement
+
+    def _find_affected(self, cache: EditedCache, affected: dict[int, int], *, includes_touched: bool) -> Iterator[str]:
+        """Add affected agents by key, each with the first frame in which it is affected."""
+        for number, keys in iterate_affected(cache, includes_touched=includes_touched):
+            for key in keys:
+                affected.setdefault(key, number)
+            yield f"frame {number} is examined"
+
+    def _settle_agents(self, history: History, affected: dict[int, int]) -> Generator[str, None, Settlement]:
+        """Simulate affected agents again, from the nearest checkpoint."""
+        cache, shot = self.cache, history.shot
+        chosen = _choose_agents(cache, shot, affected)
+        if not chosen:
+            raise SettlingError(
+                f"edits affect {len(affected):,} agents, but only agents that they gave another body or species",
+                "settle before `replace` and `merge`: write the cache with `--to`, or change their lines",
+            )
+        lead = round(_REACTION_LEAD_SECONDS / shot.setting.dt)
+        start, earliest = cache.frames()[0], min(history.checkpoint_frames(), default=0)
+        begins = {key: max(first - lead, min(first, earliest), start) for key, first in chosen.items()}
+        world, point = _restore_world(history, min(begins.values()))
+        attributes = self.attributes or shot.scene.model.output.attributes
+        resimulation = _Resimulation(cache, history, world, begins, self.next_ids, attributes)
+        yield from resimulation.run()
+        return Settlement(SettledFrames.of(resimulation.frames, resimulation.begins), point, len(affected) - len(chosen))
 
 
 def _choose_agents(cache: EditedCache, shot: Shot, affected: dict[int, int]) -> dict[int, int]:
@@ -106,50 +155,64 @@ def _choose_agents(cache: EditedCache, shot: Shot, affected: dict[int, int]) -> 
     return chosen
 
 
-def _restore_world(cache: EditedCache, shot: Shot, frame: int, threads: int) -> tuple[World, int]:
-    """Return a world at a frame, from the nearest good checkpoint, and the frame of that checkpoint."""
-    setting = replace(shot.setting, contacts="hard") if shot.setting.contacts == "off" else shot.setting
-    hashes = cache.original.read_state_hashes()
-    history = CacheHistory(cache.original, replace(shot, setting=setting), threads, hashes, has_feet=True)
+def _restore_world(history: History, frame: int) -> tuple[World, int]:
+    """Return a world at a frame in which bodies are separated, and the frame of the checkpoint from which it was simulated.
+
+    Raises ExplainError if no good checkpoint leads to this frame."""
     points = reversed([each for each in history.checkpoint_frames() if each <= frame])
     world = next((restored for point in points if (restored := history.restore_world(point)) is not None), None)
     if world is None:
-        raise SettlingError(
-            f"`{cache.folder}` has no good checkpoint up to frame {frame}", "run the scene again, then edit and settle its cache"
-        )
+        raise history.make_missing_error(frame)
     point = world.frame
-    world.setting = shot.setting
     while world.frame < frame:
-        step(world)
-    if state_hash(world) != hashes.get(frame):
-        raise SettlingError(
-            f"frame {frame} is computed differently than in `{cache.folder}`",
-            "it was written by another version: run the scene again, then edit and settle its cache",
-        )
-    world.setting = setting
+        _step(history, world)
+    if history.find_hash(frame) not in (None, state_hash(world)):
+        raise history.make_difference_error(frame)
+    if world.setting.contacts == "off":
+        world.setting = replace(world.setting, contacts="hard")
     return world, point
+
+
+def _step(history: History, world: World) -> None:
+    """Advance a world by a frame. Agents with faults stay as they are. Raises SettlingError if the limits stop the world."""
+    history.apply_interventions(world)
+    try:
+        step(world)
+    except LimitStop as stop:
+        why = f"frame {world.frame + 1} cannot be simulated again: {stop.fault.brief_text}"
+        raise SettlingError(why, "remove agents by edits") from None
+    except FaultStop:
+        pass  # the run continued after the fault
 
 
 class _Resimulation:
     """A run in which only some agents are free; all others follow the cache.
 
-    `begins`: by agent, the last frame in which the agent is as edits leave it. It is free afterwards."""
+    `begins`: by agent, the last frame in which the agent is as edits leave it. It is free afterwards. `frames`: the arrays of the
+    free agents, by frame."""
 
-    def __init__(self, cache: EditedCache, shot: Shot, world: World, first_frames: dict[int, int]) -> None:
-        self.cache, self.world, self.begins = cache, world, first_frames
-        self.next_ids = find_next_ids(cache.original)
-        output = shot.scene.model.output
-        self.maker = FrameMaker(world, shot.program, output.attributes, None, output.events)
+    def __init__(
+        self,
+        cache: EditedCache,
+        history: History,
+        world: World,
+        first_frames: dict[int, int],
+        next_ids: Mapping[str, int],
+        attributes: tuple[str, ...],
+    ) -> None:
+        self.cache, self.history, self.world, self.begins = cache, history, world, first_frames
+        self.next_ids, self.frames = next_ids, dict[int, Arrays]()
+        self.maker = FrameMaker(world, history.shot.program, attributes, None, history.shot.scene.model.output.events)
 
-    def run(self) -> SettledFrames:
-        """Return the frames of the free agents."""
-        world, frames, first = self.world, {}, self.cache.frames()[0]
+    def run(self) -> Iterator[str]:
+        """Simulate all frames. Yield a text after each."""
+        world, first = self.world, self.cache.frames()[0]
         start = world.frame
         for number in (each for each in self.cache.frames() if each >= start):
             free = self._find_free(number)
             if number > start:
                 with hold_against_pushes(world, free):
-                    step(world)
+                    _step(self.history, world)
             self._place_others(number, free)
             if number == first:
                 self.begins = {key: first - 1 if begin == first else begin for key, begin in self.begins.items()}
@@ -157,8 +220,8 @@ class _Resimulation:
                 self._separate_at_start(number, free)
             rows = self._copy_free_rows(free)
             if len(rows["id"]):
-                frames[number] = rows
-        return SettledFrames.of(frames, self.begins)
+                self.frames[number] = rows
+            yield f"frame {number} is simulated again"
 
     def _find_free(self, number: int) -> dict[str, Ids]:
         """Return the ids of the agents that are free in the step to a frame, by species."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from sampling import sampled
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.edits.edited_cache import load_edits
 from antdsl.preview import Live
+from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.directing.recorded_frames import RecordedFrames
 from antdsl.runtime import Options
 
@@ -129,10 +131,11 @@ EDITS = [
     ("drop", "guards.6", {"onto": "high.obj"}),
     ("smooth", "guards", {"orient": "9", "position": "9"}),
     ("mirror", "guards", {"axis": "x"}),
+    ("merge", "cache", {"by": "[0, 0, 40 mm]", "later": "7"}),
 ]
 
 
-@pytest.mark.parametrize("case", sampled(EDITS, [EDITS[5], EDITS[13], EDITS[16], EDITS[17]]))
+@pytest.mark.parametrize("case", sampled(EDITS, [EDITS[5], EDITS[13], EDITS[16], EDITS[17], EDITS[20]]))
 def test_an_edit_is_shown_as_a_cache_has_it_and_others_keep_their_bits(
     page: Page, scene: Path, case: tuple[str, str, dict[str, str]]
 ) -> None:
@@ -216,13 +219,55 @@ def test_a_value_that_is_wrong_is_reported_at_its_key(page: Page) -> None:
         ("replace", "guards", {"body": "nobody.glb"}, "body", "nobody.glb"),
         ("replace", "guards", {"body": "../outside.json"}, "body", "`../outside.json`"),
         ("drop", "guards", {"onto": "/etc/passwd"}, "onto", "`/etc/passwd`"),
+        ("merge", "../cache", {}, "agents", "`../cache` leaves its folder"),
+        ("merge", "/tmp", {}, "agents", "`/tmp` is absolute"),
+        ("merge", "cache/frames", {}, "agents", "is not a cache"),
     ]
     for verb, agents, values, key, words in cases:
         answer = draft(page, verb, agents, apply=True, **values)
         assert not answer["applied"], answer
         assert any(words in each["message"] for each in answer["problems"] if each["key"] == key), answer
-    assert draft(page, "dance", "guards")["op"] == draft(page, "merge", "guards")["op"] == "refused"
+    assert draft(page, "dance", "guards")["op"] == "refused"
     assert page.last("edits")["lines"] == []
+
+
+def test_the_mesh_of_a_drop_is_drawn_and_taken_away(page: Page) -> None:
+    read_frame(page, LAST)
+    assert "mesh:high" not in page.make_packets
+    draft(page, "drop", "guards.6", apply=True, onto="high.obj")
+    header, arrays = page.until(lambda: "mesh:high" in page.make_packets and unpack_arrays(page.make_packets["mesh:high"]))
+    assert header["role"] == "ground" and len(arrays["face"])
+    assert arrays["position"].reshape(-1, 3)[:, 1].min() > 20
+    height = positions(read_frame(page, LAST))[6, 1]
+    assert abs(height - 40) < 15
+    page.ask("line", list="edits", key=0, action="remove")
+    page.until(lambda: not len(unpack_arrays(page.make_packets["mesh:high"])[1]["face"]))
+
+
+def test_species_of_a_merged_cache_are_shown_too(page: Page, scene: Path) -> None:
+    other = scene.parent / "of_beetles"
+    open_directed(other, count=4, last=LAST)
+    (other / "a.ant").write_text(PROGRAM.replace("species ant", "species beetle").replace("rest", "stop"))
+    text = (other / "scene.yaml").read_text()
+    (other / "scene.yaml").write_text(text.replace("name: guards, species: ant", "name: beetles, species: beetle"))
+    assert run("run", "scene.yaml", "--out", "run", "--quiet", cwd=other).returncode == 0
+    page.ask("reload")
+    assert page.until(lambda: (page.last("verbs") or {}).get("edits"))
+    assert draft(page, "merge", "of_beetles/run", apply=True)["applied"]
+    arrays = read_frame(page, LAST)
+    expected = cached(scene, "{merge: of_beetles/run}").frame(LAST)
+    assert np.array_equal(arrays["beetle/position"].reshape(-1, 3), expected["P"][expected["species"] == 1])
+    entry = page.until(lambda: next((s for s in page.last("scene")["species"] if s["name"] == "beetle"), None))
+    assert [each["name"] for each in page.last("scene")["species"]] == ["ant", "beetle"]
+    assert entry["machines"][0]["states"] == ["walk", "stop"] and f"rig:{entry['bodies'][0]}" in page.make_packets
+    page.ask("line", list="edits", key=0, action="remove")
+    page.until(lambda: len(page.last("scene")["species"]) == 1)
+    shutil.rmtree(other)
+
+
+def test_caches_near_the_scene_are_offered(page: Page) -> None:
+    merge = next(each for each in page.until(lambda: page.last("verbs"))["edits"] if each["verb"] == "merge")
+    assert merge["kind"] == "cache" and merge["choices"] == ["cache"]
 
 
 def test_joints_to_choose_from_are_those_of_the_bodies_of_the_agents(page: Page) -> None:

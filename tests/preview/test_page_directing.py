@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import meshes
 import numpy as np
 import pytest
 from browsing import chromium
 from commands import run
-from directed import follow, open_directed
+from directed import follow, open_directed, write_mesh
 from page_messages import directed, frame, notes, scene, status, texts, verbs
 from page_stage import stage
 from preview_page import opened, previewed
@@ -128,6 +129,36 @@ def test_edits_are_shown_at_once_and_the_copied_lines_work_with_a_cache(browser:
     assert np.allclose(arrays["P"][-1], copied_agent, atol=1e-3)
 
 
+def test_caches_are_merged_agents_stand_on_a_drawn_mesh_and_frames_are_settled(browser: Browser, tmp_path: Path) -> None:
+    open_directed(tmp_path, count=30, last=12)
+    vertices, faces = meshes.terrain(300.0, 24)
+    write_mesh(tmp_path / "high.obj", np.add(vertices, [0, 40, 0]), faces)
+    assert run("run", "scene.yaml", "--out", "cache", "--quiet", cwd=tmp_path).returncode == 0
+    with previewed(tmp_path / "scene.yaml") as address, opened(browser, address) as preview:
+        page = preview.page
+        page.keyboard.press("Shift+ArrowRight")
+        preview.until("a.frame === it && a.still", 30, 11)
+        preview.press("side-tab-direct")
+        preview.find("direct-list-edits").check()
+        preview.find("direct-verb").select_option("merge")
+        preview.find("direct-agents").fill("cache")
+        page.locator("[data-test=direct-apply]:enabled").click()
+        page.get_by_text("edit `{merge: cache}`").wait_for(timeout=60_000)
+        preview.find("direct-verb").select_option("drop")
+        preview.find("direct-agents").fill("ant.0..9")
+        preview.find("direct-key-onto").fill("high.obj")
+        page.locator("[data-test=direct-apply]:enabled").click()
+        page.get_by_text("edit `{drop: ant.0..9, onto: high.obj}`").wait_for(timeout=60_000)
+        page.wait_for_timeout(500)
+        preview.until("a.frame === it && a.still", 30, 11)
+        assert preview.now("position", "ant", 3)[1] > 25 and len(preview.now("position", "ant", 33)) == 3
+        preview.press("settle")
+        page.locator("[data-test=settle-report]", has_text="settled").wait_for(timeout=60_000)
+        report = preview.find("settle-report").inner_text()
+        assert report.startswith("settled ") and "from the checkpoint of frame 1" in report
+        page.screenshot(path=tmp_path / "settled.png")
+
+
 def test_an_edit_is_written_checked_and_listed(browser: Browser) -> None:
     with stage(browser) as page:
         page.tell(scene(), texts(), status(), verbs(), notes(), notes(op="edits"), frame([0, 1, 0]))
@@ -158,6 +189,41 @@ def test_an_edit_is_written_checked_and_listed(browser: Browser) -> None:
         page.find("direct-choices-joint").locator("option").nth(1).wait_for(state="attached")
         choices = page.find("direct-choices-joint").locator("option").evaluate_all("all => all.map((each) => each.value)")
         assert choices == ["neck", "head"] and page.find("direct-key-joint").get_attribute("list")
+
+
+def test_a_cache_is_named_for_a_merge_and_settling_is_started_stopped_and_reported(browser: Browser) -> None:
+    with stage(browser) as page:
+        page.tell(scene(), texts(), status(), verbs(), notes(op="edits"), frame([0, 1, 0]))
+        page.find("side-tab-direct").click()
+        page.find("direct-list-edits").check()
+        page.find("direct-agents").fill("guards")
+        page.find("direct-verb").select_option("merge")
+        field = page.find("direct-agents")
+        assert field.input_value() == "" and field.get_attribute("placeholder") == "other_cache"
+        assert page.find("panel-direct").get_by_text("Cache", exact=True).is_visible()
+        choices = page.find("direct-choices-agents").locator("option").evaluate_all("all => all.map((each) => each.value)")
+        assert choices == ["other_cache"]
+        field.fill("other_cache")
+        page.page.wait_for_timeout(400)
+        draft = {"op": "direct", "list": "edits", "verb": "merge", "agents": "other_cache", "values": {}, "apply": False}
+        assert page.requests_of("direct")[-1] == draft
+        page.find("direct-verb").select_option("kill")
+        assert field.input_value() == "guards"
+        page.tell(notes("{kill: guards}", op="edits", settling={"running": False, "settled": False, "report": []}))
+        assert page.find("settle").inner_text() == "Settle" and page.find("settle-report").is_hidden()
+        page.find("settle").click()
+        page.tell(
+            notes("{kill: guards}", op="edits", settling={"running": True, "settled": False, "report": ["settling: frame 3"]})
+        )
+        assert page.find("settle-report").inner_text() == "settling: frame 3"
+        page.find("settle").get_by_text("Stop settling").click()
+        report = ["settled 2 agents", "warning: 1 pair of agents overlaps"]
+        page.tell(notes("{kill: guards}", op="edits", settling={"running": False, "settled": True, "report": report}))
+        assert page.find("settle-report").inner_text() == "\n".join(report)
+        page.find("settle").get_by_text("Remove settling").click()
+        page.tell(notes("{kill: guards}", op="edits", problem="off", settling={"running": False, "settled": False, "report": []}))
+        assert page.find("settle").is_disabled()
+        assert [each["on"] for each in page.requests_of("settle")] == [True, False, False]
 
 
 def test_what_is_written_is_checked_applied_and_listed(browser: Browser) -> None:

@@ -114,7 +114,7 @@ def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str,
     from antdsl.explain import ExplainError
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.runtime import BindError
-    from antdsl.settling.resimulation import SettlingError, settle_cache
+    from antdsl.settling.resimulation import NOTHING_TO_SETTLE, SettlingError, settle_cache
 
     try:
         settlement = settle_cache(loaded.view, scene, parse_grants(list(roots)), count_available_cores())
@@ -126,12 +126,8 @@ def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str,
             print_report(why.report, to_stderr=True)
         code = ExitCode.USAGE if isinstance(why, ExplainError) and why.usage else ExitCode.FINDINGS
         raise CommandError(code, f"error: {why}", f"help: {why.help}" if why.help else "") from None
-    if settlement is None:
-        print_note("nothing to settle: edits make no agents overlap, and leave none without a neighbour")
-        return loaded
-    left = f"; {settlement.left_out_count:,} others have another body or species and stay" if settlement.left_out_count else ""
-    print_note(f"settled {settlement.frames.describe_agents()}, from the checkpoint of frame {settlement.checkpoint_frame}{left}")
-    return loaded.add_settled(settlement.frames)
+    print_note(NOTHING_TO_SETTLE if settlement is None else settlement.describe())
+    return loaded if settlement is None else loaded.add_settled(settlement.frames)
 
 
 def _store_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) -> tuple[int, str]:

@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Self
 
@@ -49,6 +50,7 @@ STORED_MEASURES_KEY = "measures"  # key in a checkpoint: values of earlier frame
 SURFACE_ERROR_KEY = "surface_error"  # key in a checkpoint: the greatest surface error of all frames up to it
 _NUMBERED_FILE_PATTERN = re.compile(r"[a-z]+\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
+_MAX_LISTED_FOLDERS = 300
 Arrays = Mapping[str, NDArray[Any]]
 
 
@@ -199,6 +201,21 @@ class CacheView(Cache):
 def select_arrays(arrays: Arrays, names: frozenset[str] | None) -> Arrays:
     """Return the arrays called `names` and the frame's number; all arrays if `names` is None."""
     return arrays if names is None else {name: array for name, array in arrays.items() if name in names or name == "frame"}
+
+
+def list_caches_below(folder: Path) -> list[str]:
+    """Return the paths from a folder to the caches in it and in its own folders, sorted. Links are not followed.
+
+    At most 300 folders are examined."""
+    found, examined = [], 0
+    for depth in ("*/", "*/*/"):
+        for each in sorted(islice(folder.glob(depth), _MAX_LISTED_FOLDERS - examined)):
+            examined += 1
+            parts = (each.parent, each) if depth.count("*") > 1 else (each,)
+            is_plain = not any(part.is_symlink() or part.name.startswith(".") for part in parts)
+            if is_plain and (each / MANIFEST_FILE_NAME).is_file():
+                found.append(each.relative_to(folder).as_posix())
+    return sorted(found)
 
 
 def open_cache(folder: Path) -> Cache:

@@ -45,27 +45,45 @@ def describe_side_effects(cache: EditedCache) -> list[str]:
     """Return messages about agents that overlap or stand off the ground with the edits of a cache, and do not without them.
 
     A sample of frames is examined. An overlap is a quarter of the smaller width, a gap half a body length."""
-    frames = cache.frames()
-    count = min(len(frames), EXAMINED_FRAMES)
-    chosen = sorted({frames[round(k * (len(frames) - 1) / max(count - 1, 1))] for k in range(count)})
-    sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
-    overlaps: dict[tuple[int, int], int] = {}
-    gaps: dict[int, int] = {}
-    ground = Ground(cache)
-    for number in chosen:
-        old, new = cache.original.frame(number), cache.frame(number)
-        if any(name not in arrays for arrays in (old, new) for name in ("id", "P", "orient", "pscale")):
-            return []
-        old_trunks, new_trunks = make_trunks(cache.original, old, sizes[0]), make_trunks(cache, new, sizes[1])
-        changed = find_changed(old_trunks, new_trunks)
-        known = set(find_overlaps(old_trunks, np.ones(len(old_trunks.keys), np.bool_)))
-        for pair in find_overlaps(new_trunks, changed):
-            if pair not in known:
-                overlaps.setdefault(pair, number)
-        terrain = ground.at(number)
-        for key in _find_gaps(old, new, changed, terrain) if terrain else ():
-            gaps.setdefault(key, number)
-    return [*_describe_overlaps(cache, overlaps), *_describe_gaps(cache, gaps)]
+    examination = SideEffects(cache)
+    for _ in examination.examine():
+        pass
+    return examination.messages
+
+
+class SideEffects:
+    """The side effects of the edits of a cache, found frame by frame. `messages`: those found so far, for users."""
+
+    def __init__(self, cache: EditedCache) -> None:
+        self._cache = cache
+        self._overlaps: dict[tuple[int, int], int] = {}
+        self._gaps: dict[int, int] = {}
+
+    @property
+    def messages(self) -> list[str]:
+        return [*_describe_overlaps(self._cache, self._overlaps), *_describe_gaps(self._cache, self._gaps)]
+
+    def examine(self) -> Iterator[int]:
+        """Examine a sample of the frames. Yield the number of each."""
+        cache, frames = self._cache, self._cache.frames()
+        count = min(len(frames), EXAMINED_FRAMES)
+        chosen = sorted({frames[round(k * (len(frames) - 1) / max(count - 1, 1))] for k in range(count)})
+        sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
+        ground = Ground(cache)
+        for number in chosen:
+            old, new = cache.original.frame(number), cache.frame(number)
+            if any(name not in arrays for arrays in (old, new) for name in ("id", "P", "orient", "pscale")):
+                return
+            old_trunks, new_trunks = make_trunks(cache.original, old, sizes[0]), make_trunks(cache, new, sizes[1])
+            changed = find_changed(old_trunks, new_trunks)
+            known = set(find_overlaps(old_trunks, np.ones(len(old_trunks.keys), np.bool_)))
+            for pair in find_overlaps(new_trunks, changed):
+                if pair not in known:
+                    self._overlaps.setdefault(pair, number)
+            terrain = ground.at(number)
+            for key in _find_gaps(old, new, changed, terrain) if terrain else ():
+                self._gaps.setdefault(key, number)
+            yield number
 
 
 def _describe_overlaps(cache: Cache, overlaps: dict[tuple[int, int], int]) -> list[str]:

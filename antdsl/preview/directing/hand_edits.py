@@ -20,11 +20,12 @@ from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable
 from antdsl.outputs.edits.edit_lines import EDITS_KEY, EditList, PlacedEdit, read_edits
 from antdsl.outputs.edits.edited_cache import EditedCache, apply_edits
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
+from antdsl.outputs.edits.settled_layer import SettledFrames
 from antdsl.outputs.edits.verbs.joints import OffsetLine
 from antdsl.outputs.edits.verbs.terrain import Ground
 from antdsl.pipeline import Shot
 from antdsl.preview.directing.line_drafts import EDIT_SOURCE, LineDraft, write_draft
-from antdsl.preview.directing.recorded_frames import RecordedFrames
+from antdsl.preview.directing.recorded_frames import RecordedFrames, list_attributes
 from antdsl.preview.directing.verb_forms import VerbForm
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import Timeline
@@ -32,7 +33,6 @@ from antdsl.scene.document import MappingNode, SequenceNode
 
 EDITS_FILE = "edits.yaml"  # where users write edits
 _PREFIX = f"{EDITS_KEY}:\n  - "
-_MESH_HELP = "copy the line: `antdsl edit` applies it"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +60,7 @@ class _ViewKey(NamedTuple):
     history: tuple[Timeline, int]
     edits: HandEdits
     next_ids: Mapping[str, int]
+    settled: SettledFrames | None
 
 
 class EditedRun:
@@ -75,6 +76,7 @@ class EditedRun:
         self._recorded: RecordedFrames | None = None
         self._view: EditedCache | None = None
         self._view_key: _ViewKey | None = None
+        self._settled: tuple[object, SettledFrames] | None = None  # with the inputs of the frames, of `describe_inputs`
 
     def check_line(self, form: VerbForm, agents: str, values: Mapping[str, str]) -> tuple[LineDraft, bool]:
         """Return a line with these texts, checked against the simulated frames, and whether it is free of errors."""
@@ -90,12 +92,7 @@ class EditedRun:
             if isinstance(nodes, SequenceNode) and isinstance(nodes.items[0], MappingNode):
                 draft.report_nested_keys(nodes.items[0])
         if draft.report.ok and edits is not None:
-            draft.report.extend(self._read_files(edits)[1])
-            for edit in edits.edits:
-                for file in edit.line.list_files(manifest):
-                    if file.kind == "mesh":
-                        message = f"the preview puts agents on `{file.path}`, but does not draw it"
-                        draft.report.warning("cannot-read", message, edits.span(edit, file.key), _MESH_HELP)
+            draft.report.extend(self._read_files(edits)[-1])
         return draft, draft.report.ok and not draft.missing
 
     def list_joints(self, agents: str) -> list[str]:
@@ -131,6 +128,30 @@ class EditedRun:
         self.version += 1
         return ""
 
+    def describe_inputs(self) -> object:
+        """Return the inputs of the frames with edits. Agents that were simulated again fit the frames with equal inputs."""
+        timeline = self.session.timeline
+        return timeline, timeline.version, tuple(each.text for each in self.edits if each.is_on)
+
+    def open_frames_to_settle(self) -> tuple[EditedCache, Mapping[str, int], tuple[str, ...]]:
+        """Return the frames with edits, without agents that were simulated again, up to the last frame that exists now.
+
+        Also return the first id of each species that no agent has, and the names of the arrays of agents in frames. Raises
+        NotEditable, BodyError or CacheError with the reason if there are no such frames."""
+        recorded = self._read_frames()
+        frames = replace(recorded, last=self.session.last_frame)
+        return self._apply_edits(self.edits, frames), self._find_next_ids(), list_attributes(recorded.shot)
+
+    def settle(self, inputs: object, settled: SettledFrames | None) -> None:
+        """Show agents that were simulated again, as long as the frames have these inputs (`describe_inputs`)."""
+        self._settled = None if settled is None else (inputs, settled)
+
+    @property
+    def settled(self) -> SettledFrames | None:
+        """Return the agents that were simulated again, if they fit the frames."""
+        fits = self._settled is not None and self._settled[0] == self.describe_inputs()
+        return self._settled[1] if fits and self._settled is not None else None
+
     def read_frame(self, number: int) -> tuple[EditedCache, Arrays] | None:
         """Return the view with the edits, and the arrays of one of its frames. Return None without edits.
 
@@ -150,10 +171,11 @@ class EditedRun:
         if not any(each.is_on for each in self.edits):
             return None
         timeline = self.session.timeline
-        key = _ViewKey(self.session.shot, (timeline, timeline.version), self.edits, self._find_next_ids())
+        key = _ViewKey(self.session.shot, (timeline, timeline.version), self.edits, self._find_next_ids(), self.settled)
         if self._view is None or key != self._view_key:
             self._switch_off_failed()
-            self._view = self._apply_edits(self.edits) if any(each.is_on for each in self.edits) else None
+            is_edited = any(each.is_on for each in self.edits)
+            self._view = self._apply_edits(self.edits, settled=self.settled) if is_edited else None
             self._view_key = key._replace(edits=self.edits)
             self.version += 1
         return self._view
@@ -166,7 +188,7 @@ class EditedRun:
             if edit.is_on:
                 try:
                     self._apply_edits((*passed, edit))
-                except (NotEditable, BodyError) as why:
+                except (NotEditable, BodyError, CacheError) as why:
                     problem = str(why)
             passed.append(replace(edit, is_on=False, problem=problem) if problem else edit)
         self.edits = tuple(passed)
@@ -176,9 +198,13 @@ class EditedRun:
             self._recorded = RecordedFrames.of(self.session)
         return self._recorded
 
-    def _apply_edits(self, edits: Iterable[HandEdit]) -> EditedCache:
-        """Return the frames with edits. Raises NotEditable or BodyError with the reason."""
-        frames = self._read_frames()
+    def _apply_edits(
+        self, edits: Iterable[HandEdit], frames: RecordedFrames | None = None, settled: SettledFrames | None = None
+    ) -> EditedCache:
+        """Return the frames with edits, and with agents that were simulated again. `frames`: by default all simulated frames.
+
+        Raises NotEditable, BodyError or CacheError with the reason."""
+        frames = frames or self._read_frames()
         placed: list[PlacedEdit] = []
         document: EditList | None = None
         for each in edits:
@@ -189,18 +215,18 @@ class EditedRun:
                 placed += document.edits
         assert document is not None
         listed = replace(document, edits=tuple(placed))
-        arrays, report = self._read_files(listed)
+        arrays, caches, report = self._read_files(listed)
         if not report.ok:
             raise NotEditable(report.errors[0].message)
         ground = Ground(frames, [mesh for mesh in frames.manifest.meshes if mesh.row.is_ground and not mesh.row.is_dug])
-        return apply_edits(frames, listed, EditInputs(ground, arrays, next_ids=self._find_next_ids()))
+        packed = {} if settled is None else settled.pack()
+        return apply_edits(frames, listed, EditInputs(ground, {**arrays, **packed}, caches, self._find_next_ids()))
 
-    def _read_files(self, edits: EditList) -> tuple[Arrays, Report]:
-        """Return the arrays of the meshes and bodies that edits name, and a report. Files are in the folder of the scene or below
-        it."""
+    def _read_files(self, edits: EditList) -> tuple[Arrays, Mapping[str, Cache], Report]:
+        """Return the arrays of the meshes and bodies that edits name, the caches, and a report. Files are in the folder of the
+        scene or below it."""
         frames = self._read_frames()
-        arrays, _, report = read_edit_files(edits, frames.manifest, frames.folder)
-        return arrays, report
+        return read_edit_files(edits, frames.manifest, frames.folder)
 
     def _find_next_ids(self) -> dict[str, int]:
         """Return by species the first id that no simulated agent has."""

@@ -48,11 +48,12 @@ class _Store:
 class RecordedFrames(Cache):
     """The frames of a session that were simulated. Another frame than the session's is simulated from the nearest checkpoint.
 
-    `shot`: the shot of the manifest. `static`: the arrays of `static.npz`."""
+    `shot`: the shot of the manifest. `static`: the arrays of `static.npz`. `last`: the last frame; None for all that exist."""
 
     session: Session
     shot: Shot
     static: Arrays
+    last: int | None = None
     _store: _Store = field(default_factory=_Store)
 
     @classmethod
@@ -65,7 +66,8 @@ class RecordedFrames(Cache):
 
     def frames(self) -> list[int]:
         """Return the numbers of the simulated frames, ascending."""
-        return list(range(self.session.first_frame, self.session.last_frame + 1))
+        last = self.session.last_frame if self.last is None else min(self.last, self.session.last_frame)
+        return list(range(self.session.first_frame, last + 1))
 
     def read_static(self) -> Arrays:
         """Return the arrays that apply to all frames."""
@@ -117,14 +119,14 @@ class RecordedFrames(Cache):
             if any(getattr(manifest, name) != getattr(self.manifest, name) for name in ("species", "bodies", "origin", "units")):
                 raise CacheError(f"frame {world.frame} was simulated by another program, with other states or bodies")
             self._store.shots.append(shot)
-        return FrameMaker(world, shot.program, _list_attributes(shot)).frame(world)
+        return FrameMaker(world, shot.program, list_attributes(shot)).frame(world)
 
 
 def _make_manifest(shot: Shot, world: World, bodies: StoredBodies) -> Manifest:
-    return make_shot_manifest(shot, world, FrameMaker(world, shot.program, _list_attributes(shot)).attributes, bodies)
+    return make_shot_manifest(shot, world, FrameMaker(world, shot.program, list_attributes(shot)).attributes, bodies)
 
 
-def _list_attributes(shot: Shot) -> tuple[str, ...]:
+def list_attributes(shot: Shot) -> tuple[str, ...]:
     """Return the names of the arrays of agents in frames: the attributes of the output, and all that pages display."""
     machines = (machine.name for species in shot.plan.species.values() for machine in species.machines[1:])
     states = (f"{name}.state" for name in machines)

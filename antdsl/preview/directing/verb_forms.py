@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from pydantic.fields import FieldInfo
 
-from antdsl.outputs.edits.edit_layer import AgentsLine
 from antdsl.outputs.edits.edit_values import Factor, FrameOffset, Speed
 from antdsl.outputs.edits.verb_table import VERB_BY_WORD
 from antdsl.outputs.edits.verbs.smoothing import Window
@@ -56,17 +55,20 @@ class VerbKey(NamedTuple):
 
 
 class VerbForm(NamedTuple):
-    """A verb with its keys, in the order in which a line has them."""
+    """A verb with its keys, in the order in which a line has them. `value`: the kind of the verb's own value."""
 
     verb: str
     help: str
     keys: tuple[VerbKey, ...]
+    value: KeyKind
 
     def find_key(self, name: str) -> VerbKey | None:
         """Return a key by name; None if the verb has none of this name."""
         return next((key for key in self.keys if key.name == name), None)
 
 
+_AGENTS = KeyKind("agents", "", "guards.17", "a crowd line, a species, or a selector")
+_CACHE = KeyKind("cache", "", "other_cache", "the folder of a cache, in the folder of the scene or below it")
 _TEXT = KeyKind("text")  # of keys without a kind: pages show a plain field
 _CLIP = KeyKind("clip", "", "walk", "a clip of the body")
 _STATE = KeyKind("state", "", "rest", "a state of the program")
@@ -117,10 +119,10 @@ _KIND_BY_KEY: Mapping[str, KeyKind] = {
     "play": _CLIP, "clip": _CLIP, "painted": _MAP, "for": _THING, "in_view": _CAMERA,
     "to": KeyKind("values", "", "{size: 6 mm}", "attributes with their values"), "at": _LOOKS,
     "share": KeyKind("share", "", "30 %"), "seed": KeyKind("count", "", "4", "the number from which `share` draws"),
-    "without": KeyKind("agents", "", "guards.17"), "most": KeyKind("count", "", "3"), "farthest": KeyKind("count", "", "3"),
+    "without": _AGENTS, "most": KeyKind("count", "", "3"), "farthest": KeyKind("count", "", "3"),
 }  # fmt: skip
 _FIRST_KEYS, _LAST_KEYS = ("frames",), ("ease",)  # of the keys that are not required
-_UNFILLED_KEYS = frozenset(("agents", "off"))  # the page has a place for these
+_UNFILLED_KEYS = frozenset(("off",))  # the page has a place for it
 _HELP_PATTERN = re.compile(r"`(\w+)`(?:, `(\w+)`)?: (.*?)(?=\s+`\w+`(?:, `\w+`)?: |\Z)", re.DOTALL)
 
 
@@ -132,8 +134,8 @@ def list_note_forms() -> tuple[VerbForm, ...]:
 
 @cache
 def list_edit_forms() -> tuple[VerbForm, ...]:
-    """Return the verbs of edits for agents."""
-    return tuple(_make_form(verb, row.line) for verb, row in VERB_BY_WORD.items() if issubclass(row.line, AgentsLine))
+    """Return the verbs of edits."""
+    return tuple(_make_form(verb, row.line) for verb, row in VERB_BY_WORD.items())
 
 
 FORMS_BY_LIST: Mapping[str, Callable[[], tuple[VerbForm, ...]]] = {"notes": list_note_forms, "edits": list_edit_forms}
@@ -150,13 +152,15 @@ def _make_form(verb: str, model: type[ScenePart]) -> VerbForm:
     keys = [
         _make_key(field.alias or name, name, field, types[name], helps, model)
         for name, field in model.model_fields.items()
-        if name not in _UNFILLED_KEYS
+        if name not in _UNFILLED_KEYS and field.alias != verb
     ]
     own = {model.model_fields[name].alias or name for name in model.__annotations__ if name in model.model_fields}
     keys.sort(
         key=lambda k: (k.is_selector, not k.is_required, k.name not in _FIRST_KEYS, k.name in _LAST_KEYS, k.name not in own)
     )
-    return VerbForm(verb, _shorten_text(_HELP_PATTERN.sub("", model.__doc__ or "")), tuple(keys))
+    is_about_agents = "agents" in model.model_fields
+    help = _shorten_text(_HELP_PATTERN.sub("", model.__doc__ or ""))
+    return VerbForm(verb, help, tuple(keys), _AGENTS if is_about_agents else _CACHE)
 
 
 def _make_key(

@@ -24,6 +24,7 @@ HANDLER_BY_REQUEST: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.SwitchField: edits.switch_field,
     requests.DraftLine: directing.draft_line,
     requests.SwitchLine: directing.switch_line,
+    requests.Settle: directing.settle,
     requests.Reload: edits.reload,
     requests.SetDisplay: queries.set_display,
     requests.Explain: queries.explain_agent,

@@ -94,6 +94,17 @@ def switch_line(live: Live, request: requests.SwitchLine, client: Client) -> Non
         raise RequestRefused(live.screen.names.shorten_paths(problem), help)
 
 
+def settle(live: Live, request: requests.Settle, client: Client) -> None:
+    """Begin to settle the simulated frames with edits, or stop and remove the result."""
+    if request.on and not any(edit.is_on for edit in live.screen.edited.edits):
+        raise RequestRefused("there are no edits to settle", "add an edit, or switch one on")
+    if request.on:
+        live.show_exact_frame()
+        live.screen.settling.start()
+    else:
+        live.screen.settling.stop()
+
+
 def _switch_line(lines: tuple[Line, ...], request: requests.SwitchLine) -> tuple[tuple[Line, ...], str]:
     """Return the lines after a request, and a text that says what the request did."""
     what = _WORD_BY_LIST[request.list]

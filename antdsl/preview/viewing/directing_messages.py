@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from antdsl.outputs.cache.cache_reader import list_caches_below
 from antdsl.preview.directing.hand_edits import EDITS_FILE, HandEdit
 from antdsl.preview.directing.hand_notes import HandNote
-from antdsl.preview.directing.verb_forms import FORMS_BY_LIST, VerbKey
+from antdsl.preview.directing.verb_forms import FORMS_BY_LIST, VerbForm, VerbKey
 from antdsl.preview.session import Session
 from antdsl.preview.viewing.body_packets import find_body_of_key
 from antdsl.program.tables.colours import COLOUR_BY_NAME
@@ -38,13 +40,15 @@ def make_verbs_message(live: Live) -> dict[str, Any]:
 
 def make_form_entries(names: Names) -> dict[str, list[dict[str, Any]]]:
     """Return the verbs of each list with their keys. `names`: as from `_list_names`."""
+    return {listed: [_make_verb_entry(form, names) for form in make_forms()] for listed, make_forms in FORMS_BY_LIST.items()}
+
+
+def _make_verb_entry(form: VerbForm, names: Names) -> dict[str, Any]:
+    """Return a verb for a page. `kind`, `example` and `choices` are about its own value."""
     return {
-        listed: [
-            {"verb": form.verb, "help": form.help, "keys": [_make_key_entry(key, names) for key in form.keys]}
-            for form in make_forms()
-        ]
-        for listed, make_forms in FORMS_BY_LIST.items()
-    }
+        "verb": form.verb, "help": form.help, "keys": [_make_key_entry(key, names) for key in form.keys],
+        "kind": form.value.name, "example": form.value.example, "choices": names.get(form.value.name, [])[:_MAX_NAMES],
+    }  # fmt: skip
 
 
 def make_notes_message(live: Live) -> dict[str, Any]:
@@ -54,9 +58,11 @@ def make_notes_message(live: Live) -> dict[str, Any]:
 
 
 def make_edits_message(live: Live) -> dict[str, Any]:
-    """Return the edits that pages added to the simulated frames, and why the displayed frame lacks them."""
-    lines = [_make_line_entry(edit) for edit in live.screen.edited.edits]
-    return {"op": "edits", "lines": lines, "problem": live.screen.edited.problem, "file": EDITS_FILE}
+    """Return the edits that pages added to the simulated frames, why the displayed frame lacks them, and what settling did."""
+    settling = live.screen.settling
+    lines = [_make_line_entry(edit) for edit in settling.edited.edits]
+    settled = {"running": settling.is_running, "settled": settling.edited.settled is not None, "report": list(settling.report)}
+    return {"op": "edits", "lines": lines, "problem": settling.edited.problem, "file": EDITS_FILE, "settling": settled}
 
 
 def _make_line_entry(line: HandNote | HandEdit) -> dict[str, Any]:
@@ -97,6 +103,7 @@ def _list_names(session: Session) -> Names:
         "clip": sorted({clip for body in bodies for clip in body.clips}),
         "part": sorted({group for body in bodies for group in body.groups}, key=lambda name: (name != _USUAL_PART, name)),
         "values": [f"{{{name}: }}" for name in attributes],
+        "cache": list_caches_below(Path(shot.scene.source.path).parent),
         "place": items, "body": list(BODY_WORDS), "colour": list(COLOUR_BY_NAME), "ground": ["follow", "free"],
         "axis": ["x", "y", "z"], "mesh": sorted(setting.surfaces),
         "joint": sorted({joint for body in bodies for joint in body.rig.names}),

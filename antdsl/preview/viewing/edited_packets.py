@@ -21,6 +21,7 @@ from antdsl.pipeline import Shot
 from antdsl.preview.viewing.action_arrays import SpeciesActions, make_action_arrays
 from antdsl.preview.viewing.body_packets import MAX_PAGE_LAYERS, BodyOutfit, list_outfits
 from antdsl.runtime import World
+from antdsl.scene.setting import MeshData
 from antdsl.scene.thing_models import UNIT_MM
 
 PageArrays = dict[str, NDArray[Any]]
@@ -43,6 +44,7 @@ def make_edited_arrays(
         }
         rows = find_species_rows(frame, number)
         displayed = _make_displayed_arrays(view.manifest, entry, frame, rows, world)
+        own = own or {name: np.empty(0, np.int32) for name in ("id", "born")}  # of a species that edits add
         at, is_known = match_rows(displayed["id"].astype(np.int64), own["id"].astype(np.int64))
         _retain_bits(displayed, own, at, is_known)
         actions = _gather_actions(view, number, frame, rows, displayed, worn[entry.name], world)
@@ -73,7 +75,8 @@ def _make_displayed_arrays(
         "speed": np.sqrt((velocity * velocity).sum(axis=1)),
     }
     for number, machine in enumerate(entry.machines):
-        states = frame["state" if number == 0 else f"{machine.name}.state"][rows]
+        name = "state" if number == 0 else f"{machine.name}.state"
+        states = frame[name][rows] if name in frame else np.zeros(len(rows), np.uint8)  # the frames of a merged cache may lack it
         displayed[f"state/{machine.name}"] = np.nan_to_num(states).astype(np.uint8)
     return displayed
 
@@ -130,13 +133,33 @@ def _find_owner(name: str) -> str:
     return parts[1] if len(parts) > 1 and parts[0] in ("clips", "wears", "channels", "looks", "leans", "feet", "joints") else ""
 
 
+def list_added_meshes(view: EditedCache) -> dict[str, MeshData]:
+    """Return the meshes that edits add to the scene, in mm from the scene's zero point, by their names."""
+    manifest, known = view.manifest, {mesh.name for mesh in view.original.manifest.meshes}
+    names = [mesh.name for mesh in manifest.meshes if mesh.name not in known]
+    static = view.read_static() if names else {}
+    return {
+        name: MeshData(
+            (np.asarray(static[f"mesh.{name}.vertices"], np.float64) + manifest.origin) * UNIT_MM[manifest.units],
+            np.asarray(static[f"mesh.{name}.faces"], np.int32),
+        )
+        for name in names
+    }
+
+
+def list_added_species(view: EditedCache | None) -> tuple[SpeciesEntry, ...]:
+    """Return the species that edits add to the run."""
+    return () if view is None else view.manifest.species[len(view.original.manifest.species) :]
+
+
 def find_edited_outfits(view: EditedCache, world: World, shot: Shot) -> Mapping[str, Mapping[str, BodyOutfit]]:
     """Return the outfits of each species of a view, by the keys of its bodies."""
     originals = {entry.name: entry for entry in view.original.manifest.species}
     edited = {}
     for number, entry in enumerate(view.manifest.species):
-        is_same = (_list_body_choices(entry), view.manifest.bodies) == (
-            _list_body_choices(originals[entry.name]),
+        original = originals.get(entry.name)
+        is_same = original is not None and (_list_body_choices(entry), view.manifest.bodies) == (
+            _list_body_choices(original),
             view.original.manifest.bodies,
         )
         edited[entry.name] = list_outfits(world, shot, world.populations[entry.name]) if is_same else _make_outfits(view, number)

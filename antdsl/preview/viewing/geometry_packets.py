@@ -12,8 +12,10 @@ import numpy as np
 
 from antdsl.ground.solid import Volume
 from antdsl.outputs.cache.solid_pieces import Piece, join_pieces
+from antdsl.outputs.edits.edited_cache import EditedCache
 from antdsl.outputs.flow_arrows import make_flow_arrows
 from antdsl.preview.binary_packets import pack_arrays
+from antdsl.preview.viewing.edited_packets import list_added_meshes
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 from antdsl.runtime import World
 from antdsl.runtime.moving.moving_geometry import compute_vertices
@@ -25,28 +27,32 @@ _SOLVED_FLOW_INTERVAL_SECONDS = 1.0  # seconds after which flows that are solved
 
 
 class MeshPackets:
-    """The slots `mesh:NAME`. A mesh that an edit does not change is not sent again."""
+    """The slots `mesh:NAME`: the meshes of the scene, and those that edits of pages add. An unchanged mesh is not sent again."""
 
     def __init__(self) -> None:
         self._world: World | None = None
+        self._view: EditedCache | None = None
         self._frame = 0
         self._sent_meshes: dict[str, tuple[MeshData, bytes] | None] = {}  # None: it moves
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
         """Yield the meshes that are new, changed, moving or removed."""
-        world, moves = view_state.world, view_state.world.setting.motion.meshes
-        if world is self._world and (not moves or world.frame == self._frame):
+        world, moves, view = view_state.world, view_state.world.setting.motion.meshes, view_state.edited.find_view()
+        is_fresh = world is not self._world or view is not self._view
+        if not is_fresh and (not moves or world.frame == self._frame):
             return
-        fresh, self._world, self._frame = world is not self._world, world, world.frame
-        for name in sorted(self._sent_meshes.keys() - world.setting.surfaces.keys() - world.setting.obstacles.keys()):
-            del self._sent_meshes[name]
-            nothing = {"position": np.empty(0, np.float32), "face": np.empty(0, np.uint32)}
-            yield f"mesh:{name}", pack_arrays(f"mesh:{name}", nothing, role="", moves=False)
-        for role, meshes in (("ground", world.setting.surfaces), ("obstacle", world.setting.obstacles)):
+        self._world, self._view, self._frame = world, view, world.frame
+        ground = {**world.setting.surfaces, **(list_added_meshes(view) if view is not None and is_fresh else {})}
+        if is_fresh:
+            for name in sorted(self._sent_meshes.keys() - ground.keys() - world.setting.obstacles.keys()):
+                del self._sent_meshes[name]
+                nothing = {"position": np.empty(0, np.float32), "face": np.empty(0, np.uint32)}
+                yield f"mesh:{name}", pack_arrays(f"mesh:{name}", nothing, role="", moves=False)
+        for role, meshes in (("ground", ground), ("obstacle", world.setting.obstacles)):
             for name, mesh in meshes.items():
                 if name in moves:
                     self._sent_meshes[name] = None
-                elif not fresh or self._is_sent(name, mesh, world):
+                elif not is_fresh or self._is_sent(name, mesh, world):
                     continue
                 vertices = compute_vertices(world, name, world.frame) if name in moves else mesh.vertices - world.origin
                 slot = f"mesh:{name}"

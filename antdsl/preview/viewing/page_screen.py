@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.directing.hand_edits import EditedRun
+from antdsl.preview.directing.hand_settling import HandSettling
 from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.requests import MAX_PLANNED_AGENTS
 from antdsl.preview.session import Session
@@ -71,14 +72,31 @@ class PageScreen:
         self._status: dict[str, Any] = {}
         self._stops: dict[int, str] = {}
         self._hash: tuple[object, int, str] | None = None
-        self._edited: EditedRun | None = None
+        self._settling: HandSettling | None = None
 
     @property
     def edited(self) -> EditedRun:
         """Return the simulated frames with the edits that pages added. Only if there is a session."""
-        if self._edited is None:
-            self._edited = EditedRun(self.live.session)
-        return self._edited
+        return self.settling.edited
+
+    @property
+    def settling(self) -> HandSettling:
+        """Return what settles these frames. Only if there is a session."""
+        if self._settling is None:
+            self._settling = HandSettling(EditedRun(self.live.session))
+        return self._settling
+
+    @property
+    def is_settling(self) -> bool:
+        """Return whether frames are being settled."""
+        return self._settling is not None and self._settling.is_running
+
+    def settle_frames(self) -> None:
+        """Settle some frames if a page requested it."""
+        if self.is_settling:
+            self.settling.advance()
+            if not self.is_settling:
+                self.on_action()
 
     # --- what happened -----------------------------------------------------------------------------------------------
 
@@ -172,7 +190,7 @@ class PageScreen:
         laid = True
         if program and session is not None:
             laid = self._send_scene(self._charts.is_laid_out(session.shot.program))
-        playing = session is not None and (session.playing or live.is_seeking)
+        playing = session is not None and (session.playing or live.is_seeking or self.is_settling)
         if session is not None and self._world_changed:
             if playing and time - self._last_packet_time < _FRAME_INTERVAL_SECONDS:
                 self.next_refresh_time = self._last_packet_time + _FRAME_INTERVAL_SECONDS
@@ -245,6 +263,8 @@ class PageScreen:
         if session is not None and session.timeline.stop_reasons != self._stops:
             self._stops = dict(session.timeline.stop_reasons)
             self.live.send_to_all(messages.make_stops_message(self.live))
+        if self.is_settling:
+            self._send_lines()
         news = self._curves.take_new_values(session.timeline) if session is not None else None
         if news is not None:
             self.live.send_to_all(news)

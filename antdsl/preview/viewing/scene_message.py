@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from antdsl.outputs.feelers import list_feelers
 from antdsl.preview.outcomes import make_silencing_settings
 from antdsl.preview.session import Session
 from antdsl.preview.viewing.body_packets import list_outfits
-from antdsl.preview.viewing.edited_packets import find_edited_outfits
+from antdsl.preview.viewing.edited_packets import find_edited_outfits, list_added_species
 from antdsl.preview.viewing.field_packets import choose_full_value
 from antdsl.preview.viewing.file_names import FileNames, read_file_text
 from antdsl.preview.viewing.page_units import choose_unit, convert_constant, find_unit_size, list_colour_attributes
@@ -38,7 +39,10 @@ def make_scene_message(live: Live, box: BoundingBox, charts: list[dict[str, Any]
         "unit_mm": world.setting.unit_mm,
         "up": [float(x) for x in world.up], "low": low, "high": high,
         "camera": _make_camera_entry(session),
-        "species": [_make_species_entry(live, names, population) for population in world.populations.values()],
+        "species": [
+            *(_make_species_entry(live, names, population) for population in world.populations.values()),
+            *_make_added_species_entries(live),
+        ],
         "params": [_make_param_entry(session, names, name, param) for name, param in program.params.items()],
         "fields": _list_fields(session), "flows": list(world.flows), "curves": list(world.setting.curves),
         "solids": list(world.solids), "items": _list_items(session), "specs": [spec.name for spec in program.specs],
@@ -99,6 +103,19 @@ def _make_species_entry(live: Live, names: FileNames, population: Population) ->
             for f in feelers
         ],
     }
+
+
+def _make_added_species_entries(live: Live) -> Iterator[dict[str, Any]]:
+    """Yield the entries of species that edits add to the run. No program is known of them."""
+    view, session = live.screen.edited.find_view(), live.session
+    for entry in list_added_species(view):
+        assert view is not None
+        machines = [
+            {"name": m.name, "states": [s.name for s in m.states], "colours": [list(s.colour) for s in m.states]}
+            for m in entry.machines
+        ]
+        bodies = list(find_edited_outfits(view, session.world, session.shot)[entry.name])
+        yield {"name": entry.name, "bodies": bodies, "attributes": [], "machines": machines, "layers": [], "feelers": []}
 
 
 def _list_layers(session: Session, names: FileNames, population: Population) -> list[dict[str, Any]]:

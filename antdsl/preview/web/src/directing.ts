@@ -22,6 +22,9 @@ export interface Verb {
   verb: string;
   help: string;
   keys: VerbKey[];
+  kind: "agents" | "cache"; // of the verb's own value
+  example: string;
+  choices: string[];
 }
 
 /** A named line of the crowd. `ranges`: the first id and the number of ids of each range, in the order of its numbers. */
@@ -52,6 +55,14 @@ export interface Lines {
   lines: Line[];
   problem: string; // why the displayed frame lacks them
   file: string; // where to write them
+  settling?: Settling; // of edits
+}
+
+/** The agents that edits affect, simulated again. */
+export interface Settling {
+  running: boolean;
+  settled: boolean; // whether the displayed frames have such agents
+  report: string[];
 }
 
 export interface LineProblem {

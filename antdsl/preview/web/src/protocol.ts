@@ -29,6 +29,7 @@ export type Ask =
   | { op: "field"; name: string; on: boolean }
   | { op: "direct"; list: List; verb: string; agents: string; values: Record<string, string>; apply: boolean } // checked, or applied
   | { op: "line"; list: List; key: number; action: "on" | "off" | "remove" }
+  | { op: "settle"; on: boolean } // simulate agents again that edits affect; or stop, and remove the result
   | { op: "reload" }
   | { op: "restart" } // simulate the files again from the first frame, without edits during the run
   | {

@@ -15,6 +15,7 @@ const ABOUT: Record<List, string> = {
 };
 const LIST_NAMES: Record<List, string> = { notes: "note", edits: "edit" };
 const EVERY = 250; // ms between two checks while the user writes
+const NAMED = { agents: "Agents", cache: "Cache" };
 const NONE = "Select agents in the view, or write a crowd line or a species.";
 const TOO_MANY = "Too many agents for a list: write a crowd line or a species, and conditions below.";
 
@@ -40,7 +41,10 @@ class LineForm {
     list: "direct-agents",
     test: "direct-agents",
   });
-  private readonly names = el("datalist", { id: "direct-agents" });
+  private readonly names = el("datalist", { id: "direct-agents", test: "direct-choices-agents" });
+  private readonly named = labelled(NAMED.agents, this.agents);
+  private readonly written: Record<Verb["kind"], string> = { agents: "", cache: "" }; // the values of verbs of each kind
+  private valueKind: Verb["kind"] = "agents";
   private readonly lists = new Map(
     LISTS.map((list) => [
       list,
@@ -63,6 +67,7 @@ class LineForm {
     "direct-copy",
   );
   private fields: Fields | null = null;
+  private agentNames: string[] = [];
   private table = ""; // the verbs and names for which the form was made
   private readonly check = throttled(EVERY, () => this.text && this.shown.shown() && this.send(false));
 
@@ -73,7 +78,7 @@ class LineForm {
     this.element = el(
       "form",
       { class: "direct" },
-      el("div", { class: "field" }, labelled("Agents", this.agents), this.names, this.wrong),
+      el("div", { class: "field" }, this.named, this.names, this.wrong),
       el(
         "fieldset",
         { class: "lists" },
@@ -127,6 +132,10 @@ class LineForm {
   private take(): void {
     const { selected, verbs } = this.store.now;
     if (!selected.length) return;
+    if (this.valueKind !== "agents") {
+      this.written.agents = nameAgents(selected, verbs?.lines ?? []);
+      return;
+    }
     this.agents.value = nameAgents(selected, verbs?.lines ?? []);
     setText(this.hint, this.text ? NONE : TOO_MANY);
     this.renew();
@@ -138,9 +147,21 @@ class LineForm {
     const now = JSON.stringify([verbs?.notes, verbs?.edits, verbs?.lines]);
     if (!verbs || now === this.table) return;
     this.table = now;
-    const names = [...verbs.lines, ...(scene?.species ?? [])].map((each) => each.name);
-    this.names.replaceChildren(...names.map((value) => el("option", { value })));
+    this.agentNames = [...verbs.lines, ...(scene?.species ?? [])].map((each) => each.name);
     this.chooseList();
+  }
+
+  /** Ask for the verb's own value: agents, or a cache. What was written for verbs of the other kind comes back with them. */
+  private setValueKind(verb: Verb | undefined): void {
+    const kind = verb?.kind ?? "agents";
+    const names = kind === "agents" ? this.agentNames : (verb?.choices ?? []);
+    this.names.replaceChildren(...names.map((value) => el("option", { value })));
+    if (kind === this.valueKind) return;
+    this.written[this.valueKind] = this.agents.value;
+    this.valueKind = kind;
+    this.agents.value = this.written[kind];
+    this.agents.placeholder = kind === "cache" ? (verb?.example ?? "") : "";
+    setText(this.named.querySelector(".name") as HTMLElement, NAMED[kind]);
   }
 
   /** Fill in the verbs of the chosen list. A verb of both lists stays. */
@@ -156,6 +177,7 @@ class LineForm {
   private choose(): void {
     const { verb } = this;
     this.store.set("picking", null);
+    this.setValueKind(verb);
     setText(this.about, verb?.help ?? "");
     setText(this.help, "");
     this.fields = verb
@@ -173,7 +195,7 @@ class LineForm {
   }
 
   private renew(): void {
-    this.hint.hidden = Boolean(this.text);
+    this.hint.hidden = Boolean(this.text) || this.valueKind !== "agents";
     this.copy.disabled = true; // until the server has written the line
     if (!this.text) this.show(null);
     this.check();

@@ -1,6 +1,6 @@
 // The notes or edits that pages added: each can be switched off, copied and removed; and all of them as text for a file.
 
-import type { Line, List } from "../../directing";
+import type { Line, List, Settling } from "../../directing";
 import type { Store } from "../../store";
 import { button, el, keyed, type Row, setText } from "../dom";
 import { copyButton } from "./copying";
@@ -11,7 +11,7 @@ const WORDS: Record<List, { title: string; where: (file: string) => string }> = 
   edits: {
     title: "Edits of these frames",
     where: (file) =>
-      `To keep them, write them into a file ${file}; \`antdsl edit CACHE --edits ${file}\` applies them to a cache.`,
+      `To keep them, write them into a file ${file}; \`antdsl edit CACHE --edits ${file}\` applies them to a cache, and with \`--settle\` settles it.`,
   },
 };
 
@@ -31,12 +31,14 @@ export function lines(store: Store, listed: List, counted: (count: number) => vo
     () => list,
     `${listed}-copy`,
   );
+  const settle = listed === "edits" ? settlingOf(store) : null;
   const element = el(
     "section",
     { hidden: true },
     el("div", { class: "row" }, el("h3", { text: WORDS[listed].title }), copyAll),
     list,
     wrong,
+    ...(settle ? [settle.element] : []),
     where,
   );
   const rows = keyed<Line>(
@@ -49,10 +51,35 @@ export function lines(store: Store, listed: List, counted: (count: number) => vo
     element.hidden = all.length === 0;
     setText(where, WORDS[listed].where(message.file));
     write(wrong, message.problem && `not shown in this frame: ${message.problem}`);
+    settle?.show(
+      message.settling,
+      all.some((each) => each.on),
+    );
     counted(all.length);
     rows(all);
   });
   return element;
+}
+
+/** Return a button that simulates the agents again that edits affect, and the report. */
+function settlingOf(store: Store): { element: HTMLElement; show: (now: Settling | undefined, possible: boolean) => void } {
+  let on = true;
+  const settle = button("Settle", () => store.connection.ask({ op: "settle", on }), {
+    class: "small",
+    title: "simulate the agents again that edits make overlap, or leave without a neighbour",
+    test: "settle",
+  });
+  const report = el("p", { class: "quiet settle-report", test: "settle-report", role: "status" });
+  return {
+    element: el("div", {}, el("div", { class: "row settle" }, settle), report),
+    show: (now, possible) => {
+      on = !(now?.running || now?.settled);
+      setText(settle, now?.running ? "Stop settling" : now?.settled ? "Remove settling" : "Settle");
+      settle.disabled = on && !possible;
+      setText(report, (now?.report ?? []).join("\n"));
+      report.hidden = !now?.report.length;
+    },
+  };
 }
 
 function row(store: Store, listed: List): Row<Line> {

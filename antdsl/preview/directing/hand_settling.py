@@ -1,0 +1,90 @@
+"""Settles the simulated frames with the edits that pages added, in short parts between requests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from time import monotonic
+
+from antdsl.bodies.agents.definition import BodyError
+from antdsl.explain import ExplainError
+from antdsl.outputs.cache.cache_reader import CacheError
+from antdsl.outputs.edits.edit_layer import NotEditable
+from antdsl.outputs.edits.side_effects import SideEffects
+from antdsl.preview.directing.hand_edits import EditedRun
+from antdsl.preview.observing.explainer import StretchHistory
+from antdsl.settling.resimulation import NOTHING_TO_SETTLE, Settling, SettlingError
+
+_MAX_SECONDS = 0.02  # after this time, settling gives way to requests and steps
+_CHANGED_TEXT = "the edits or the frames have changed: settle again"
+
+
+class HandSettling:
+    """Simulates the agents of a session again that edits affect.
+
+    `is_running`: whether there is work to do. `report`: the progress or the result, for pages, line by line."""
+
+    def __init__(self, edited: EditedRun) -> None:
+        self.edited = edited
+        self._report: tuple[str, ...] = ()
+        self._work: Iterator[str] | None = None
+        self._inputs: object = None  # of the frames for which the report and the work are
+
+    @property
+    def is_running(self) -> bool:
+        return self._work is not None
+
+    @property
+    def report(self) -> tuple[str, ...]:
+        """Return the progress or the result. It ends when the edits or the frames change."""
+        is_outdated = bool(self._report) and self._inputs != self.edited.describe_inputs()
+        return (_CHANGED_TEXT,) if is_outdated else self._report
+
+    def start(self) -> None:
+        """Begin to settle the frames that exist now."""
+        self.stop()
+        self._inputs, self._work, self._report = self.edited.describe_inputs(), self._run(), ("settling",)
+
+    def stop(self) -> None:
+        """Stop, and remove the result."""
+        self.edited.settle(None, None)
+        self._work, self._report = None, ()
+
+    def advance(self) -> None:
+        """Do the next part of the work."""
+        end = monotonic() + _MAX_SECONDS
+        while self._work is not None and monotonic() < end:
+            if self._inputs != self.edited.describe_inputs():
+                self._work = None
+                return
+            try:
+                self._report = (f"settling: {next(self._work)}",)
+            except StopIteration:
+                self._work = None
+            except (SettlingError, ExplainError) as why:
+                self._work, self._report = None, tuple(text for text in (f"not settled: {why}", why.help) if text)
+            except (NotEditable, BodyError, CacheError) as why:
+                self._work, self._report = None, (f"not settled: {why}",)
+
+    def _run(self) -> Iterator[str]:
+        """Settle the frames, show the result, and set the report. Yield a text about the progress after each frame."""
+        frames, next_ids, attributes = self.edited.open_frames_to_settle()
+        settling = Settling(frames, self._open_history, next_ids, attributes)
+        yield from settling.run()
+        settlement = settling.settlement
+        self.edited.settle(self._inputs, None if settlement is None else settlement.frames)
+        side_effects = SideEffects(self.edited.find_view() or frames)
+        for number in side_effects.examine():
+            yield f"frame {number} is examined"
+        text = NOTHING_TO_SETTLE if settlement is None else settlement.describe()
+        self._report = (text, *(f"warning: {message}" for message in side_effects.messages))
+
+    def _open_history(self, frame: int) -> StretchHistory:
+        """Return the history of a frame and of all later ones, which one program has simulated. Raises SettlingError."""
+        stretch = self.edited.session.timeline.stretches[-1]
+        if stretch.first > frame:
+            raise SettlingError(
+                f"edits affect agents from frame {frame} on, and another program or other notes simulated the frames before "
+                f"{stretch.first}",
+                "simulate again from the first frame, then settle",
+            )
+        return StretchHistory(self.edited.session, stretch)
