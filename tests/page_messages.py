@@ -111,12 +111,12 @@ def verbs(line: str = "guards", item: str = "leaf") -> dict[str, Any]:
     return {"op": "verbs", **make_form_entries(names), "lines": lines, "origin": [0, 0, 0]}
 
 
-def notes(*lines: str, problem: str = "", op: str = "notes", **more: Any) -> dict[str, Any]:
+def notes(*lines: str, problem: str = "", op: str = "notes", **other: Any) -> dict[str, Any]:
     """The notes of a run, or its edits. The last one is off if there is a problem."""
     listed = [{"key": k, "line": line, "on": not problem or k < len(lines) - 1, "problem": ""} for k, line in enumerate(lines)]
     if problem:
         listed[-1]["problem"] = problem
-    return {"op": op, "lines": listed, "problem": "", "file": "walk.yaml" if op == "notes" else "edits.yaml", **more}
+    return {"op": op, "lines": listed, "problem": "", "file": "walk.yaml" if op == "notes" else "edits.yaml", **other}
 
 
 def directed(

@@ -13,6 +13,7 @@ import typer
 from antdsl import limits
 
 if TYPE_CHECKING:
+    from antdsl.outputs.cache.manifest import Manifest
     from antdsl.scene.values import FrameRange
 
 
@@ -95,22 +96,14 @@ def parse_frame_range(text: str | None, flag: str = "--frames") -> FrameRange | 
         raise typer.BadParameter(f"`{text}` {error}: {error.help or 'write A..B'}", param_hint=flag) from None
 
 
-def parse_number_set(text: str | None, flag: str) -> frozenset[int] | None:
-    """Return the integers of a list such as `3,8..12`; None for None."""
-    if text is None:
-        return None
-    from antdsl.scene.quantities import QuantityError, parse_integer_range
+def require_agents(text: str | None, manifest: Manifest, flag: str) -> list[int]:
+    """Return the keys of the agents that a list such as `3,8..12,guards.17` names. Raises BadParameter with the reason."""
+    from antdsl.outputs.chosen_agents import UnknownAgent, find_keys
 
-    numbers: set[int] = set()
-    for word in text.split(","):
-        try:
-            low, high = parse_integer_range(word)
-        except QuantityError:
-            low, high = 1, 0
-        if not 0 <= low <= high or high - low > 1_000_000:
-            raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,8..12", param_hint=flag)
-        numbers.update(range(low, high + 1))
-    return frozenset(numbers)
+    try:
+        return find_keys(text, manifest)
+    except UnknownAgent as why:
+        raise typer.BadParameter(f"{why}: {why.help}", param_hint=flag) from None
 
 
 def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:

@@ -78,12 +78,3 @@ def parse_full_strengths(texts: list[str]) -> dict[str, float]:
         if strengths[name.strip()] <= 0:
             raise typer.BadParameter(f"`{text}` is not a field with a strength, such as `trail=20`", param_hint="--full")
     return strengths
-
-
-def parse_ids(text: str | None) -> tuple[int, ...]:
-    if text is None:
-        return ()
-    try:
-        return tuple(int(word) for word in text.split(",") if word.strip())
-    except ValueError:
-        raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,17", param_hint="--agents") from None

@@ -22,6 +22,7 @@ from antdsl.outputs.agent_paths import PathWindow
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.hashes import HashLine
 from antdsl.outputs.cut_plane import CutPlane
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.pictures.cameras import find_agent_view, make_fitted_camera, make_overview_camera, make_top_camera
@@ -53,7 +54,7 @@ class DrawRequest:
 
     `camera`: one of `CAMERA_VIEWS`, or the name of a camera of the scene.
     `show`: the overlays.
-    `agents`: ids of the agents with ids, paths and similar overlays; a camera at eye level follows the first.
+    `agents`: keys of the agents with ids, paths and similar overlays; a camera at eye level follows the first.
     `cut`, `window`: the texts of the command-line options.
     `full`: by field, the strength that is drawn strongest.
     `least`: bodies are enlarged to this length in pixels; None for the default.
@@ -161,15 +162,23 @@ class FrameDrawer:
         the picture of the first frame."""
         focal = self.wanted.focal or (CLOSE_FOCAL_MM if is_close else EYE_FOCAL_MM)
         view, agents = None, self.wanted.agents
+        names = [species.name for species in self.gallery.manifest.species]
+        first_id = agents[0] // SPECIES_PER_KEY if agents else None  # an id without a species may be of several
+        follow: list[tuple[int | None, str | None]]
+        follow = [(first_id, names[key % SPECIES_PER_KEY]) for key in agents if key // SPECIES_PER_KEY == first_id]
         for picture in map(self.gallery.make_picture, self.frames):
-            view = find_agent_view(picture, next(iter(agents), None), focal=focal, close=is_close)
+            views = (
+                find_agent_view(picture, agent, species=name, focal=focal, close=is_close)
+                for agent, name in follow or [(None, None)]
+            )
+            view = next((each for each in views if each is not None), None)
             if view is not None:
                 break
         if view is None and agents:
             raise AgentMissing(_describe_missing_agent(first, agents))
         if view is None or view.crowd.ids is None:  # as at the end of a hunt
             return None
-        number = [species.name for species in self.gallery.manifest.species].index(view.crowd.species)
+        number = names.index(view.crowd.species)
         agent, reach = int(view.crowd.ids[view.row]), math.ceil(SMOOTH_SECONDS / self.gallery.dt)
         near = range(min(self.frames) - reach, max(self.frames) + reach + 1)
         track = read_track(self.gallery.cache, number, agent, [f for f in self.gallery.cache.frames() if f in near])
@@ -188,7 +197,8 @@ def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
     for crowd in picture.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
     known = [f"{count} `{species}`" for species, count in counts.items() if count]
-    return f"there is no agent {agents[0]} for the camera to follow; frame {picture.frame} has {', '.join(known) or 'no agents'}"
+    agent = agents[0] // SPECIES_PER_KEY
+    return f"there is no agent {agent} for the camera to follow; frame {picture.frame} has {', '.join(known) or 'no agents'}"
 
 
 def make_still_path(folder: Path, frame: int) -> Path:

@@ -24,6 +24,7 @@ from antdsl.outputs.cache.manifest import MeshEntry, SpeciesEntry
 from antdsl.outputs.cache.pose_arrays import read_all_machine_clips, read_driven_pose, read_feet, read_layer_masks
 from antdsl.outputs.cache_bodies import CacheBodies
 from antdsl.outputs.cut_plane import CutPlane
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.outputs.feelers import compute_feeler_rays
 from antdsl.outputs.flow_arrows import read_flow_arrows
 from antdsl.outputs.pictures.camera import to_tuple
@@ -111,8 +112,8 @@ class Gallery:
         self._field_positions: dict[str, NDArray[np.float64]] = {}
 
     def make_picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
-        """Return the picture of one frame. With `agents`, the overlays `ids`, `velocity` and `agent_paths` are limited to these
-        ids."""
+        """Return the picture of one frame. With `agents`, the overlays `ids`, `velocity` and `agent_paths` are limited to agents
+        with these keys (`make_agent_keys`)."""
         arrays = self.cache.frame(frame)
         if self._first_frame is None:
             frames = self.cache.frames()
@@ -192,7 +193,7 @@ class Gallery:
         return Solid(name, vertices, faces, KIND_BY_LOOK[mesh.look] if mesh.look else find_kind_by_name(name) or mesh.row.look)
 
     def _make_crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
-        """Return the crowds of a frame, and the rows of the legend. `agents`: ids of the agents with overlays."""
+        """Return the crowds of a frame, and the rows of the legend. `agents`: keys of the agents with overlays."""
         crowds: list[Crowd] = []
         legend: list[LegendRow] = []
         next_arrays = self.cache.frame(frame + 1) if self._has_motion_blur and frame + 1 in self.cache.frames() else None
@@ -204,7 +205,9 @@ class Gallery:
                     crowd = replace(crowd, next_crowd=match_agents(crowd, later[which]))
                 dressed = self._split_by_layers(crowd, number, which, arrays)
                 crowds += [
-                    self._add_lines(part, species, number, frame) for each in dressed for part in _split_selected(each, agents)
+                    self._add_lines(part, species, number, frame)
+                    for each in dressed
+                    for part in _split_selected(each, number, agents)
                 ]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
@@ -385,11 +388,12 @@ def choose_coordinate_format(gallery: Gallery) -> str:
     return "%.15g" if gallery.origin.any() else "%.9g"
 
 
-def _split_selected(crowd: Crowd, selected_ids: frozenset[int]) -> list[Crowd]:
-    """Return the crowd, or the selected agents and the others, without ids and velocities, as two crowds if ids are selected."""
-    if not selected_ids or crowd.ids is None:
+def _split_selected(crowd: Crowd, species: int, selected_keys: frozenset[int]) -> list[Crowd]:
+    """Return the crowd of a species, or the selected agents and the others, without ids and velocities, as two crowds if agents
+    are selected."""
+    if not selected_keys or crowd.ids is None:
         return [crowd]
-    chosen = np.isin(crowd.ids, sorted(selected_ids))
+    chosen = np.isin(np.asarray(crowd.ids, np.int64) * SPECIES_PER_KEY + species, sorted(selected_keys))
     selected, others = crowd.select_rows(chosen), crowd.select_rows(~chosen)
     return [selected, replace(others, ids=None, velocity=None)]
 

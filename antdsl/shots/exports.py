@@ -22,16 +22,16 @@ def make_export_tasks(
     cache: Path,
     file_pattern: str,
     form: str,
-    ids: frozenset[int] | None,
+    agents: frozenset[int] | None,
     frames: Sequence[int],
     destination: Destination,
     *,
     shows_states: bool = False,
 ) -> Iterator[Task]:
     """Yield tasks that write all frames. `file_pattern`: the pattern of the file names. `cache`: an absolute path without
-    links. `shows_states`: agents have the colours of their states."""
-    chosen = None if ids is None else sorted(ids)
-    document = {"cache": str(cache), "name": file_pattern, "form": form, "ids": chosen, "states": shows_states}
+    links. `agents`: the keys of the agents to export, None for all. `shows_states`: agents have the colours of their states."""
+    chosen = None if agents is None else sorted(agents)
+    document = {"cache": str(cache), "name": file_pattern, "form": form, "agents": chosen, "states": shows_states}
     return destination.make_frame_tasks(export_frames, document, frames, FRAMES_PER_TASK)
 
 
@@ -43,8 +43,8 @@ def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[st
         raise TaskRejected(f"`{name}` needs `####` for one file per frame")
     with raise_as_task_rejected(ManifestError, CacheError, PictureUnavailable, ExportUnavailable):
         cache = open_edited_cache(worker.find_local_path(document["cache"]))
-        if document["ids"] is not None:
-            cache = AgentSubset.of(cache, frozenset(document["ids"]))
+        if document["agents"] is not None:
+            cache = AgentSubset.of(cache, frozenset(document["agents"]))
         place = to.choose_task_folder(worker, document["key"])
         notes = export.forms[document["form"]](Gallery(cache, shows_states=document["states"]), document["frames"], place / name)
     worker.notes += notes or ()

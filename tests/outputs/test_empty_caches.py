@@ -19,6 +19,7 @@ from sampling import sampled
 
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.drawing import AgentMissing, DrawRequest, FrameDrawer
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.outputs.exports import EXPORT_FORMATS, find_export
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import ExportUnavailable
@@ -152,7 +153,7 @@ def test_every_camera_draws_frames_without_agents(cache: Cache, camera: str) -> 
     assert all(drawer.draw(frame).shape == (27, 48, 3) for frame in dict.fromkeys(chosen))
     if camera == "eye" and not min(counts):
         with pytest.raises(AgentMissing, match=f"no agent 7 for the camera to follow; frame {chosen[1]} has no agents"):
-            FrameDrawer(options.gallery(cache), DrawRequest(48, 27, camera, (), agents=(7,)), chosen[1:2], 1)
+            FrameDrawer(options.gallery(cache), DrawRequest(48, 27, camera, (), agents=(7 * SPECIES_PER_KEY,)), chosen[1:2], 1)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ import stick_bodies
 
 from antdsl.bodies.body import build_rotation_matrices
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.recording import Recording, begin_recording, record_frames
 from antdsl.pipeline import RunChoices, open_scene, simulate
@@ -117,6 +118,6 @@ def test_drawn_feet_are_where_frames_have_them_and_each_frame_stands_alone(cache
 def test_some_agents_have_their_own_feet(cache: Cache) -> None:
     gallery = Gallery(cache)
     full_crowd = gallery.make_picture(16).crowds[0]
-    named, others = gallery.make_picture(16, agents=frozenset([2, 5])).crowds
+    named, others = gallery.make_picture(16, agents=frozenset([2 * SPECIES_PER_KEY, 5 * SPECIES_PER_KEY])).crowds
     assert full_crowd.feet is not None and named.feet is not None and others.feet is not None
     assert np.array_equal(named.feet.P, full_crowd.feet.P[[2, 5]]) and len(others.feet.P) == 6

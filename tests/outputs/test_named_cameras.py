@@ -99,7 +99,7 @@ def test_a_manifest_without_names_has_its_default_camera(cache: Cache) -> None:
 @pytest.mark.parametrize("name", ["hero", "side", "close", "eye"])
 def test_the_agent_that_a_camera_follows_stays_in_the_picture(cache: Cache, name: str) -> None:
     frames = cache.frames()
-    request = DrawRequest(320, 180, name, (), agents=(2,))
+    request = DrawRequest(320, 180, name, (), agents=(2 * SPECIES_PER_KEY,))
     drawer = FrameDrawer(request.gallery(cache), request, frames, 1)
     eyes = []
     for frame in frames:

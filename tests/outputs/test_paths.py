@@ -15,6 +15,7 @@ from antdsl.cli import app
 from antdsl.outputs.agent_paths import PathWindow
 from antdsl.outputs.cache.cache_reader import make_frame_path, open_cache
 from antdsl.outputs.cut_plane import CutPlane
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures import Camera, Crowd, Picture, Solid, render_frame
 from antdsl.outputs.pictures.camera import make_view
@@ -92,7 +93,7 @@ def test_paths_are_the_places_of_the_frames_around(cache: Path) -> None:
 
 def test_named_agents_alone_have_paths_and_a_cut_keeps_rows_together(cache: Path) -> None:
     window = PathWindow(0.1, 0.1)
-    named, others = Gallery(open_cache(cache), window=window).make_picture(20, agents=frozenset([3])).crowds
+    named, others = Gallery(open_cache(cache), window=window).make_picture(20, agents=frozenset([3 * SPECIES_PER_KEY])).crowds
     assert named.paths is not None and len(named.paths.positions) == 1 and others.paths is None
     part = Gallery(open_cache(cache), CutPlane.parse("x > 0"), window).make_picture(20).crowds[0]
     assert part.paths is not None and 0 < len(part.position) == len(part.paths.positions)

@@ -21,6 +21,7 @@ from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.agent_paths import match_agents
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.pictures.blur.shutter import Shutter
 from antdsl.outputs.pictures.camera import make_view
@@ -116,7 +117,7 @@ def test_the_frame_after_is_that_of_the_same_agents(cache: Cache) -> None:
         vertices(now), vertices(then)
     )
     assert Gallery(cache, has_motion_blur=True).make_picture(FRAMES).crowds[0].next_crowd is None  # the last has none
-    few = Gallery(cache, has_motion_blur=True).make_picture(FRAMES - 1, agents=frozenset([3])).crowds[0]
+    few = Gallery(cache, has_motion_blur=True).make_picture(FRAMES - 1, agents=frozenset([3 * SPECIES_PER_KEY])).crowds[0]
     assert few.next_crowd is not None and np.array_equal(few.next_crowd.position, then.position[np.asarray(then.ids) == 3])
 
 

@@ -17,6 +17,7 @@ from antdsl.bodies.agents.poses import Poses  # noqa: E402
 from antdsl.bodies.body import build_rotation_matrices  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402
 from antdsl.outputs.cache.cache_reader import Cache, open_cache  # noqa: E402
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY  # noqa: E402
 from antdsl.outputs.exports import AgentSubset  # noqa: E402
 from antdsl.outputs.gallery import Gallery  # noqa: E402
 from antdsl.outputs.pictures.model import Picture  # noqa: E402
@@ -544,7 +545,7 @@ def test_who_takes_up_a_load_is_an_instance_of_the_body_that_has_one(carriers: C
 
 
 def test_some_agents_wear_what_they_wear_among_all(carriers: Cache) -> None:
-    subset_cache = AgentSubset.of(carriers, frozenset([1, 3]))
+    subset_cache = AgentSubset.of(carriers, frozenset([1 * SPECIES_PER_KEY, 3 * SPECIES_PER_KEY]))
     worn = set()
     for frame in carriers.frames():
         all_layers = layers_by_id(Gallery(carriers).make_picture(frame))

@@ -12,7 +12,7 @@ from antdsl.cli.printing.messages import print_result
 
 def explain(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
-    agent: int = typer.Option(..., "--agent", metavar="ID", min=0, help="The agent's id."),
+    agent: str = typer.Option(..., "--agent", metavar="ID", help="The agent's id, or its name as in scenes: `guards.17`."),
     frame: int = typer.Option(..., "--frame", metavar="N", help="The frame after the step."),
     species: str = typer.Option(None, "--species", metavar="NAME", help="The agent's species, if the scene has several."),
     scene: Path = typer.Option(None, "--scene", metavar="FILE", help="The scene, if it is not near the cache."),
@@ -26,14 +26,21 @@ def explain(
     from antdsl.explain import explain as explained
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.outputs.cache.cache_reader import open_cache
+    from antdsl.outputs.chosen_agents import UnknownAgent, find_agent
     from antdsl.runtime import BindError
 
     grants = parse_grants(root)
     try:
         with explain_cache_errors(cache, "to compute it again"):
-            explanation = explained(
-                open_cache(cache), agent, frame, species=species, scene=scene, grants=grants, threads=count_available_cores()
-            )
+            opened = open_cache(cache)
+            chosen = find_agent(agent, opened.manifest)
+            if None not in (species, chosen.species) and species != chosen.species:
+                raise UnknownAgent(f"`{agent}` is of the species `{chosen.species}`", "leave out `--species`")
+            name = chosen.species or species
+            threads = count_available_cores()
+            explanation = explained(opened, chosen.id, frame, species=name, scene=scene, grants=grants, threads=threads)
+    except UnknownAgent as error:
+        raise CommandError(ExitCode.USAGE, f"error: {error}", f"help: {error.help}") from None
     except BindError as error:
         exit_on_errors(error.report)
         raise CommandError(ExitCode.FINDINGS) from None

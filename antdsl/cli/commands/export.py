@@ -31,17 +31,21 @@ def _explain_missing_export(path: Path) -> str:
 
 
 def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
-    """Return a note about chosen agents that are in none of the frames, or None if all of them are in some frame."""
-    missing = set(chosen)
+    """Return a note about chosen agents that are in none of the frames, or None if all of them are in some frame. An id of
+    several species is missing if none of them has it."""
+    from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, make_agent_keys
+    from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
+
+    found: set[int] = set()
     for frame in frames:
-        arrays = cache.frame(frame, frozenset({"id"}))
-        missing -= set(arrays["id"].tolist()) if "id" in arrays else missing
-        if not missing:
-            return None
-    if len(missing) == len(chosen):
-        return (
-            f"no agent of these frames has {'the id' if len(chosen) == 1 else 'an id such as'} {min(missing)}; nothing is written"
-        )
+        arrays = cache.frame(frame, IDENTITY_ARRAYS)
+        found |= chosen & set(make_agent_keys(arrays).tolist()) if "id" in arrays else chosen
+    ids, missing = ({key // SPECIES_PER_KEY for key in keys} for keys in (chosen, chosen - found))
+    missing -= {key // SPECIES_PER_KEY for key in found}
+    if not missing:
+        return None
+    if len(missing) == len(ids):
+        return f"no agent of these frames has {'the id' if len(ids) == 1 else 'an id such as'} {min(missing)}; nothing is written"
     return f"no agent of these frames has {len(missing):,} of the ids, such as {min(missing)}"
 
 
@@ -61,7 +65,7 @@ def export(
         metavar="WORD",
         help="USD: instances, xforms, meshes; .csv: keyframes, events; .npz: arrays, poses, volume, events; .ply: meshes, solids",
     ),
-    ids: str = typer.Option(None, "--ids", metavar="3,8..12", help="Export only these agents. [default: all]"),
+    ids: str = typer.Option(None, "--ids", metavar="3,8..12", help="Export only these agents, or `guards.3..9`. [default: all]"),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frames to export. [default: all]"),
     skeletons: int = typer.Option(
         None,
@@ -102,7 +106,7 @@ def export(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print only problems."),
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
-    from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter, parse_tolerance
+    from antdsl.cli.arguments import parse_frame_range, parse_shutter, parse_tolerance, require_agents
     from antdsl.outputs.edits.edited_cache import open_edited_cache
     from antdsl.outputs.exports import EXPORT_FORMATS, AgentSubset, find_export
     from antdsl.outputs.gallery import Gallery
@@ -126,7 +130,7 @@ def export(
     if word not in export.per_frame_forms and "####" in to.name:
         words = f"`{to.name}` as `{word}` is one file with all frames: remove `####`"
         raise typer.BadParameter(words, param_hint="--to")
-    frame_range, chosen = parse_frame_range(frames), parse_number_set(ids, "--ids")
+    frame_range = parse_frame_range(frames)
     all_options = {
         "skeletons": skeletons,
         "shutter": parse_shutter(shutter),
@@ -166,6 +170,7 @@ def export(
         with explain_cache_errors(cache, "this recomputes damaged frames"):
             opened_cache = open_edited_cache(cache)
             cache_frames = [f for f in opened_cache.frames() if frame_range is None or frame_range.first <= f <= frame_range.last]
+            chosen = None if ids is None else frozenset(require_agents(ids, opened_cache.manifest, "--ids"))
             if not cache_frames:
                 advice = "`antdsl info CACHE` lists its frames"
                 raise CommandError(ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", advice)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ import typer
 from antdsl.atomic_write import create_folder_durably, sync_files
 from antdsl.cli.destinations import choose_default_path, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
-from antdsl.cli.picture_arguments import check_camera, parse_cut, parse_full_strengths, parse_ids, parse_point, parse_window
+from antdsl.cli.picture_arguments import check_camera, parse_cut, parse_full_strengths, parse_point, parse_window
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import (
     NO_TLS_OPTION,
@@ -62,7 +63,8 @@ def render(
         None,
         "--agents",
         metavar="ID,…",
-        help="Draw ids, velocities, paths and feelers of these agents only; the eye camera follows the first.",
+        help="Draw ids, velocities, paths and feelers of these agents only, also as `guards.17`; the eye camera follows the "
+        "first.",
     ),
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
@@ -116,7 +118,7 @@ def render(
     out: Path = typer.Option(None, "--out", metavar="DIR", help="Folder of the pictures. [default: pictures in the cache]"),
 ) -> None:
     """Draw frames of a cache."""
-    from antdsl.cli.arguments import parse_frame_range
+    from antdsl.cli.arguments import parse_frame_range, require_agents
     from antdsl.cli.commands.run import choose_threads
     from antdsl.outputs.drawing import DrawRequest, StillStore
 
@@ -125,19 +127,16 @@ def render(
     parse_window(window)
     parse_cut(cut)
     settings = DrawRequest(
-        *(
-            width,
-            height,
-            camera,
-            words,
-            parse_ids(agents),
-            cut,
-            window,
-            tuple(parse_full_strengths(full).items()),
-            least,
-            marks,
-            blur,
-        ),
+        width,
+        height,
+        camera,
+        words,
+        cut=cut,
+        window=window,
+        full=tuple(parse_full_strengths(full).items()),
+        least=least,
+        marks=marks,
+        blur=blur,
         legend=legend is LegendPlacement.beside,
         at=parse_point(at, "--at"),
         look_at=parse_point(look_at, "--look-at"),
@@ -146,6 +145,7 @@ def render(
         focus=focus,
     )
     gallery = _open_gallery(cache, settings)
+    settings = replace(settings, agents=tuple(require_agents(agents, gallery.manifest, "--agents")))
     check_camera(gallery, settings)
     drawn_frames = _choose_frames(gallery, parse_frame_range(frames), every, sheet, film)
     folder = out if out is not None else choose_default_path(cache, "pictures")

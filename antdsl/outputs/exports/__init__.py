@@ -11,7 +11,7 @@ import numpy as np
 
 from antdsl.outputs.cache.cache_reader import Arrays, CacheView, select_arrays
 from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, find_array_subject
-from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY, keep_rows
+from antdsl.outputs.edits.frame_rows import keep_rows
 from antdsl.outputs.exports.csv_export import export_csv
 from antdsl.outputs.exports.events_export import export_csv_events, export_npz_events
 from antdsl.outputs.exports.geo_export import export_geo
@@ -94,17 +94,17 @@ def find_export(path: Path) -> ExportFormat | None:
 
 @dataclass(frozen=True, eq=False)
 class AgentSubset(CacheView):
-    """A view of another cache that contains only the agents with the given `ids`, in all species. Everything else is
+    """A view of another cache that contains only some agents, by their `keys` (`make_agent_keys`). Everything else is
     unchanged."""
 
-    ids: frozenset[int]
+    keys: frozenset[int]
 
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
         """Return the arrays of a frame, limited to the rows of the chosen agents. `names`: the names to return; None for all."""
         arrays = self.source.frame(number, None if names is None else names | IDENTITY_ARRAYS | _list_id_arrays(names))
         if "id" in arrays:
-            chosen = np.array(sorted(self.ids), np.int64)
-            arrays = keep_rows(arrays, self.manifest, lambda keys: np.isin(keys // SPECIES_PER_KEY, chosen))
+            chosen = np.array(sorted(self.keys), np.int64)
+            arrays = keep_rows(arrays, self.manifest, lambda keys: np.isin(keys, chosen))
         return select_arrays(arrays, names)
 
 

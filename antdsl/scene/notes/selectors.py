@@ -292,8 +292,10 @@ def find_name_problems(
     if count is None:
         yield from find_unknown_name(name.name, names.species | names.lines.keys() | others, what, path)
     elif name.last is not None and name.last >= count:
-        numbers = f"write a number from 0 to {count - 1}" if count else "this line has no agents"
-        yield SelectorProblem(path, f"`{name}` does not exist: `{name.name}` has {count:,} agents", numbers)
+        numbers = f"write a number from 0 to {count - 1}" if count > 1 else f"write `{name.name}.0`"
+        agents = "1 agent" if count == 1 else f"{count:,} agents"
+        help = numbers if count else "this line has no agents"
+        yield SelectorProblem(path, f"`{name}` does not exist: `{name.name}` has {agents}", help)
 
 
 def find_unknown_name(name: str, known_names: frozenset[str], words: str, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
