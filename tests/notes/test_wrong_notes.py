@@ -121,3 +121,29 @@ def test_a_scene_without_notes_pays_nothing(tmp_path: Path) -> None:
     profile.disable()
     files = [file for file, _, _ in pstats.Stats(profile).stats]  # type: ignore[attr-defined]
     assert len(files) > 200 and not [file for file in files if "notes" in Path(file).parts]
+
+
+FOLLOWING = "cameras: {chase: {follow: guards.7, by: [0, 20 mm, 40 mm]}, wide: fit, front: "
+
+
+@pytest.mark.parametrize(
+    ("note", "place", "help"),
+    [
+        ("{look: guards, at: {head: chase}, frames: 10..20}", "follows `guards.7`", "or the agent, `guards.7`"),
+        ("{hold: ant, near: chase, within: 30 mm}", "follows `guards.7`", "or the agent, `guards.7`"),
+        ("{forbid: ant, in: {in_view: chase}}", "follows `guards.7`", "with `at` and `look_at`"),
+        ("{thin: ant, in_view: wide, to: 50 %}", "holds the agents of the drawn frames", "with `at` and `look_at`"),
+        ("{forbid: ant, in: {around: chase, radius: 20 mm}}", "follows `guards.7`", "or the agent, `guards.7`"),
+    ],
+)
+def test_cameras_that_are_placed_after_the_run_are_reported_with_what_to_write(
+    tmp_path: Path, note: str, place: str, help: str
+) -> None:
+    open_directed(tmp_path)
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(scene.read_text().replace("cameras: {front: ", FOLLOWING) + f"notes: [{note}]\n")
+    shot, report = open_scene(scene)
+    [error] = report.errors
+    assert shot is None and error.code == "unknown-thing" and error.span is not None
+    assert place in error.message and "known only when pictures are drawn" in error.message
+    assert help in (error.help or "") and error.span.text in ("chase", "wide")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, read_camera
 from antdsl.outputs.cache.frame_agents import LongArray, make_agent_keys
 from antdsl.outputs.cache.manifest import MachineEntry, Manifest, SpeciesEntry
-from antdsl.outputs.cache.manifest_parts import CameraEntry
+from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.runtime.sensing.sensed_camera import CameraInFrame
 from antdsl.scene.crowds.line_ids import LineIds
@@ -68,6 +68,11 @@ def list_selector_names(manifest: Manifest) -> SelectorNames:
         items=frozenset(name for group in manifest.items for name in (group.name, *group.names)),
         states=frozenset(states),
         cameras=list_cameras(manifest),
+        late_cameras={
+            name: camera.follow if isinstance(camera, FollowEntry) else ""
+            for name, camera in manifest.named_cameras.items()
+            if not isinstance(camera, CameraEntry)
+        },
     )
 
 

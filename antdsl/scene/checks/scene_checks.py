@@ -68,13 +68,19 @@ def list_selector_names(scene: Scene, program: Program) -> SelectorNames:
     """Return the names that selectors of a scene may use."""
     machines = [machine for species in program.species.values() for machine in species.machines]
     states = {name for each in machines for state in each.states for name in (state.name, f"{each.name}.{state.name}")}
+    cameras = scene.model.named_cameras
     return SelectorNames(
         {line.name: count for line, count in zip(scene.model.crowd, count_agents(scene), strict=True) if line.name is not None},
         frozenset(program.species),
         frozenset(list_item_names(scene)),
         frozenset(states),
-        frozenset(name for name, camera in scene.model.named_cameras.items() if isinstance(camera, Camera | UsdCamera)),
+        frozenset(name for name, camera in cameras.items() if isinstance(camera, Camera | UsdCamera)),
+        {name: _get_followed_agent(camera) for name, camera in cameras.items() if isinstance(camera, FollowCamera | str)},
     )
+
+
+def _get_followed_agent(camera: FollowCamera | str) -> str:
+    return str(camera.follow) if isinstance(camera, FollowCamera) else ""
 
 
 def _check_params(scene: Scene, program: Program, report: Report) -> None:

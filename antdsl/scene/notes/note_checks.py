@@ -33,6 +33,7 @@ from antdsl.scene.notes.selectors import (
     SelectorKeys,
     SelectorNames,
     SelectorProblem,
+    find_camera_problems,
     find_name_problems,
     find_problems,
 )
@@ -103,6 +104,8 @@ class _NoteCheck:
         for number, target in enumerate(line):
             if isinstance(target, AgentName):
                 yield from self._find_target_problems(target, (*self.path, "in", "along", number))
+        if isinstance(region, View):
+            yield from find_camera_problems(region.in_view, self.names, (*self.path, "in", "in_view"))
         if around is not None and not (isinstance(around, tuple) and isinstance(around[0], Quantity)):
             yield from self._find_thing_problems(around, "in", "around")
 
@@ -128,8 +131,6 @@ class _NoteCheck:
         for path, along in ((("along",), getattr(note, "along", None)), (("in", "along"), getattr(region, "along", None))):
             if isinstance(along, str) and along not in curves:
                 self._report_unknown("no program has a curve", curves, *path, help=_CURVE_HELP)
-        if isinstance(region, View) and region.in_view not in self.names.cameras:
-            self._report_unknown("no camera is named", self.names.cameras, "in", "in_view")
         maps = self._list_things("maps")
         if isinstance(note, RegionNote) and note.painted is not None and note.painted not in maps:
             self._report_unknown("no program has a map", maps, "painted")

@@ -227,13 +227,15 @@ class SelectorNames:
     """The names that selectors may use.
 
     `lines`: the number of agents of each named crowd line. `species`, `items`, `cameras`: by name. `states`: as `STATE` and
-    `MACHINE.STATE`."""
+    `MACHINE.STATE`. `late_cameras`: cameras that are placed when pictures are drawn, each with the agent that it follows, or an
+    empty text."""
 
     lines: Mapping[str, int] = field(default_factory=dict)
     species: frozenset[str] = frozenset()
     items: frozenset[str] = frozenset()
     states: frozenset[str] = frozenset()
     cameras: frozenset[str] = frozenset()
+    late_cameras: Mapping[str, str] = field(default_factory=dict)
 
 
 class SelectorProblem(NamedTuple):
@@ -274,12 +276,10 @@ def find_problems(
             problems = find_unknown_name(around, names.items, "no item is named", (*path, "in", "around"))
             is_other = around in names.cameras or around in names.species or around in names.lines
             yield from (each._replace(help=_suggest_near(around)) if is_other else each for each in problems)
-        for key, known, words in (
-            ("state", names.states, "no species has a state"),
-            ("in_view", names.cameras, "no camera is named"),
-        ):
-            if (value := getattr(selector, key)) is not None:
-                yield from find_unknown_name(value, known, words, (*path, key))
+        if selector.state is not None:
+            yield from find_unknown_name(selector.state, names.states, "no species has a state", (*path, "state"))
+        if selector.in_view is not None:
+            yield from find_camera_problems(selector.in_view, names, (*path, "in_view"))
 
 
 def find_name_problems(
@@ -289,13 +289,28 @@ def find_name_problems(
     if name.first is None and name.name in others:
         return
     count = names.lines.get(name.name)
-    if count is None:
+    if count is None and name.first is None and name.name in names.late_cameras:
+        yield from find_camera_problems(name.name, names, path, is_target=True)
+    elif count is None:
         yield from find_unknown_name(name.name, names.species | names.lines.keys() | others, what, path)
     elif name.last is not None and name.last >= count:
         numbers = f"write a number from 0 to {count - 1}" if count > 1 else f"write `{name.name}.0`"
         agents = "1 agent" if count == 1 else f"{count:,} agents"
         help = numbers if count else "this line has no agents"
         yield SelectorProblem(path, f"`{name}` does not exist: `{name.name}` has {agents}", help)
+
+
+def find_camera_problems(
+    name: str, names: SelectorNames, path: tuple[PathKey, ...], *, is_target: bool = False
+) -> Iterator[SelectorProblem]:
+    """Yield the problem of a camera that does not exist, or is placed too late. `is_target`: an agent may be named instead."""
+    if name not in names.late_cameras:
+        yield from find_unknown_name(name, names.cameras, "no camera is named", path)
+        return
+    agent = names.late_cameras[name]
+    why = f"follows `{agent}`" if agent else "holds the agents of the drawn frames"
+    instead = "name a camera with `at` and `look_at`" + (f", or the agent, `{agent}`" if agent and is_target else "")
+    yield SelectorProblem(path, f"the camera `{name}` {why}: its place is known only when pictures are drawn", instead)
 
 
 def find_unknown_name(name: str, known_names: frozenset[str], words: str, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
