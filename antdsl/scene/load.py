@@ -293,9 +293,9 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     from antdsl.scene.camera_models import CAMERA_MODEL_BY_TYPE_TAG, CameraKey
     from antdsl.scene.crowds.casting_model import RANDOM_VALUE_MODELS
     from antdsl.scene.crowds.crowd_model import LayerChoice
-    from antdsl.scene.notes.note_regions import Band, View
+    from antdsl.scene.notes.note_regions import Band
     from antdsl.scene.notes.notes_model import NOTE_MODELS, make_note_tag
-    from antdsl.scene.notes.selectors import AgentConditions, Ball, Box
+    from antdsl.scene.notes.selectors import AgentConditions, Ball, Box, View
     from antdsl.scene.notes.stagger import Stagger
 
     # the last word of the path identifies the model that raised the error; tags of the schema are among the words

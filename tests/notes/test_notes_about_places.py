@@ -43,6 +43,22 @@ def test_an_agent_stays_in_the_left_third_of_the_picture(tmp_path: Path) -> None
     assert len(findings) == 1 and "outside the region in frame 60" in findings[0].message and "ease" in (findings[0].help or "")
 
 
+def test_a_part_of_the_picture_is_empty_or_thinned(tmp_path: Path) -> None:
+    plain = start(open_directed(tmp_path / "plain", count=200))
+    across, up = project(plain, plain.populations["ant"].position).T
+    in_picture = (across > 0) & (across < 1) & (up > 0) & (up < 1)
+    left, low = in_picture & (across < 0.5), in_picture & (up < 0.5)
+    assert left.sum() > 8 and low.sum() > 8
+    ids = plain.populations["ant"].ids
+    part = "in_view: front, across: [0 %, 50 %]"
+    for k, note in enumerate((f"{{without: ant, {part}}}", f"{{without: ant, in: {{{part}}}}}")):
+        empty = start(open_directed(tmp_path / f"empty_{k}", note, count=200)).populations["ant"]
+        assert sorted(empty.ids) == sorted(ids[~left])
+    note = "{thin: ant, in_view: front, up: [0 %, 50 %], to: 50 %}"
+    thin = start(open_directed(tmp_path / "thin", note, count=200)).populations["ant"].ids
+    assert np.isin(ids[~low], thin).all() and np.isin(ids[low], thin).sum() == round(0.5 * low.sum())
+
+
 def test_a_line_of_sight_to_an_agent_is_clear(tmp_path: Path) -> None:
     population = start(open_directed(tmp_path, count=120)).populations["ant"]
     far = (population.position[:, 2] < -20) & (np.abs(population.position[:, 0]) < 60)  # from the foot, which pushes agents

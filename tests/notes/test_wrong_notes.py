@@ -53,6 +53,8 @@ WRONG = [
     ("{hold: ant, in: leaf}", "wrong-value", "`leaf` is not a region", "write `{around: leaf, radius: 50 mm}`", "leaf"),
     ("{slow: ant, painted: mad}", "unknown-thing", "no program has a map `mad`", "did you mean `mud`?", "mad"),
     ("{slow: ant, falloff: 4 mm}", "wrong-value", "`falloff` has no effect without `in`", "add `in:", None),
+    ("{without: ant, across: [0 %, 33 %]}", "wrong-value", "`across` has no effect without `in_view`", "in_view: shot", None),
+    ("{without: ant, in: {in_view: frint}}", "unknown-thing", "no camera is named `frint`", "did you mean `front`?", "frint"),
     ("{forbid: ant}", "missing-key", "has no `in`", "add `in: …`", None),
     ("{look: ant, at: {}}", "wrong-value", "this list has too few values", None, None),
     ("{play: ant, clip: fly}", "unknown-name", "`ant` has no clip `fly`", None, None),

@@ -86,6 +86,9 @@ def test_edits_and_notes_select_by_the_same_view(folder: Path, camera: str) -> N
         keys = make_agent_keys(cache.frame(frame))
         ids = keys[Selection(selector, cache, frame).find(keys)] // SPECIES_PER_KEY
         assert ids.tolist() == select_ids(selector, collect_selectable_frame(world))["ant"].tolist() and 0 < len(ids) <= 60
+        parts = [AgentConditions(in_view=camera, across=part) for part in (["0 %", "50 %"], ["50 %", "100 %"])]
+        halves = [keys[Selection(part, cache, frame).find(keys)] // SPECIES_PER_KEY for part in parts]
+        assert sorted(np.concatenate(halves)) == ids.tolist() and len(halves[0]) < len(ids)
         step(world)
 
 

@@ -16,6 +16,7 @@ from antdsl.scene.notes.selectors import (
     Selector,
     SelectorKeys,
     SelectorNames,
+    View,
     combine_selector,
     find_problems,
 )
@@ -33,8 +34,8 @@ class CameraAtZero:
     def find_place(self) -> np.ndarray:
         return np.zeros(3)
 
-    def find_visible(self, position: np.ndarray) -> np.ndarray:
-        return position[:, 0] < 35
+    def find_visible(self, position: np.ndarray, view: View) -> np.ndarray:
+        return (position[:, 0] < 35 * view.across[1]) & (position[:, 0] >= 35 * view.across[0])
 
 
 def frame(**changes: Any) -> SelectableFrame:
@@ -82,6 +83,8 @@ def frame(**changes: Any) -> SelectableFrame:
         ({"in": {"from": ["25", "9", "-1"], "to": ["-5", "-9", "1"]}}, [0, 1, 2], []),
         ({"in": {"around": "leaf", "radius": "60 mm"}, "without": "ant"}, [], [1]),
         ({"of": ["guards", "ant.0"], "in_view": "shot"}, [0], []),
+        ({"of": "ant", "in_view": "shot", "across": ["50 %", "100 %"]}, [2, 3], []),
+        ({"of": "ant", "in": {"in_view": "shot", "across": ["0 %", "50 %"]}}, [0, 1], []),
         ({"of": ["guards", "ant.0..2"], "near": "shot", "within": "15 mm"}, [0, 1], []),
         ({"of": {"of": "guards", "state": "rest"}, "without": {"state": "calm"}}, [30, 32, 34], []),
         ({"of": "ant", "share": "0 %"}, [], []),

@@ -13,9 +13,9 @@ from antdsl.runtime.notes.targets import NearestOnMesh, TargetPoints, find_centr
 from antdsl.runtime.notes.wishes import Floats
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
-from antdsl.scene.notes.note_regions import Band, NoteRegion, View
+from antdsl.scene.notes.note_regions import Band, NoteRegion
 from antdsl.scene.notes.notes_model import ConfineNote, RegionNote
-from antdsl.scene.notes.selectors import AgentName, Box
+from antdsl.scene.notes.selectors import AgentName, Box, View
 from antdsl.scene.thing_models import convert_point
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import compute_view_axes
+from antdsl.scene.notes.selectors import View
 from antdsl.scene.setting import DEFAULT_FOCAL_MM, SENSOR_WIDTH_MM, CameraData
 
 VIEW_ASPECT = 16 / 9  # width over height of the picture that `in_view` is about
@@ -70,5 +71,14 @@ class CameraInFrame:
     def find_place(self) -> Floats:
         return SensedCamera(self.data, np.zeros(3)).find_position(self.frame)
 
-    def find_visible(self, position: Floats) -> NDArray[np.bool_]:
-        return SensedCamera(self.data, np.zeros(3)).find_in_view(self.frame, position)
+    def find_visible(self, position: Floats, view: View) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) are in a part of the picture."""
+        camera = SensedCamera(self.data, np.zeros(3))
+        is_visible = camera.find_in_view(self.frame, position)
+        eye, ahead, sides = camera.find_pyramid(self.frame)
+        offset = vec.subtract(position.T, eye)
+        depth = vec.dot(offset, ahead)
+        for (axis, tangent), (low, high) in zip(sides, (view.across, view.up), strict=True):
+            along, half = vec.dot(offset, axis), depth * tangent
+            is_visible &= ((low <= 0) | (along >= (2 * low - 1) * half)) & ((high >= 1) | (along <= (2 * high - 1) * half))
+        return is_visible

@@ -13,7 +13,7 @@ from antdsl.scene.crowds.initial_values import is_settable
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.notes.note_programs import LOOK_MACHINE, PLAY_MACHINE
-from antdsl.scene.notes.note_regions import Band, NoteBall, View
+from antdsl.scene.notes.note_regions import Band, NoteBall
 from antdsl.scene.notes.notes_model import (
     AttractNote,
     ChangeNote,
@@ -33,6 +33,7 @@ from antdsl.scene.notes.selectors import (
     SelectorKeys,
     SelectorNames,
     SelectorProblem,
+    View,
     find_camera_problems,
     find_name_problems,
     find_problems,

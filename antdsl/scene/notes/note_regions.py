@@ -7,9 +7,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from antdsl import limits
-from antdsl.scene.notes.note_values import ShareRange
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
-from antdsl.scene.notes.selectors import Box, NearTarget, Selector, require_region
+from antdsl.scene.notes.selectors import Box, NearTarget, Selector, View, require_region
 from antdsl.scene.values import PointValue, PositiveLength, SceneName, ScenePart, describe_value, make_error
 
 
@@ -70,16 +69,6 @@ class Band(ScenePart):
 
     along: _CurveOrTargets
     width: PositiveLength
-
-
-class View(ScenePart):
-    """All points that a camera sees, without regard to what hides them.
-
-    `across`, `up`: only this part of the picture, as shares of its width from the left, and of its height from the bottom."""
-
-    in_view: SceneName
-    across: ShareRange = (0.0, 1.0)
-    up: ShareRange = (0.0, 1.0)
 
 
 _REGION_KINDS = {"along": "band", "width": "band", "around": "ball", "radius": "ball", "in_view": "view"}  # by key

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.numerics.randomness import draw_uniform
 from antdsl.numerics.vector_rows import length
 from antdsl.scene.crowds.line_ids import LineIds
-from antdsl.scene.notes.selectors import AgentConditions, AgentName, AnySelector, Ball, Box
+from antdsl.scene.notes.selectors import AgentConditions, AgentName, AnySelector, Ball, Box, View
 from antdsl.scene.thing_models import convert_point
 
 SHARE_SITE = "share"  # of the random draws of `share`
@@ -44,8 +44,8 @@ class SelectableCamera(Protocol):
     def find_place(self) -> Floats:
         """Return its position (3,)."""
 
-    def find_visible(self, position: Floats) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) it sees."""
+    def find_visible(self, position: Floats, view: View) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) are in a part of its picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,13 +107,13 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
             mask &= _find_in_state(conditions.state, agents)
         if targets is not None and conditions.within is not None:
             mask &= _measure_nearest(agents.position, targets) <= conditions.within.to_millimetres(frame.unit_mm)
-        if conditions.region is not None:
+        if conditions.region is not None and not isinstance(conditions.region, View):
             mask &= _find_in_region(conditions.region, agents.position, frame)
         if conditions.share is not None:
             seed = frame.seed if conditions.seed is None else conditions.seed
             mask &= draw_uniform(seed, 0, name, SHARE_SITE, 0, agents.ids) < np.float32(conditions.share)
-        if conditions.in_view is not None:
-            mask &= frame.cameras[conditions.in_view].find_visible(agents.position)
+        for view in conditions.views:
+            mask &= frame.cameras[view.in_view].find_visible(agents.position, view)
         if without is not None:
             mask &= ~without[name]
         if targets is not None and is_target:

@@ -18,6 +18,7 @@ from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey
 from antdsl.scene.flow_mistakes import suggest_selector
+from antdsl.scene.notes.note_values import ShareRange
 from antdsl.scene.values import (
     PointOrName,
     PointValue,
@@ -93,6 +94,16 @@ class Ball(ScenePart):
     radius: PositiveLength
 
 
+class View(ScenePart):
+    """All points that a camera sees, without regard to what hides them.
+
+    `across`, `up`: only this part of the picture, as shares of its width from the left, and of its height from the bottom."""
+
+    in_view: SceneName
+    across: ShareRange = (0.0, 1.0)
+    up: ShareRange = (0.0, 1.0)
+
+
 def _find_region_tag(value: Any) -> str:
     return "ball-region" if isinstance(value, dict) and {"around", "radius"} & value.keys() else "box-region"
 
@@ -107,6 +118,17 @@ def require_region(value: Any) -> Any:
 Region = Annotated[
     Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")],
     Discriminator(_find_region_tag),
+    BeforeValidator(require_region),
+]
+
+
+def _find_part_tag(value: Any) -> str:
+    return "view-region" if isinstance(value, dict) and "in_view" in value else _find_region_tag(value)
+
+
+_SelectorRegion = Annotated[
+    Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")] | Annotated[View, Tag("view-region")],
+    Discriminator(_find_part_tag),
     BeforeValidator(require_region),
 ]
 
@@ -158,9 +180,10 @@ class SelectorKeys(ScenePart):
     `near`, `within`: agents within this distance of a point, an item, the nearest of some items, a camera, or of other agents.
     `most`: of the agents that meet all other conditions, so many that are nearest to `near`.
     `farthest`: of these agents, so many that are farthest from `near`.
-    `in`: agents in a box or a ball.
+    `in`: agents in a box, a ball or a view.
     `share`: each agent with this probability, drawn from `seed` (default: the scene's seed), its species and its id.
     `in_view`: agents in view of this camera.
+    `across`, `up`: of these, agents in this part of the picture, in shares from the left and from the bottom.
     `without`: all agents except these."""
 
     state: SceneWord | None = None
@@ -168,10 +191,12 @@ class SelectorKeys(ScenePart):
     within: PositiveLength | None = None
     most: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))] | None = None
     farthest: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))] | None = None
-    region: Region | None = Field(None, alias="in")
+    region: _SelectorRegion | None = Field(None, alias="in")
     share: Annotated[float, BeforeValidator(parse_share)] | None = None
     seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
     in_view: SceneName | None = None
+    across: ShareRange | None = None
+    up: ShareRange | None = None
     without: Selector | None = None
 
     @model_validator(mode="after")
@@ -185,7 +210,16 @@ class SelectorKeys(ScenePart):
             raise make_error("`most` and `farthest` exclude each other", "leave out one of them")
         if self.seed is not None and self.share is None:
             raise make_error("`seed` has no effect without `share`", "add `share: 30 %`")
+        parts = [name for name in ("across", "up") if getattr(self, name) is not None]
+        if self.in_view is None and parts:
+            raise make_error(f"`{parts[0]}` has no effect without `in_view`", "add `in_view: shot`, the camera of the picture")
         return self
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """Return the parts of pictures in which agents must be."""
+        own = View.model_construct(in_view=self.in_view, across=self.across or (0.0, 1.0), up=self.up or (0.0, 1.0))
+        return (*((own,) if self.in_view is not None else ()), *((self.region,) if isinstance(self.region, View) else ()))
 
     @property
     def is_narrow(self) -> bool:
@@ -280,6 +314,8 @@ def find_problems(
             yield from find_unknown_name(selector.state, names.states, "no species has a state", (*path, "state"))
         if selector.in_view is not None:
             yield from find_camera_problems(selector.in_view, names, (*path, "in_view"))
+        if isinstance(selector.region, View):
+            yield from find_camera_problems(selector.region.in_view, names, (*path, "in", "in_view"))
 
 
 def find_name_problems(
