@@ -15,6 +15,7 @@ from antdsl.executors import Task, TaskRejected, WorkerContext, WorkersLost, run
 from antdsl.executors.input_bundle import FileBundle, VisibleFile, find_unpacked_path, hash_files, pack_files
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer, StillStore
+from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.pipeline import RunChoices, open_scene
 from antdsl.scene.paths import record_requested_paths
 from antdsl.scene.values import FrameRange
@@ -144,7 +145,8 @@ def test_exports_of_another_machine_are_those_of_this_one(walkers: Path) -> None
     afar = Afar(pack_files(path for path in cache.rglob("*") if path.is_file()), walkers / "afar")
     remote_folder.mkdir()
     with mark_folder(remote_folder) as to:
-        jobs = exports.make_export_tasks(cache, "w.geo", "points", frozenset(range(3, 10)), range(1, 11), to)
+        keys = frozenset(agent * SPECIES_PER_KEY for agent in range(3, 10))
+        jobs = exports.make_export_tasks(cache, "w.geo", "points", keys, range(1, 11), to)
         assert all(answered.answer is not None for answered in run_tasks(jobs, afar, choose_folder=lambda task: remote_folder))
     assert files(remote_folder) == files(walkers / "here") and len(files(remote_folder)) == 10
 
