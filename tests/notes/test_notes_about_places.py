@@ -59,6 +59,37 @@ def test_a_part_of_the_picture_is_empty_or_thinned(tmp_path: Path) -> None:
     assert np.isin(ids[~low], thin).all() and np.isin(ids[low], thin).sum() == round(0.5 * low.sum())
 
 
+def test_heads_turn_to_an_agent_while_it_passes(tmp_path: Path) -> None:
+    note = "{look: ant, at: {head: guards.7}, inside: {around: guards.7, radius: 60 mm}, frames: 20..120}"
+    queen_path = "{path: guards.7, along: [[-120, 0, 0], [120, 0, 0]], frames: 20..120}"
+    looks, near = [], []
+
+    def measure(world: World) -> None:
+        population = world.populations["ant"]
+        rows = population.rows_by_id()
+        queen = population.position[rows[7]]
+        near.append(np.linalg.norm(population.position[rows] - queen, axis=1) <= 60)
+        looks.append(population.now["notes_look_head.state"][rows] != 0)
+
+    follow(open_directed(tmp_path, note, queen_path, count=60, last=120), 120, measure)
+    is_near, is_looking = np.array(near), np.array(looks)
+    is_near[:, 7] = False  # she does not look at herself
+    for frame in range(30, 118):  # a step begins where the one before ended
+        assert (is_looking[frame] == is_near[frame - 1]).all(), frame
+    passed = is_near[30:].any(axis=0) & ~is_near[30:].all(axis=0)
+    assert passed.sum() > 10
+
+
+def test_values_hold_inside_a_region_that_moves(tmp_path: Path) -> None:
+    note = "{set: ant, to: {mood: 5}, inside: {around: foot, radius: 30 mm}, frames: 10..60, ease: 0}"
+    shot = open_directed(tmp_path, note, count=80, last=60)
+    moods = follow(shot, 60, names=("mood",)).values["mood"]
+    ever = (moods == 5).any(axis=0)
+    assert 3 < ever.sum() < 60 and ((moods == 0) | (moods == 5)).all()
+    first = (moods == 5).argmax(axis=0)[ever]
+    assert len(set(first.tolist())) > 3 and first.min() >= 9  # one after the other, as the foot moves
+
+
 def test_a_line_of_sight_to_an_agent_is_clear(tmp_path: Path) -> None:
     population = start(open_directed(tmp_path, count=120)).populations["ant"]
     far = (population.position[:, 2] < -20) & (np.abs(population.position[:, 0]) < 60)  # from the foot, which pushes agents

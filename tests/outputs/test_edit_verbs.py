@@ -10,6 +10,7 @@ from antdsl.bodies.body import rotate_vectors
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.manifest import Manifest, ReplacedBody, SpeciesEntry, WornBodyEntry
 from antdsl.outputs.cache_bodies import find_body_numbers
+from antdsl.outputs.edits.cache_selection import find_item_points
 from antdsl.outputs.edits.edit_files import read_edit_files
 from antdsl.outputs.edits.edit_layer import EditInputs, NotEditable
 from antdsl.outputs.edits.edit_lines import read_edits
@@ -397,3 +398,25 @@ def test_positions_are_means_and_stay_at_their_height_over_the_ground(cache: Cac
     assert step < rough
     ends = [rows_of(each, 1, GUARDS)["P"] for each in (view, cache)]
     assert np.abs(ends[0] - ends[1]).max() < 1e-4  # it is the first frame
+
+
+def test_agents_that_ever_meet_a_condition_are_selected(cache: Cache) -> None:
+    region = "{around: leaf, radius: 20 mm}"
+    ever = edited(cache, f"kill: bug, in: {region}, ever: 4..14")
+    inside: set[int] = set()
+    for number in range(4, 15):
+        arrays = cache.frame(number)
+        place = np.asarray(arrays["P"], np.float64) - np.array(find_item_points(arrays, cache.manifest, 1.0)["leaf"][0])
+        near = (np.sqrt((place * place).sum(axis=1)) <= 20) & (arrays["species"] == 0)
+        inside |= set(arrays["id"][near].tolist())
+    assert len(inside) > 3
+    for number in (1, 9, 24):
+        plain, left = cache.frame(number), ever.frame(number)
+        bugs = set(plain["id"][plain["species"] == 0].tolist())
+        assert set(left["id"][left["species"] == 0].tolist()) == bugs - inside
+    for line, words in (
+        ("kill: bug, ever: 1..4", "`ever` has no effect without a condition"),
+        ("kill: bug, state: go, ever: 90..99", "the cache has no frames 90 to 99"),
+    ):
+        _, report = read_edits(f"edits: [{{{line}}}]".encode(), "edits.yaml", cache.manifest)
+        assert words in report.errors[0].message

@@ -25,11 +25,15 @@ from antdsl.scene.thing_models import UNIT_MM
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The agents of a cache that a selector selects. `frame`: the frame from which positions and states are read."""
+    """The agents of a cache that a selector selects.
+
+    `frame`: the frame from which positions and states are read. `last`: if it is later, agents are selected that meet the
+    conditions in any frame from `frame` to `last`."""
 
     selector: AnySelector
     cache: Cache
     frame: int
+    last: int = -(2**63)
 
     def find(self, keys: LongArray) -> NDArray[np.bool_]:
         """Return whether the selector selects each agent of `keys` (`make_agent_keys`)."""
@@ -41,11 +45,14 @@ class Selection:
 
     @cached_property
     def _keys_of_frame(self) -> LongArray:
-        """Return the keys of the agents that the selector selects in `frame`."""
-        arrays = self.cache.frame(self.frame)
-        names = list_cameras(self.cache.manifest)
-        cameras = {name: CameraInFrame(read_camera(self.cache, name), self.frame) for name in names}
-        return make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest, cameras)]
+        """Return the keys of the agents that the selector selects in its frames."""
+        cameras = {name: read_camera(self.cache, name) for name in list_cameras(self.cache.manifest)}
+        later = [number for number in self.cache.frames() if self.frame <= number <= self.last]
+        found = []
+        for number in later or [self.frame]:
+            arrays, views = self.cache.frame(number), {name: CameraInFrame(camera, number) for name, camera in cameras.items()}
+            found.append(make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest, views)])
+        return np.unique(np.concatenate(found))
 
 
 def list_cameras(manifest: Manifest) -> frozenset[str]:

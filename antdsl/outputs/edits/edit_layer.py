@@ -10,14 +10,14 @@ from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 from numpy.typing import NDArray
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, model_validator
 
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError, CacheView, make_frame_path, select_arrays
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.cache_selection import Selection
 from antdsl.outputs.edits.verbs.terrain import Ground
-from antdsl.scene.notes.selectors import AnySelector, Selector, SelectorKeys, combine_selector
-from antdsl.scene.values import FrameRangeValue, ScenePart, parse_one_of
+from antdsl.scene.notes.selectors import AnySelector, Selector, SelectorKeys, combine_selector, reads_frame
+from antdsl.scene.values import FrameRangeValue, ScenePart, make_error, parse_one_of
 
 
 class EditLine(ScenePart):
@@ -48,9 +48,18 @@ class EditFile(NamedTuple):
 
 
 class AgentsLine(EditLine, SelectorKeys):
-    """A line that changes some agents. `agents`: the value of the verb; the keys of selectors select fewer of them."""
+    """A line that changes some agents. `agents`: the value of the verb; the keys of selectors select fewer of them.
+
+    `ever`: agents that meet the conditions in any of these frames, instead of the first frame of the line."""
 
     agents: Selector
+    ever: FrameRangeValue | None = None
+
+    @model_validator(mode="after")
+    def _check_ever(self) -> AgentsLine:
+        if self.ever is not None and not reads_frame(self.selector):
+            raise make_error("`ever` has no effect without a condition on places or states", "add one, such as `in_view: shot`")
+        return self
 
     @property
     def selector(self) -> AnySelector:
@@ -119,7 +128,9 @@ class EditLayer(CacheView):
     @cached_property
     def selection(self) -> Selection:
         """Return the selection of the edit's agents."""
-        return Selection(self.line.selector, self.source, self.first_frame)
+        ever = self.line.ever
+        last = self.first_frame if ever is None else ever.last
+        return Selection(self.line.selector, self.source, self.first_frame if ever is None else ever.first, last)
 
     def is_active(self, number: int) -> bool:
         """Return whether the edit changes a frame."""

@@ -26,6 +26,7 @@ from antdsl.scene.document import (
 from antdsl.scene.flow_mistakes import explain_joined_entry
 from antdsl.scene.load import drop_consequent_errors, report_model_error
 from antdsl.scene.notes.selectors import find_problems, find_unknown_name
+from antdsl.scene.values import FrameRange
 from antdsl.source import Source, Span
 
 _EXAMPLE = "write `edits:` and below it lines such as `- {kill: ant, share: 30 %}`"
@@ -126,7 +127,11 @@ def _check_names(report: Report, edits: EditList, edit: PlacedEdit, manifest: Ma
     for path, name in line.list_items():
         for problem in find_unknown_name(name, names.items, "no item is named", path):
             report.error("unknown-name", problem.message, edits.span(edit, *path), problem.help)
-    if line.frames and (line.frames.last < manifest.first or line.frames.first > manifest.last):
-        message = f"the cache has no frames {line.frames.first} to {line.frames.last}"
-        help = f"it has {manifest.first} to {manifest.last}"
-        report.error("wrong-value", message, edits.span(edit, "frames"), help)
+    for key in ("frames", "ever"):
+        frames: FrameRange | None = getattr(line, key, None)
+        if frames is not None and (frames.last < manifest.first or frames.first > manifest.last):
+            message, help = (
+                f"the cache has no frames {frames.first} to {frames.last}",
+                f"it has {manifest.first} to {manifest.last}",
+            )
+            report.error("wrong-value", message, edits.span(edit, key), help)

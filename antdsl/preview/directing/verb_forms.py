@@ -17,7 +17,7 @@ from antdsl.scene.crowds.crowd_model import BodyText
 from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
 from antdsl.scene.notes.note_values import FrameCount, FrameNumber, Share, ShareRange, SpeedShare, ThinShare
 from antdsl.scene.notes.notes_model import NOTE_MODELS, LookTargets
-from antdsl.scene.notes.selectors import AgentConditions, NearTarget, Region, SelectorKeys
+from antdsl.scene.notes.selectors import AgentConditions, NearTarget, Region, SelectorKeys, SelectorRegion
 from antdsl.scene.notes.stagger import StaggerValue
 from antdsl.scene.values import (
     Angle,
@@ -89,6 +89,7 @@ _KINDS: tuple[tuple[Any, KeyKind], ...] = (
     (PositiveLength, KeyKind("length", "mm", "50 mm", "a length")),
     (NearTarget, KeyKind("target", "", "[0, 0, 0]", "a point, an item, a camera or agents")),
     (NoteRegion, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box, a ball, a band along a curve, or a view")),
+    (SelectorRegion, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box, a ball or a view")),
     (Region, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box or a ball")),
     (CurveOrPoints, KeyKind("path", "", "[[0, 0, 0], [50, 0, 0]]", "a curve of the world, or points")),
     (LookTargets, _LOOKS),

@@ -6,6 +6,7 @@ import numpy as np
 
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.notes.active_notes import NoteAgents, find_last_frames
+from antdsl.runtime.notes.regions import select_inside
 from antdsl.runtime.notes.targets import find_target
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.casting_model import FacingDirection
@@ -34,7 +35,7 @@ def change_states(agents: NoteAgents) -> None:
 def show_displays(agents: NoteAgents) -> None:
     """Raise the events of the clip and the looks of a note, and set the points that its agents look at."""
     note = agents.active.note
-    agents = agents.select(agents.world.display_frame <= find_last_frames(note, agents.delays))  # others fade out
+    agents = select_inside(agents.select(agents.world.display_frame <= find_last_frames(note, agents.delays)))  # others fade out
     population, rows = agents.population, agents.rows
     if note.played_clip:
         _raise_event(agents, PLAY_MACHINE, note.played_clip)

@@ -14,7 +14,7 @@ from antdsl.runtime.notes.wishes import Floats
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
 from antdsl.scene.notes.note_regions import Band, NoteRegion
-from antdsl.scene.notes.notes_model import ConfineNote, RegionNote
+from antdsl.scene.notes.notes_model import ConfineNote, PassingNote, RegionNote
 from antdsl.scene.notes.selectors import AgentName, Box, View
 from antdsl.scene.thing_models import convert_point
 
@@ -52,6 +52,14 @@ def measure_region(world: World, region: NoteRegion, agents: NoteAgents) -> Regi
     distances = _measure_tube(-offset, region.radius.to_millimetres(unit_mm))
     is_centre = centres.is_centre.get(agents.population.name, np.zeros(len(agents.population), np.bool_))[agents.rows]
     return distances._replace(outside=np.where(is_centre | np.isnan(distance), np.inf, distances.outside))
+
+
+def select_inside(agents: NoteAgents) -> NoteAgents:
+    """Return the agents that are in the region in which their note holds; all of them if it holds everywhere."""
+    note = agents.active.note
+    if not isinstance(note, PassingNote) or note.inside is None:
+        return agents
+    return agents.select(measure_region(agents.world, note.inside, agents).outside <= 0)
 
 
 def _measure_tube(offset: Floats, radius: float) -> RegionDistances:

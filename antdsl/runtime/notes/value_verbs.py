@@ -6,11 +6,13 @@ import numpy as np
 
 from antdsl.plan.ir import ValueKind
 from antdsl.runtime.notes.active_notes import NoteAgents, compute_weight
+from antdsl.runtime.notes.regions import select_inside
 from antdsl.scene.notes.notes_model import SetNote
 
 
 def set_attributes(agents: NoteAgents) -> None:
     """Set the attributes that a `set` note lists to its values, after the layers of the program have set theirs."""
+    agents = select_inside(agents)
     note, p, rows, setting = agents.active.note, agents.population, agents.rows, agents.world.setting
     assert isinstance(note, SetNote)
     weight, previous = agents.weight, compute_weight(note, agents.delays, agents.world.display_frame - 1)

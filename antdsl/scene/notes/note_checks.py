@@ -13,12 +13,13 @@ from antdsl.scene.crowds.initial_values import is_settable
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.notes.note_programs import LOOK_MACHINE, PLAY_MACHINE
-from antdsl.scene.notes.note_regions import Band, NoteBall
+from antdsl.scene.notes.note_regions import Band, NoteBall, NoteRegion
 from antdsl.scene.notes.notes_model import (
     AttractNote,
     ChangeNote,
     Note,
     PartNote,
+    PassingNote,
     ReachNote,
     RegionNote,
     ReleaseNote,
@@ -99,16 +100,24 @@ class _NoteCheck:
         return find_name_problems(target, self.names, path, others, what)
 
     def _find_region_problems(self) -> Iterator[SelectorProblem]:
-        region = self.note.region if isinstance(self.note, RegionNote) else None
-        around = region.around if isinstance(region, NoteBall) else None
-        line = region.along if isinstance(region, Band) and isinstance(region.along, tuple) else ()
-        for number, target in enumerate(line):
-            if isinstance(target, AgentName):
-                yield from self._find_target_problems(target, (*self.path, "in", "along", number))
-        if isinstance(region, View):
-            yield from find_camera_problems(region.in_view, self.names, (*self.path, "in", "in_view"))
-        if around is not None and not (isinstance(around, tuple) and isinstance(around[0], Quantity)):
-            yield from self._find_thing_problems(around, "in", "around")
+        for key, region in self._iterate_regions():
+            around = region.around if isinstance(region, NoteBall) else None
+            line = region.along if isinstance(region, Band) and isinstance(region.along, tuple) else ()
+            for number, target in enumerate(line):
+                if isinstance(target, AgentName):
+                    yield from self._find_target_problems(target, (*self.path, key, "along", number))
+            if isinstance(region, View):
+                yield from find_camera_problems(region.in_view, self.names, (*self.path, key, "in_view"))
+            if around is not None and not (isinstance(around, tuple) and isinstance(around[0], Quantity)):
+                yield from self._find_thing_problems(around, key, "around")
+
+    def _iterate_regions(self) -> Iterator[tuple[str, NoteRegion]]:
+        """Yield the regions of the note, each with its key."""
+        note = self.note
+        if isinstance(note, RegionNote) and note.region is not None:
+            yield "in", note.region
+        if isinstance(note, PassingNote) and note.inside is not None:
+            yield "inside", note.inside
 
     def _find_thing_problems(self, thing: AnySelector, *path: PathKey) -> Iterator[SelectorProblem]:
         """Yield the names of a thing of the world, or of agents, that do not exist."""
@@ -128,8 +137,8 @@ class _NoteCheck:
     def _check_things(self) -> None:
         """Check curves, maps, regions, and the thing of a `part`."""
         note, curves = self.note, self._list_things("curves")
-        region = note.region if isinstance(note, RegionNote) else None
-        for path, along in ((("along",), getattr(note, "along", None)), (("in", "along"), getattr(region, "along", None))):
+        bands = [((key, "along"), getattr(region, "along", None)) for key, region in self._iterate_regions()]
+        for path, along in ((("along",), getattr(note, "along", None)), *bands):
             if isinstance(along, str) and along not in curves:
                 self._report_unknown("no program has a curve", curves, *path, help=_CURVE_HELP)
         maps = self._list_things("maps")

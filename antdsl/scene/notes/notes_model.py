@@ -135,6 +135,14 @@ class TimedNote(EasedNote):
         return inf if self.frames is None else self.frames.last
 
 
+class PassingNote(TimedNote):
+    """A note that holds for each agent only while it is in a region.
+
+    `inside`: the region; by default the note holds everywhere."""
+
+    inside: NoteRegion | None = None
+
+
 class HoldNote(TimedNote, SelectorKeys):
     """Agents stand still: their feet stay where they are, and neither walk nor contacts move them.
 
@@ -154,7 +162,7 @@ class HoldNote(TimedNote, SelectorKeys):
         return self.look_at
 
 
-class LookNote(TimedNote, SelectorKeys):
+class LookNote(PassingNote, SelectorKeys):
     """Parts of bodies look at points, items, agents, cameras or meshes, or in a direction."""
 
     verb = "look"
@@ -166,7 +174,7 @@ class LookNote(TimedNote, SelectorKeys):
         return self.at
 
 
-class PlayNote(TimedNote, SelectorKeys):
+class PlayNote(PassingNote, SelectorKeys):
     """Agents play a clip instead of those of their states."""
 
     verb = "play"
@@ -178,7 +186,7 @@ class PlayNote(TimedNote, SelectorKeys):
         return self.clip
 
 
-class SetNote(TimedNote, SelectorKeys):
+class SetNote(PassingNote, SelectorKeys):
     """Attributes of agents have these values. Numbers reach them smoothly; afterwards they keep them until the program changes
     them."""
 

@@ -126,7 +126,7 @@ def _find_part_tag(value: Any) -> str:
     return "view-region" if isinstance(value, dict) and "in_view" in value else _find_region_tag(value)
 
 
-_SelectorRegion = Annotated[
+SelectorRegion = Annotated[
     Annotated[Box, Tag("box-region")] | Annotated[Ball, Tag("ball-region")] | Annotated[View, Tag("view-region")],
     Discriminator(_find_part_tag),
     BeforeValidator(require_region),
@@ -191,7 +191,7 @@ class SelectorKeys(ScenePart):
     within: PositiveLength | None = None
     most: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))] | None = None
     farthest: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))] | None = None
-    region: _SelectorRegion | None = Field(None, alias="in")
+    region: SelectorRegion | None = Field(None, alias="in")
     share: Annotated[float, BeforeValidator(parse_share)] | None = None
     seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] | None = None
     in_view: SceneName | None = None
