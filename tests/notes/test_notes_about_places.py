@@ -59,6 +59,19 @@ def test_a_part_of_the_picture_is_empty_or_thinned(tmp_path: Path) -> None:
     assert np.isin(ids[~low], thin).all() and np.isin(ids[low], thin).sum() == round(0.5 * low.sum())
 
 
+def test_agents_form_a_line_along_a_curve_in_a_frame(tmp_path: Path) -> None:
+    note = "{reach: guards.0..11, along: [[-60, 0, -70], [70, 0, -70]], frame: 190}"
+    shot = open_directed(tmp_path, note, last=191)
+    track = follow(shot, 191)
+    x, _, z = track.values["position"][track.frames.index(190), :12].T
+    places = -60 + 130 * (np.arange(12) + 0.5) / 12
+    assert np.abs(np.sort(x) - places).max() < 3 and np.abs(z + 70).max() < 3
+    starts = track.values["position"][0, :12, 0]  # along the curve at the beginning
+    inside = np.flatnonzero((starts > -60) & (starts < 70))
+    assert len(inside) > 5 and (np.diff(x[inside[np.argsort(starts[inside])]]) > 0).all()
+    assert not report_missed_targets(shot.scene, track.world).diagnostics
+
+
 def test_heads_turn_to_an_agent_while_it_passes(tmp_path: Path) -> None:
     note = "{look: ant, at: {head: guards.7}, inside: {around: guards.7, radius: 60 mm}, frames: 20..120}"
     queen_path = "{path: guards.7, along: [[-120, 0, 0], [120, 0, 0]], frames: 20..120}"

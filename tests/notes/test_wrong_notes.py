@@ -55,6 +55,8 @@ WRONG = [
     ("{slow: ant, falloff: 4 mm}", "wrong-value", "`falloff` has no effect without `in`", "add `in:", None),
     ("{without: ant, across: [0 %, 33 %]}", "wrong-value", "`across` has no effect without `in_view`", "in_view: shot", None),
     ("{without: ant, in: {in_view: frint}}", "unknown-thing", "no camera is named `frint`", "did you mean `front`?", "frint"),
+    ("{reach: guards.1, frame: 9}", "wrong-value", "`reach` needs either `target` or `along`", "add `target:", None),
+    ("{reach: guards.1, along: wey, frame: 9}", "unknown-thing", "no program has a curve `wey`", "did you mean `way`?", "wey"),
     ("{forbid: ant}", "missing-key", "has no `in`", "add `in: …`", None),
     ("{look: ant, at: {}}", "wrong-value", "this list has too few values", None, None),
     ("{play: ant, clip: fly}", "unknown-name", "`ant` has no clip `fly`", None, None),

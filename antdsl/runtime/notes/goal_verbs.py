@@ -12,7 +12,15 @@ from antdsl.numerics.easing import apply_smoothstep
 from antdsl.numerics.records import match_ids
 from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import NoteAgents
-from antdsl.runtime.notes.targets import NearestOnMesh, OwnPoints, TargetPoints, find_goal, find_path_points
+from antdsl.runtime.notes.targets import (
+    NearestOnMesh,
+    OwnPoints,
+    TargetPoints,
+    find_goal,
+    find_path_points,
+    find_places,
+    rank_along,
+)
 from antdsl.runtime.notes.wishes import Floats, lay_on_ground, read_max_speeds, wish_velocities
 from antdsl.scene.notes.notes_model import PathNote, ReachNote
 
@@ -38,8 +46,24 @@ def lead_to_target(agents: NoteAgents, register: str, is_final: bool) -> None:
     """Lead agents of a `reach` to their target."""
     note = agents.active.note
     assert isinstance(note, ReachNote)
-    journey = find_journey(agents, find_goal(agents.world, note.target), note.frame + agents.delays)
+    journey = find_journey(agents, find_reach_goal(agents, note), note.frame + agents.delays)
     _wish_journey(agents, journey, register, is_final)
+
+
+def find_reach_goal(agents: NoteAgents, note: ReachNote) -> TargetPoints | NearestOnMesh | OwnPoints:
+    """Return the target of a `reach`. The order of agents along a curve is remembered until further agents join."""
+    if note.target is not None:
+        return find_goal(agents.world, note.target)
+    assert note.along is not None, "it has one of both"
+    known = agents.read_memory("places", np.empty((0, 2), np.int64))
+    at, is_known = match_ids(agents.ids, known[:, 0])
+    if not is_known.all():
+        position = agents.population.position[agents.rows]
+        ranks, order = rank_along(agents.world, note.along, position, agents.ids), np.argsort(agents.ids)
+        known = np.stack([agents.ids[order], ranks[order]], axis=1)
+        agents.store_memory("places", known)
+        at, _ = match_ids(agents.ids, known[:, 0])
+    return find_places(agents.world, note.along, known[at, 1], len(known))
 
 
 def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:

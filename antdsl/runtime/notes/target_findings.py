@@ -9,9 +9,10 @@ import numpy as np
 from antdsl.diagnostics import Report
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.notes.active_notes import ActiveNote, NoteAgents
+from antdsl.runtime.notes.goal_verbs import find_reach_goal
 from antdsl.runtime.notes.regions import measure_note_region
 from antdsl.runtime.notes.stagger import find_delays
-from antdsl.runtime.notes.targets import find_curve, find_goal, find_item_points, find_path_points
+from antdsl.runtime.notes.targets import find_curve, find_goal, find_item_points, find_path_points, find_places, rank_along
 from antdsl.runtime.notes.wishes import Floats, read_max_speeds
 from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import World
@@ -43,7 +44,7 @@ def find_missed_target(agents: NoteAgents) -> MissedTarget | None:
     frame = world.display_frame - agents.delays
     if isinstance(note, ReachNote):
         is_due = frame == note.frame
-        _, distance = find_goal(world, note.target).find_nearest(p.position[agents.rows])
+        _, distance = find_reach_goal(agents, note).find_nearest(p.position[agents.rows])
     elif isinstance(note, PathNote):
         is_due = (frame == note.frames.first) | (frame == note.frames.last)
         points = find_path_points(world, note, agents.ids, world.display_frame, agents.delays)
@@ -119,7 +120,11 @@ def _find_goals(agents: NoteAgents) -> list[_Goal]:
         moving = named in moves.items or any(named in world.items[each].names for each in moves.items if each in world.items)
         if named and (moving or not len(find_item_points(world, named).points)):
             return []
-        distance = find_goal(world, note.target).find_nearest(position)[1]
+        if note.along is not None:
+            ranks = rank_along(world, note.along, position, agents.ids)
+            distance = find_places(world, note.along, ranks, len(ranks)).find_nearest(position)[1]
+        elif note.target is not None:
+            distance = find_goal(world, note.target).find_nearest(position)[1]
         return [_Goal(distance, np.maximum(note.frame + agents.delays - world.frame, 0) * world.dt, "reach the target")]
     assert isinstance(note, PathNote)
     curve, (first, last) = find_curve(world, note.along), note.frames

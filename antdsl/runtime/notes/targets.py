@@ -179,6 +179,23 @@ class OwnPoints(NamedTuple):
         return offset, length(offset)
 
 
+def find_places(world: World, along: str | tuple[PointValue, ...], ranks: NDArray[np.int64], count: int) -> OwnPoints:
+    """Return the places (n, 3) of agents with ranks (n,) among `count` agents that are evenly distributed over a curve, on the
+    ground."""
+    curve = find_curve(world, along)
+    return OwnPoints(drop_points(world, _interpolate_curve(curve, (ranks + 0.5) / max(count, 1) * curve.length)))
+
+
+def rank_along(world: World, along: str | tuple[PointValue, ...], position: Floats, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the rank (n,) of each position in the order along a curve, by the nearest points of the curve, then by id."""
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(find_curve(world, along).samples).query(position)[1] if len(position) else np.empty(0, np.int64)
+    ranks = np.empty(len(ids), np.int64)
+    ranks[np.lexsort((ids, nearest))] = np.arange(len(ids))
+    return ranks
+
+
 def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame: int, delays: NDArray[np.int64]) -> Floats:
     """Return where the agents of a `path` with `delays` (n,) are to be in a frame, on the ground: (n, 3), or (1, 3) for all at
     one point.
@@ -190,8 +207,14 @@ def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame
     distance = np.clip((own_frames - first) / max(last - first, 1), 0.0, 1.0) * curve.length
     if note.spacing is not None:
         distance = distance - np.argsort(np.argsort(ids)) * note.spacing.to_millimetres(world.setting.unit_mm)
+    return drop_points(world, _interpolate_curve(curve, distance))
+
+
+def _interpolate_curve(curve: SampledCurve, distance: Floats) -> Floats:
+    """Return the points (n, 3) of a curve at distances (n,) mm from its beginning. It continues straight beyond its ends."""
     last_segment = max(len(curve.samples) - 2, 0)
     at = distance / max(curve.length, 1e-9) * (last_segment + 1)
     segment = np.clip(np.floor(at), 0, last_segment).astype(np.intp)
     starts, ends = curve.samples[segment], curve.samples[np.minimum(segment + 1, len(curve.samples) - 1)]
-    return drop_points(world, starts + (at - segment)[:, None] * (ends - starts))
+    points: Floats = starts + (at - segment)[:, None] * (ends - starts)
+    return points

@@ -127,7 +127,7 @@ class _NoteCheck:
 
     def _iterate_targets(self) -> Iterator[tuple[tuple[PathKey, ...], Target]]:
         note = self.note
-        if isinstance(note, ReachNote | AttractNote | RepelNote):
+        if isinstance(note, ReachNote | AttractNote | RepelNote) and note.target is not None:
             yield (type(note).model_fields["target"].alias or "target",), note.target
         if note.delay_rule is not None and note.delay_rule.origin is not None:
             yield ("stagger", "from"), note.delay_rule.origin

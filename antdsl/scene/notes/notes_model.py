@@ -233,12 +233,21 @@ class ReleaseNote(EasedNote, SelectorKeys):
 
 
 class ReachNote(EasedNote, SelectorKeys):
-    """Agents are at the target in this frame; at an item or agent they touch it. Each leaves as late as it can without haste."""
+    """Agents are at the target in this frame; at an item or agent they touch it. Each leaves as late as it can without haste.
+
+    `along`: instead of `target`, a curve over which they are evenly distributed, in the order in which they are along it."""
 
     verb = "reach"
     agents: Selector = Field(alias="reach")
-    target: NearTarget
+    target: NearTarget | None = None
+    along: CurveOrPoints | None = None
     frame: FrameNumber
+
+    @model_validator(mode="after")
+    def _check_target(self) -> ReachNote:
+        if (self.target is None) == (self.along is None):
+            raise make_error("`reach` needs either `target` or `along`", "add `target: [0, 0, 0]`, or remove one of them")
+        return self
 
     @property
     def last_frame(self) -> float:
