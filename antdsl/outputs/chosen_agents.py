@@ -62,10 +62,10 @@ def _find_agents_of_word(word: str, manifest: Manifest) -> Iterator[ChosenAgent]
         return
     try:
         name = parse_agent_name(word)
-    except PydanticCustomError as problem:
-        raise UnknownAgent(str((problem.context or {})["words"]), "write an id, `17`, or a name, `guards.17`") from None
-    for found in find_problems(name, list_selector_names(manifest)):
-        raise UnknownAgent(found.message, found.help)
+    except PydanticCustomError as why:
+        raise UnknownAgent(str((why.context or {})["words"]), "write an id, `17`, or a name, `guards.17`") from None
+    for problem in find_problems(name, list_selector_names(manifest)):
+        raise UnknownAgent(problem.message, problem.help)
     line = next((each for each in manifest.lines if each.name == name.name), None)
     if line is not None:
         for agent in LineIds(line.species, line.ranges).take(name.first or 0, name.last).tolist():

@@ -106,11 +106,14 @@ class Settling:
         settlement = yield from self._settle_agents(history, affected)
         for _ in range(_MAX_SETTLING_ROUNDS - 1):  # settled agents may walk into others
             layer = SettledLayer.of(self.cache, settlement.frames)
-            view, found = EditedCache(self.cache.folder, self.cache.manifest, layer, 3, self.cache.original), dict(affected)
-            yield from self._find_affected(view, found, includes_touched=False)
-            if len(found) == len(affected):
+            view, all_affected = (
+                EditedCache(self.cache.folder, self.cache.manifest, layer, 3, self.cache.original),
+                dict(affected),
+            )
+            yield from self._find_affected(view, all_affected, includes_touched=False)
+            if len(all_affected) == len(affected):
                 break
-            affected = found
+            affected = all_affected
             settlement = yield from self._settle_agents(history, affected)
         self.settlement = settlement
 

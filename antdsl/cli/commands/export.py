@@ -36,12 +36,12 @@ def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset
     from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, make_agent_keys
     from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 
-    found: set[int] = set()
+    existing: set[int] = set()
     for frame in frames:
         arrays = cache.frame(frame, IDENTITY_ARRAYS)
-        found |= chosen & set(make_agent_keys(arrays).tolist()) if "id" in arrays else chosen
-    ids, missing = ({key // SPECIES_PER_KEY for key in keys} for keys in (chosen, chosen - found))
-    missing -= {key // SPECIES_PER_KEY for key in found}
+        existing |= chosen & set(make_agent_keys(arrays).tolist()) if "id" in arrays else chosen
+    ids, missing = ({key // SPECIES_PER_KEY for key in keys} for keys in (chosen, chosen - existing))
+    missing -= {key // SPECIES_PER_KEY for key in existing}
     if not missing:
         return None
     if len(missing) == len(ids):

@@ -207,15 +207,15 @@ def list_caches_below(folder: Path) -> list[str]:
     """Return the paths from a folder to the caches in it and in its own folders, sorted. Links are not followed.
 
     At most 300 folders are examined."""
-    found, examined = [], 0
+    caches, examined = [], 0
     for depth in ("*/", "*/*/"):
         for each in sorted(islice(folder.glob(depth), _MAX_LISTED_FOLDERS - examined)):
             examined += 1
             parts = (each.parent, each) if depth.count("*") > 1 else (each,)
             is_plain = not any(part.is_symlink() or part.name.startswith(".") for part in parts)
             if is_plain and (each / MANIFEST_FILE_NAME).is_file():
-                found.append(each.relative_to(folder).as_posix())
-    return sorted(found)
+                caches.append(each.relative_to(folder).as_posix())
+    return sorted(caches)
 
 
 def open_cache(folder: Path) -> Cache:

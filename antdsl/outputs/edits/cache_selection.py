@@ -48,11 +48,11 @@ class Selection:
         """Return the keys of the agents that the selector selects in its frames."""
         cameras = {name: read_camera(self.cache, name) for name in list_cameras(self.cache.manifest)}
         later = [number for number in self.cache.frames() if self.frame <= number <= self.last]
-        found = []
+        selected_keys = []
         for number in later or [self.frame]:
             arrays, views = self.cache.frame(number), {name: CameraInFrame(camera, number) for name, camera in cameras.items()}
-            found.append(make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest, views)])
-        return np.unique(np.concatenate(found))
+            selected_keys.append(make_agent_keys(arrays)[select_agents(self.selector, arrays, self.cache.manifest, views)])
+        return np.unique(np.concatenate(selected_keys))
 
 
 def list_cameras(manifest: Manifest) -> frozenset[str]:
