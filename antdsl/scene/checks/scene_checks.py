@@ -14,7 +14,7 @@ from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
-from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, UsdCamera
+from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, FollowCamera, UsdCamera
 from antdsl.scene.checks.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown_name
 from antdsl.scene.checks.existence_checks import check_absent_species, check_bodies, check_dark_lamps
 from antdsl.scene.checks.shape_checks import list_item_names

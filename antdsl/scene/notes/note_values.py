@@ -9,6 +9,7 @@ from pydantic import BeforeValidator
 
 from antdsl import limits
 from antdsl.program.model import Dimension
+from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import describe_value, make_error, parse_any_quantity, parse_integer_between, parse_share
 
 DEFAULT_EASE_FRAMES = 6
@@ -52,3 +53,12 @@ def _parse_share_range(value: Any) -> tuple[float, float]:
 
 
 ShareRange = Annotated[tuple[float, float], BeforeValidator(_parse_share_range)]
+
+
+def _parse_set_value(value: Any) -> Quantity | bool:
+    if isinstance(value, str) and value.strip() in ("true", "false"):
+        return value.strip() == "true"
+    return parse_any_quantity(value)
+
+
+SetValue = Annotated[Quantity | bool, BeforeValidator(_parse_set_value)]

@@ -16,14 +16,13 @@ from antdsl.scene.crowds.casting_model import FacingDirection
 from antdsl.scene.flow_mistakes import explain_joined_entry
 from antdsl.scene.notes.look_targets import LookTargets as LookTargets
 from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
-from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, SpeedShare, ThinShare
+from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, SetValue, SpeedShare, ThinShare
 from antdsl.scene.notes.note_values import FrameCount as FrameCount
 from antdsl.scene.notes.note_values import FrameNumber as FrameNumber
 from antdsl.scene.notes.note_values import Share as Share
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
 from antdsl.scene.notes.selectors import AgentName, AnySelector, NearTarget, Selector, SelectorKeys, combine_selector
 from antdsl.scene.notes.stagger import Stagger, StaggerValue
-from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     FrameRangeValue,
     PointValue,
@@ -33,22 +32,12 @@ from antdsl.scene.values import (
     SceneWord,
     describe_value,
     make_error,
-    parse_any_quantity,
     parse_one_of,
 )
 
 _EDITS_HELP = "verbs that change a finished cache, such as `kill` and `move`, are those of `antdsl edit`"
 NOTE_TAG_SUFFIX = "-note"  # of the tag of a verb's model
 Target = PointValue | AgentName | FacingDirection
-
-
-def _parse_set_value(value: Any) -> Quantity | bool:
-    if isinstance(value, str) and value.strip() in ("true", "false"):
-        return value.strip() == "true"
-    return parse_any_quantity(value)
-
-
-SetValue = Annotated[Quantity | bool, BeforeValidator(_parse_set_value)]
 
 
 class Note(ScenePart):
