@@ -204,11 +204,8 @@ class Gallery:
                 if later:
                     crowd = replace(crowd, next_crowd=match_agents(crowd, later[which]))
                 dressed = self._split_by_layers(crowd, number, which, arrays)
-                crowds += [
-                    self._add_lines(part, species, number, frame)
-                    for each in dressed
-                    for part in _split_selected(each, number, agents)
-                ]
+                parts = (part for each in dressed for part in _split_selected(each, number, agents))
+                crowds += [self._add_lines(part, species, number, frame) for part in parts]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
@@ -389,8 +386,7 @@ def choose_coordinate_format(gallery: Gallery) -> str:
 
 
 def _split_selected(crowd: Crowd, species: int, selected_keys: frozenset[int]) -> list[Crowd]:
-    """Return the crowd of a species, or the selected agents and the others, without ids and velocities, as two crowds if agents
-    are selected."""
+    """Return a crowd of a species, split into the agents with these keys and the others, which lose their ids and velocities."""
     if not selected_keys or crowd.ids is None:
         return [crowd]
     chosen = np.isin(np.asarray(crowd.ids, np.int64) * SPECIES_PER_KEY + species, sorted(selected_keys))
