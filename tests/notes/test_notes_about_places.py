@@ -64,8 +64,8 @@ def test_agents_form_a_line_along_a_curve_in_a_frame(tmp_path: Path) -> None:
     shot = open_directed(tmp_path, note, last=191)
     track = follow(shot, 191)
     x, _, z = track.values["position"][track.frames.index(190), :12].T
-    places = -60 + 130 * (np.arange(12) + 0.5) / 12
-    assert np.abs(np.sort(x) - places).max() < 3 and np.abs(z + 70).max() < 3
+    goals = -60 + 130 * (np.arange(12) + 0.5) / 12
+    assert np.abs(np.sort(x) - goals).max() < 3 and np.abs(z + 70).max() < 3
     starts = track.values["position"][0, :12, 0]  # along the curve at the beginning
     inside = np.flatnonzero((starts > -60) & (starts < 70))
     assert len(inside) > 5 and (np.diff(x[inside[np.argsort(starts[inside])]]) > 0).all()
