@@ -15,6 +15,7 @@ from antdsl.scene.notes.selectors import AgentName, find_problems, parse_agent_n
 from antdsl.scene.quantities import QuantityError, parse_integer_range
 
 _MAX_IDS = 1_000_001  # of one range
+_MAX_ID = (1 << 62) // SPECIES_PER_KEY
 
 
 class ChosenAgent(NamedTuple):
@@ -41,8 +42,9 @@ def find_agent(text: str, manifest: Manifest) -> ChosenAgent:
     """Return the one agent that a text such as `17` or `guards.17` names. Raises UnknownAgent."""
     agents = find_agents(text, manifest)
     if len(agents) != 1:
-        example = text.split(",")[0].split(".")[0].strip()
-        raise UnknownAgent(f"`{text}` names {len(agents):,} agents", f"name one, such as `{example}.0`")
+        name, _, ids = text.split(",")[0].strip().partition(".")
+        example = f"{name}.{ids.partition('.')[0] or 0}" if name[:1].isalpha() else name
+        raise UnknownAgent(f"`{text}` names {len(agents):,} agents", f"name one, such as `{example}`")
     return agents[0]
 
 
@@ -51,7 +53,7 @@ def find_keys(text: str | None, manifest: Manifest) -> list[int]:
     number_by_species = {entry.name: number for number, entry in enumerate(manifest.species)}
     return [
         agent.id * SPECIES_PER_KEY + number
-        for agent in (find_agents(text, manifest) if text else ())
+        for agent in (find_agents(text, manifest) if text is not None else ())
         for number in ((number_by_species[agent.species],) if agent.species else number_by_species.values())
     ]
 
@@ -81,13 +83,15 @@ def _parse_ids(word: str) -> range:
         low, high = parse_integer_range(word)
     except QuantityError:
         low, high = 1, 0
-    if not 0 <= low <= high < low + _MAX_IDS:
+    if not 0 <= low <= high < low + _MAX_IDS or high > _MAX_ID:
         raise UnknownAgent(f"`{word}` names no agents", "write ids, `3,8..12`, or names, `guards.17`")
     return range(low, high + 1)
 
 
 def _require_range(name: AgentName) -> range:
     first, last = name.first or 0, name.last or 0
+    if last > _MAX_ID:
+        raise UnknownAgent(f"`{name}` has an id above {_MAX_ID:,}", "write the id of an agent, such as `guards.17`")
     if last - first >= _MAX_IDS:
         raise UnknownAgent(f"`{name}` has more than a million ids", "name fewer agents")
     return range(first, last + 1)

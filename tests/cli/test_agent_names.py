@@ -60,6 +60,11 @@ def test_texts_name_agents_of_lines_species_and_all_with_an_id(folder: Path) -> 
         ("guards.", "names no agents", "`guards.17`"),
         ("-3", "names no agents", "`3,8..12`"),
         ("ant.0..99999999", "more than a million ids", "fewer"),
+        ("ant.999999999999999999", "has an id above", "`guards.17`"),
+        ("999999999999999999", "names no agents", "`3,8..12`"),
+        ("", "names no agents", "`3,8..12`"),
+        ("0..3", "names 4 agents", "such as `0`"),
+        ("guards.1..2", "names 2 agents", "such as `guards.1`"),
     ):
         with pytest.raises(UnknownAgent) as error:
             find_agent(text, manifest)

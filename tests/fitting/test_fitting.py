@@ -25,7 +25,12 @@ species pot {
   volume = 0
   early  = 0
   start run
-  state run { level += fill - level * leak; volume += level * 1 /s; early = if age < 0.5 s then volume else early; when age > 100 s -> run }
+  state run {
+    level += fill - level * leak
+    volume += level * 1 /s
+    early = if age < 0.5 s then volume else early
+    when age > 100 s -> run
+  }
 }
 measure early = mean(pot.volume)
 spec "levels" on "scene.yaml" {

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from directed import follow, open_directed, start
+from directed import PROGRAM, follow, open_directed, start
 
+from antdsl.pipeline import open_scene
+from antdsl.runtime import step
 from antdsl.runtime.notes.target_findings import report_missed_targets
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
@@ -70,6 +72,24 @@ def test_agents_form_a_line_along_a_curve_in_a_frame(tmp_path: Path) -> None:
     inside = np.flatnonzero((starts > -60) & (starts < 70))
     assert len(inside) > 5 and (np.diff(x[inside[np.argsort(starts[inside])]]) > 0).all()
     assert not report_missed_targets(shot.scene, track.world).diagnostics
+
+
+def test_agents_of_several_species_share_the_places_along_a_curve(tmp_path: Path) -> None:
+    """Each place has one agent, whatever its species."""
+    note = "{reach: [guards.0..4, bugs], along: [[-60, 0, -70], [70, 0, -70]], frame: 190}"
+    program = PROGRAM + PROGRAM[PROGRAM.index("species ant") :].replace("species ant", "species bug")
+    open_directed(tmp_path, last=191, program=program, count=5)
+    path = tmp_path / "scene.yaml"
+    line = "  - {name: bugs, species: bug, from: a.ant, count: 5, place: {on: ground, radius: 130 mm}, body: ant}\n"
+    path.write_text(f"{path.read_text()}{line}notes:\n  - {note}\n")
+    shot, report = open_scene(path)
+    assert shot is not None, report.diagnostics
+    world = start(shot)
+    while world.frame < 190:
+        step(world)
+    x = np.sort(np.concatenate([world.populations[name].position[:, 0] for name in ("ant", "bug")]))
+    assert np.abs(x - (-60 + 130 * (np.arange(10) + 0.5) / 10)).max() < 3
+    assert not report_missed_targets(shot.scene, world).diagnostics
 
 
 def test_heads_turn_to_an_agent_while_it_passes(tmp_path: Path) -> None:

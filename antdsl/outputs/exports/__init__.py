@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import Arrays, CacheView, select_arrays
 from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, find_array_subject
@@ -99,12 +101,15 @@ class AgentSubset(CacheView):
 
     keys: frozenset[int]
 
+    @cached_property
+    def _sorted_keys(self) -> NDArray[np.int64]:
+        return np.array(sorted(self.keys), np.int64)
+
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
         """Return the arrays of a frame, limited to the rows of the chosen agents. `names`: the names to return; None for all."""
         arrays = self.source.frame(number, None if names is None else names | IDENTITY_ARRAYS | _list_id_arrays(names))
         if "id" in arrays:
-            chosen = np.array(sorted(self.keys), np.int64)
-            arrays = keep_rows(arrays, self.manifest, lambda keys: np.isin(keys, chosen))
+            arrays = keep_rows(arrays, self.manifest, lambda keys: np.isin(keys, self._sorted_keys))
         return select_arrays(arrays, names)
 
 

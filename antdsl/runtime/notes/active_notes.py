@@ -54,6 +54,10 @@ class NoteAgents:
     def ids(self) -> NDArray[np.int64]:
         return self.population.ids[self.rows]
 
+    def list_species(self) -> list[NoteAgents]:
+        """Return the agents of each species of the note, in the order of the names."""
+        return [replace(self, population=self.world.populations[name]) for name in sorted(self.active.rows)]
+
     def select(self, chosen: NDArray[Any]) -> NoteAgents:
         """Return some of these agents, by their indices or a mask."""
         name = self.population.name

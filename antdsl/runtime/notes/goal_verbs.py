@@ -51,19 +51,23 @@ def lead_to_target(agents: NoteAgents, register: str, is_final: bool) -> None:
 
 
 def find_reach_goal(agents: NoteAgents, note: ReachNote) -> TargetPoints | NearestOnMesh | OwnPoints:
-    """Return the target of a `reach`. The order of agents along a curve is remembered until further agents join."""
+    """Return the target of a `reach`. The common order of all its agents along a curve is remembered until others join."""
     if note.target is not None:
         return find_goal(agents.world, note.target)
     assert note.along is not None, "it has one of both"
-    known = agents.read_memory("places", np.empty((0, 2), np.int64))
-    at, is_known = match_ids(agents.ids, known[:, 0])
-    if not is_known.all():
-        position = agents.population.position[agents.rows]
-        ranks, order = rank_along(agents.world, note.along, position, agents.ids), np.argsort(agents.ids)
-        known = np.stack([agents.ids[order], ranks[order]], axis=1)
-        agents.store_memory("places", known)
-        at, _ = match_ids(agents.ids, known[:, 0])
-    return find_places(agents.world, note.along, known[at, 1], len(known))
+    species = agents.list_species()
+    if not all(match_ids(each.ids, _read_ranks(each)[:, 0])[1].all() for each in species):
+        for each, ranks in zip(species, rank_along(agents.world, note.along, species), strict=True):
+            order = np.argsort(each.ids)
+            each.store_memory("places", np.stack([each.ids[order], ranks[order]], axis=1))
+    known = _read_ranks(agents)
+    at, _ = match_ids(agents.ids, known[:, 0])
+    return find_places(agents.world, note.along, known[at, 1], sum(len(_read_ranks(each)) for each in species))
+
+
+def _read_ranks(agents: NoteAgents) -> NDArray[np.int64]:
+    """Return the ids and ranks (k, 2) of agents along the curve of their note, as they are remembered."""
+    return agents.read_memory("places", np.empty((0, 2), np.int64))
 
 
 def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:

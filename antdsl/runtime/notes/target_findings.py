@@ -121,8 +121,10 @@ def _find_goals(agents: NoteAgents) -> list[_Goal]:
         if named and (moving or not len(find_item_points(world, named).points)):
             return []
         if note.along is not None:
-            ranks = rank_along(world, note.along, position, agents.ids)
-            distance = find_places(world, note.along, ranks, len(ranks)).find_nearest(position)[1]
+            species = agents.list_species()
+            ranks = rank_along(world, note.along, species)
+            own = [each.population.name for each in species].index(agents.population.name)
+            distance = find_places(world, note.along, ranks[own], sum(map(len, ranks))).find_nearest(position)[1]
         elif note.target is not None:
             distance = find_goal(world, note.target).find_nearest(position)[1]
         return [_Goal(distance, np.maximum(note.frame + agents.delays - world.frame, 0) * world.dt, "reach the target")]

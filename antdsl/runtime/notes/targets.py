@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from antdsl.casting.curves import SampledCurve
 from antdsl.casting.obstacle import Obstacle
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.moving.moving_geometry import compute_vertices, make_curve
+from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
@@ -186,14 +187,19 @@ def find_places(world: World, along: str | tuple[PointValue, ...], ranks: NDArra
     return OwnPoints(drop_points(world, _interpolate_curve(curve, (ranks + 0.5) / max(count, 1) * curve.length)))
 
 
-def rank_along(world: World, along: str | tuple[PointValue, ...], position: Floats, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the rank (n,) of each position in the order along a curve, by the nearest points of the curve, then by id."""
+def rank_along(world: World, along: str | tuple[PointValue, ...], species: Sequence[NoteAgents]) -> list[NDArray[np.int64]]:
+    """Return for each species the ranks (k,) of its agents in the common order along a curve.
+
+    They are ordered by the nearest points of the curve, then by species and id."""
     from scipy.spatial import cKDTree
 
+    counts = [len(agents.rows) for agents in species]
+    position = np.concatenate([agents.population.position[agents.rows] for agents in species])
+    ids, numbers = np.concatenate([agents.ids for agents in species]), np.repeat(np.arange(len(species)), counts)
     nearest = cKDTree(find_curve(world, along).samples).query(position)[1] if len(position) else np.empty(0, np.int64)
     ranks = np.empty(len(ids), np.int64)
-    ranks[np.lexsort((ids, nearest))] = np.arange(len(ids))
-    return ranks
+    ranks[np.lexsort((ids, numbers, nearest))] = np.arange(len(ids))
+    return np.split(ranks, np.cumsum(counts)[:-1])
 
 
 def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame: int, delays: NDArray[np.int64]) -> Floats:

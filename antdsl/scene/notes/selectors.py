@@ -111,7 +111,8 @@ def _find_region_tag(value: Any) -> str:
 def require_region(value: Any) -> Any:
     """Return a value unchanged. Raises an error that pydantic reports for a text, such as the name of an item."""
     if isinstance(value, str):
-        raise make_error(f"{describe_value(value)} is not a region", f"write `{{around: {value[:40]}, radius: 50 mm}}`")
+        example = value.strip()[:40] or "leaf"
+        raise make_error(f"{describe_value(value)} is not a region", f"write `{{around: {example}, radius: 50 mm}}`")
     return value
 
 
