@@ -22,7 +22,7 @@ from antdsl.scene.notes.selection import select_rows
 from antdsl.scene.notes.selectors import AgentName
 
 _EASE_STEP = 24  # frames by which a note should begin earlier
-_HELP = "write a later frame, choose nearer agents, or give them a larger `max_speed`"
+_HELP = "write a later frame, choose nearer agents, give them a larger `max_speed`, or make others give way with `part`"
 
 
 class MissedTarget(NamedTuple):
