@@ -10,7 +10,7 @@ from pathlib import Path
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.loading import ParsedFileCache, display_path
-from antdsl.safe_read import read_first_bytes
+from antdsl.safe_read import read_first_bytes, resolve_path
 from antdsl.scene.document import decode_source
 from antdsl.scene.paths import PathRefused, read_user_file
 from antdsl.source import Source
@@ -37,7 +37,7 @@ def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
             inner[:] = sorted(name for name in inner if not name.startswith(".") and name not in SKIPPED_FOLDERS)
             for name in sorted(files):
                 file = Path(folder, name)
-                if file.is_symlink() and not file.resolve().is_relative_to(path.resolve()):
+                if file.is_symlink() and not resolve_path(file).is_relative_to(resolve_path(path)):
                     continue  # a stranger's folder must not choose which other files are read
                 if name.endswith(".ant") or (name.endswith((".yaml", ".yml")) and _is_scene(file)):
                     matches[file] = None

@@ -89,7 +89,7 @@ class Simulation:
     `report`: the warnings about the scene. `world`: the run time's own world, without any guarantee."""
 
     def __init__(self, shot: Shot, report: Report, threads: int = 1) -> None:
-        from antdsl.measures import RunMeasures
+        from antdsl.measures.run_measures import RunMeasures
         from antdsl.runtime import BindError, Options, bind, step
 
         self._shot, self.report = shot, report

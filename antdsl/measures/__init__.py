@@ -2,9 +2,4 @@
 
 `evaluator` reads values of agents, items and fields in each frame, and `aggregates` reduces them to one number. `conditions`
 compiles a condition that is not in a program. `run_measures` has the measures of a program, and decides when a run ends. Specs
-use the same evaluator."""
-
-from antdsl.measures.evaluator import RunEvaluator
-from antdsl.measures.run_measures import RunMeasures
-
-__all__ = ["RunEvaluator", "RunMeasures"]
+use the same evaluator. `check` imports `scene_measures` only, which needs no arrays."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.measures import RunMeasures
+from antdsl.measures.run_measures import RunMeasures
 from antdsl.outputs.cache.body_arrays import StoredBodies
 from antdsl.outputs.cache.cache_reader import Cache, CacheError, make_checkpoint_path
 from antdsl.outputs.cache.cache_writer import (

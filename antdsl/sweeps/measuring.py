@@ -12,7 +12,7 @@ from typing import Any
 
 from antdsl import __version__
 from antdsl.executors import Engine, Task, TaskRejected, WorkerContext, raise_as_task_rejected, run_tasks
-from antdsl.measures import RunMeasures
+from antdsl.measures.run_measures import RunMeasures
 from antdsl.numerics.processor.host import read_processor_name
 from antdsl.outputs.cache_start import StartError, start_from_cache
 from antdsl.outputs.recording import Recording

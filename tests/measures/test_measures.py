@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import antdsl
 from antdsl.cli import app
-from antdsl.measures import RunMeasures
+from antdsl.measures.run_measures import RunMeasures
 from antdsl.pipeline import open_scene, simulate
 from antdsl.program import check
 from antdsl.source import Source

@@ -7,10 +7,10 @@ import pytest
 
 from antdsl.bodies.body import build_orientations
 from antdsl.bodies.shapes import build_flat_grid
+from antdsl.numerics.imaging.surface_noise import compute_value_noise
 from antdsl.outputs.pictures import Camera, Crowd, Picture, Renderer, Solid
 from antdsl.outputs.pictures.blur.depth_of_field import PictureLayer, blur_layers, compose_layers
 from antdsl.outputs.pictures.camera import make_view
-from antdsl.outputs.pictures.patterns.noise import compute_value_noise
 
 W, H = 160, 90
 UP = (0.0, 1.0, 0.0)

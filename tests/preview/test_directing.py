@@ -118,7 +118,7 @@ def test_a_value_that_is_wrong_is_reported_at_its_key_and_changes_nothing(page: 
         ("hold", "guards", {"frames": "1..3}, {a: b"}, "frames", ""),
         ("hold", "guards", {"near": "leaf"}, "", "no effect without `within` or `most`"),
         ("reach", "guards.1", {"target": "leaf"}, "frame", "missing"),
-        ("reach", "guards.1", {}, "target", "missing"),
+        ("reach", "guards.1", {"frame": "40"}, "", "`reach` needs either `target` or `along`"),
         ("set", "guards", {"to": "{max_speed: 3 kg}"}, "to", "is a speed, not a mass"),
         ("attract", "guards", {"to": "leaf", "radius": "-4 mm"}, "radius", "is not above zero"),
         ("lane", "guards", {"along": "wey", "width": "4 mm"}, "along", "`wey`"),

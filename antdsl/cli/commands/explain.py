@@ -40,7 +40,7 @@ def explain(
             threads = count_available_cores()
             explanation = explained(opened, chosen.id, frame, species=name, scene=scene, grants=grants, threads=threads)
     except UnknownAgent as error:
-        raise CommandError(ExitCode.USAGE, f"error: {error}", f"help: {error.help}") from None
+        raise typer.BadParameter(f"{error}: {error.help}", param_hint="--agent") from None
     except BindError as error:
         exit_on_errors(error.report)
         raise CommandError(ExitCode.FINDINGS) from None

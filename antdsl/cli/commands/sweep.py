@@ -256,18 +256,19 @@ def _write_tables(
     words = f"\n{format_known_medians(known_medians)}" if known_medians else ""
     if effects and study.chosen_points.design.analysis is not None:
         words += f"\n{effects_text(study.chosen_points.design.analysis, effects)}"
+    tables = {"runs": collect_runs(results, study.unit_by_factor), "series": collect_run_series(results, study.unit_by_factor)}
     texts = {
         "table.txt": lines + words,
         "table.csv": as_csv(table),
+        "runs.csv": format_columns(tables["runs"]),
         "sweep.json": as_json(results, table, known_medians, effects),
     }
     if effects:
         texts["sensitivity.csv"] = effects_csv(effects)
     files = {name: content.encode() for name, content in texts.items()}
-    tables = {"runs": collect_runs(results, study.unit_by_factor), "series": collect_run_series(results, study.unit_by_factor)}
     for name, columns in tables.items():
         if columns:
-            files[f"{name}.csv"] = format_columns(columns).encode()
+            files.setdefault(f"{name}.csv", format_columns(columns).encode())
             parquet = encode_parquet(columns)
             files |= {} if parquet is None else {f"{name}.parquet": parquet}
     for name, content in files.items():

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.light import SunLight, compute_environment_light, decode_srgb
-from antdsl.outputs.pictures.patterns.noise import (
+from antdsl.numerics.imaging.surface_noise import (
     PATTERN_ROTATION,
     GrainedSamples,
     add_bumps,
@@ -17,6 +16,7 @@ from antdsl.outputs.pictures.patterns.noise import (
     make_grain_table,
     make_noise_table,
 )
+from antdsl.outputs.pictures.light import SunLight, compute_environment_light, decode_srgb
 from antdsl.outputs.pictures.shading_rows import Floats, compute_dot_products, normalise_rows
 from antdsl.scene.looks import SURFACE_KINDS
 

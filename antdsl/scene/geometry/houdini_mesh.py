@@ -64,7 +64,7 @@ class _Polygons(NamedTuple):
 
     def move(self, matrix: Floats) -> _Polygons:
         """Return the polygons moved by a matrix (4, 4) for rows."""
-        return self._replace(points=self.points @ matrix[:3, :3] + matrix[3, :3])
+        return self._replace(points=_turn_rows(self.points, matrix) + matrix[3, :3])
 
     @staticmethod
     def join(parts: list[_Polygons]) -> _Polygons:
@@ -234,9 +234,14 @@ class _Detail:
         if len(turn) != 9 or len(pivot) != 3:
             raise MeshError("has a packed geometry with a transform of an unknown form", _CONVERT_HELP)
         matrix[:3, :3] = turn.reshape(3, 3)
-        matrix[3, :3] = points[self._vertex_points[vertex]] - pivot @ matrix[:3, :3]
+        matrix[3, :3] = points[self._vertex_points[vertex]] - _turn_rows(pivot[None], matrix)[0]
         selection = (str(parameters.get("attribute")), str(parameters.get("name"))) if kind == "PackedFragment" else None
         return [self._detail_by_key[key].read_polygons(selection).move(matrix)]
+
+
+def _turn_rows(vectors: Floats, matrix: Floats) -> Floats:
+    """Return vectors (n, 3) times the first three rows of a matrix (4, 4), with the same bits on every processor."""
+    return vectors[:, :1] * matrix[0, :3] + vectors[:, 1:2] * matrix[1, :3] + vectors[:, 2:3] * matrix[2, :3]
 
 
 def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: int) -> tuple[Integers, Integers]:

@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
-from antdsl.outputs.pictures.blur.spreading import (
-    CHANNEL_COUNT,
-    RADIUS_STEPS_PER_PIXEL,
-    DiscTable,
-    add_layer_behind,
-    spread_discs,
-)
+from antdsl.numerics.imaging.spreading import CHANNEL_COUNT, RADIUS_STEPS_PER_PIXEL, DiscTable, add_layer_behind, spread_discs
 from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.shading_rows import Floats
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from antdsl.numerics.imaging.spreading import spread_lines
 from antdsl.outputs.pictures.blur.depth_of_field import PictureLayer
-from antdsl.outputs.pictures.blur.spreading import spread_lines
 from antdsl.outputs.pictures.light import apply_tone_curve
 from antdsl.outputs.pictures.shading import PictureLighting, compute_moving_light
 from antdsl.outputs.pictures.shading_rows import Floats, interpolate_vertices, split_rows

@@ -6,10 +6,12 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, I64, Array1, Array2, inlined, kernel, load3, simd_range, store3
 from antdsl.numerics.kernel_vectors import Vec3F32, minus, plus, project_to_plane, times
-from antdsl.outputs.pictures.shading_rows import Floats
+
+Floats = NDArray[Any]
 
 # Rotated, so that no plane across an axis of the world follows the lattice.
 PATTERN_ROTATION = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)

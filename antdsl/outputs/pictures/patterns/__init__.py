@@ -1,1 +1,0 @@
-"""Patterns of surfaces in pictures: points → values of solid noise. `noise` has the loops and their tables."""
