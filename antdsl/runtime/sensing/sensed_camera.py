@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import compute_view_axes
-from antdsl.scene.notes.selectors import View
 from antdsl.scene.setting import DEFAULT_FOCAL_MM, SENSOR_WIDTH_MM, CameraData
+
+if TYPE_CHECKING:
+    from antdsl.scene.notes.selectors import View
 
 VIEW_ASPECT = 16 / 9  # width over height of the picture that `in_view` is about
 Floats = NDArray[np.float64]
