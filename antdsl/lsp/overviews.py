@@ -77,10 +77,11 @@ def _handle_workspace_symbols(ls: AntLanguageServer, params: lsp.WorkspaceSymbol
 
 def _handle_document_links(ls: AntLanguageServer, params: lsp.DocumentLinkParams) -> list[lsp.DocumentLink]:
     document = ls.find_document(params.text_document.uri)
+    if document is None:
+        return []
     return [
         lsp.DocumentLink(protocol.to_lsp_range(document.find_range(link.span)), ls.find_uri(link.path))
-        for link in (find_links(document) if document is not None else ())
-        if document is not None
+        for link in find_links(document)
     ]
 
 

@@ -35,12 +35,8 @@ class GrantedFolders:
         if not text or "\0" in text or len(text) > _MAX_PATH_CHARACTERS:
             raise PathOutsideFolders(f"a path has 1 to {_MAX_PATH_CHARACTERS} characters; write one such as `scene.yaml`")
         choices = [(folder / text).resolve() for folder in self.folders]
-        allowed = [path for path in choices if self.find_folder(path) is not None]
+        allowed = [path for path in choices if any(path.is_relative_to(folder) for folder in self.folders)]
         if not allowed:
             names = ", ".join(f"`{folder}`" for folder in self.folders)
             raise PathOutsideFolders(f"`{text}` is outside the granted folders: write a path below {names}")
         return next((path for path in allowed if path.exists()), allowed[0])
-
-    def find_folder(self, path: Path) -> Path | None:
-        """Return the granted folder that contains a resolved path; None for a path outside."""
-        return next((folder for folder in self.folders if path.is_relative_to(folder)), None)

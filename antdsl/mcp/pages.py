@@ -36,7 +36,11 @@ def read_page(name: str) -> str | None:
     names = list_pages()
     name = name.removesuffix(".md")
     found = name if name in names else next((each for each in names if each.rpartition("/")[2] == name), None)
-    return None if found is None else (documentation_folder() / f"{found}.md").read_text(encoding="utf-8")
+    return None if found is None else _read_listed_page(found)
+
+
+def _read_listed_page(name: str) -> str:
+    return (documentation_folder() / f"{name}.md").read_text(encoding="utf-8")
 
 
 def search_pages(query: str, count: int = 5) -> list[Section]:
@@ -74,8 +78,7 @@ def _list_sections() -> tuple[Section, ...]:
     """Return the sections of all pages."""
     sections = []
     for page in list_pages():
-        text = read_page(page) or ""
-        for part in re.split(r"^(?=#{1,3} )", text, flags=re.MULTILINE):
+        for part in re.split(r"^(?=#{1,3} )", _read_listed_page(page), flags=re.MULTILINE):
             heading, _, body = part.partition("\n")
             if body.strip():
                 sections.append(Section(page, heading.strip("# "), body.strip(), Counter(_split_words(part))))
