@@ -18,10 +18,12 @@ from antdsl.source import Source
 SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dist", "_data"])
 
 
-def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
+def find_files(paths: Iterable[Path], *, lists_outer_links: bool = False) -> tuple[list[Path], Report]:
     """Return the programs and scenes that paths select, and a report. A path selects a file, the matches of a pattern such as
     `shots/**/*.ant`, or all programs and scenes of a folder. Hidden folders, linked folders, and links to files outside the
-    folder are skipped."""
+    folder are skipped.
+
+    `lists_outer_links`: return such links to files too, for a caller that reports them."""
     matches: dict[Path, None] = {}
     report = Report()
     for path in _expand_patterns(paths, report):
@@ -37,7 +39,7 @@ def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
             inner[:] = sorted(name for name in inner if not name.startswith(".") and name not in SKIPPED_FOLDERS)
             for name in sorted(files):
                 file = Path(folder, name)
-                if file.is_symlink() and not resolve_path(file).is_relative_to(resolve_path(path)):
+                if not lists_outer_links and file.is_symlink() and not resolve_path(file).is_relative_to(resolve_path(path)):
                     continue  # a stranger's folder must not choose which other files are read
                 if name.endswith(".ant") or (name.endswith((".yaml", ".yml")) and _is_scene(file)):
                     matches[file] = None

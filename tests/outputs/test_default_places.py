@@ -134,6 +134,7 @@ def test_fmt_writes_through_no_link_that_it_finds(project: Path) -> None:
     outside.write_text(text)
     (project / "linked.ant").symlink_to(outside)
     process = run("fmt", ".", cwd=project)
-    assert process.returncode == 0 and outside.read_text() == text, process.stderr
+    assert process.returncode == 3 and "`linked.ant` is a link" in process.stderr, process.stderr
+    assert outside.read_text() == text
     assert run("fmt", "linked.ant", cwd=project).returncode == 0
     assert outside.read_text() != text and (project / "linked.ant").is_symlink()

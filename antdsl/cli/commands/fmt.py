@@ -74,7 +74,7 @@ class _FormatCommand:
         from antdsl.atomic_write import is_link
         from antdsl.files import find_files
 
-        all_files, report = find_files(paths)
+        all_files, report = find_files(paths, lists_outer_links=True)
         self.report.extend(report)
         for path in paths:
             if path.suffix in (".yaml", ".yml"):
