@@ -168,8 +168,9 @@ def open_scene(
     report.drop_warnings(_find_stale_attribute_warnings(report, scene, program, setting))
     bodies, body_findings = load_crowd_bodies(scene, program)
     lowered, findings = plan.lower(
-        program, orders=orders, scene_attributes=setting.initial_attributes, proportions=bodies.proportions
-    )
+        program, orders=orders, scene_attributes=setting.initial_attributes, proportions=bodies.proportions,
+        period=None if setting.period is None else setting.period.widths,
+    )  # fmt: skip
     report.extend(findings)
     report.extend(body_findings)
     if not report.ok:

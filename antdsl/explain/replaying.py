@@ -63,7 +63,10 @@ class Replay:
             name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None
         }
         begun_with, proportions = self.shot.setting.initial_attributes, self.shot.proportions
-        noted = plan.lower(program, orders=orders, notes=self.notes, scene_attributes=begun_with, proportions=proportions)[0]
+        noted = plan.lower(
+            program, orders=orders, notes=self.notes, scene_attributes=begun_with, proportions=proportions,
+            period=self.shot.plan.period,
+        )[0]  # fmt: skip
         self.replacement_by_node = {node: node for notes in self.notes.values() for node in list_noted_nodes(notes)}
         return hoist_factors(noted, self.replacement_by_node)
 

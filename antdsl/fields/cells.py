@@ -274,7 +274,7 @@ class SurfaceCells:
         best, distance = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
         for offset in BLOCK_OFFSETS:
             for candidate, has_cell in self._iterate_voxel_cells(voxel + np.array(offset)):
-                gap = ((self.position[candidate] - points) ** 2).sum(axis=1)
+                gap = (self.compute_offsets(self.position[candidate], points) ** 2).sum(axis=1)
                 is_closer = has_cell & are_sides_compatible(self.get_sides(candidate), side) & (gap < distance)
                 best, distance = np.where(is_closer, candidate, best), np.where(is_closer, gap, distance)
         return best
@@ -346,18 +346,20 @@ class SurfaceCells:
         """Return the 16 nearest cells of each cell, as `get_nearest_cells` does: int32[n,16]."""
         return self.get_nearest_cells(NEAREST_CELLS)
 
+    def compute_offsets(self, first: Floats, second: Floats) -> Floats:
+        """Return the vectors [n,3] from points `second` to points `first`."""
+        return first - second
+
     def get_nearest_cells(self, k: int) -> Cells:
         """Return the `k` nearest cells of each cell in the 27 voxels around it: int32[n,k], ascending, padded with `len(self)`.
 
         A cell is among its own nearest cells. Of cells at equal distances, those with lesser numbers are nearer."""
         if k not in self._tables:
             inputs = (self._keys, self._size, self.position, float(k))
-            work = partial(self._build_nearest_table, k)
-            self._tables[k] = stored_tables.get_or_compute("nearest cells", len(self), inputs, work, "cells")["nearest"]
+            work = partial(self._compute_nearest_cells, np.arange(len(self)), k)
+            tables = stored_tables.get_or_compute("nearest cells", len(self), inputs, lambda: {"nearest": work()}, "cells")
+            self._tables[k] = tables["nearest"]
         return self._tables[k]
-
-    def _build_nearest_table(self, k: int) -> stored_tables.Tables:
-        return {"nearest": self._compute_nearest_cells(np.arange(len(self)), k)}
 
     def _compute_nearest_cells(self, cells: NDArray[np.int64], k: int) -> Cells:
         """Compute those rows of `get_nearest_cells` that belong to `cells`."""
@@ -370,10 +372,8 @@ class SurfaceCells:
             if crowded.size:  # most cells have no more neighbours than this
                 crowded_pairs = np.flatnonzero((count > k).take(cell_rows))
                 one, two = cell_rows.take(crowded_pairs), other.take(crowded_pairs)
-                place, other_place = self.position.take(chosen.take(one), axis=0), self.position.take(two, axis=0)
-                gap = np.zeros(len(crowded_pairs))
-                for axis in range(3):
-                    gap += (other_place[:, axis] - place[:, axis]) ** 2
+                offsets = self.compute_offsets(self.position.take(two, axis=0), self.position.take(chosen.take(one), axis=0))
+                gap = (offsets[:, 0] ** 2 + offsets[:, 1] ** 2) + offsets[:, 2] ** 2
                 order = np.lexsort((two, gap, one))
                 left = crowded_pairs[order[compute_group_ranks(count[crowded]) >= k]]
                 is_nearest = np.ones(len(cell_rows), np.bool_)

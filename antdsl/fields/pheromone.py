@@ -234,7 +234,7 @@ class PheromoneField:
             real = column < len(self.cells)
             # A missing cell is replaced by the agent's own cell, which adds nothing.
             column = np.where(real, column, agent_cells)
-            d = positions.take(column, axis=1) - own_positions
+            d = self.cells.compute_offsets(positions.take(column, axis=1).T, own_positions.T).T
             rise = self._padded.take(column) - amounts
             for m, (a, b) in enumerate(_SYMMETRIC_ENTRIES):
                 moments[m] += d[a] * d[b]

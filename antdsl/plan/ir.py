@@ -388,6 +388,7 @@ class Plan:
     params: dict[str, ParamPlan]
     thing_names_by_kind: Mapping[str, tuple[str, ...]]  # names of the other things of the world, by their kind
     nodes: tuple[PlanNode, ...] = field(default=())
+    period: tuple[float, float, float] | None = None  # widths (mm) of its periodic world, 0 along axes that do not wrap
 
     def list_things_of_kind(self, *kinds: str) -> tuple[str, ...]:
         """Return the names of all things that have one of the kinds `kinds`."""

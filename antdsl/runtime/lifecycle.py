@@ -20,6 +20,7 @@ from antdsl.runtime.claims import settle_gifts
 from antdsl.runtime.digging import dig_solids
 from antdsl.runtime.moving.moving_geometry import compute_agent_rest_positions
 from antdsl.runtime.requests import RequestEntry
+from antdsl.runtime.sensing.image_pairs import measure_offsets
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start_array, stored_registers
 
 _PAIRS_PER_BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
@@ -84,7 +85,7 @@ def raise_events(world: World) -> None:
                 continue
             for other in world.populations.values():
                 if event in other.raised_events and len(other):
-                    _flag_in_reach(population, entry, other, other.raised_events[event])
+                    _flag_in_reach(world, population, entry, other, other.raised_events[event])
 
 
 def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
@@ -96,19 +97,22 @@ def _notify_receiver(world: World, population: Population, entry: RequestEntry) 
     is_reached = receivers >= 0
     if entry.args[0] is not None:
         at = np.where(is_reached, receivers, 0)
-        dx, dy, dz = (other.start[f"position.{a}"][at] - population.start[f"position.{a}"][rows] for a in AXES)
+        theirs, mine = ([each.start[f"position.{a}"][of] for a in AXES] for each, of in ((other, at), (population, rows)))
+        dx, dy, dz = measure_offsets(world, theirs, mine)
         is_reached &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.get_required_operand(0)
     other.raised_events[entry.request.target][receivers[is_reached]] = True
 
 
-def _flag_in_reach(population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]) -> None:
+def _flag_in_reach(
+    world: World, population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]
+) -> None:
     """Set `flags` of the agents within the distance of any emitter, emitters included, at the start of the step."""
     within = entry.get_required_operand(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
     step = max(1, _PAIRS_PER_BLOCK // len(other))
     for a in range(0, len(entry.rows), step):
-        dx, dy, dz = (t[None, :] - o[a : a + step, None] for t, o in zip(theirs, own, strict=True))
+        dx, dy, dz = measure_offsets(world, [t[None, :] for t in theirs], [o[a : a + step, None] for o in own])
         flags |= (np.sqrt((dx * dx + dy * dy) + dz * dz) <= within[a : a + step, None]).any(axis=0)
 
 

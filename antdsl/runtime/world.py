@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.level_of_detail import DetailLevels
     from antdsl.runtime.motion_measures import MotionMeasures
     from antdsl.runtime.notes.note_run import NoteRun
+    from antdsl.runtime.periodic_world import PeriodicWorld
     from antdsl.senses.neighbours import CellGrid
 from antdsl.senses.touching import TouchingAgents
 
@@ -46,6 +47,7 @@ DTYPE_BY_KIND: Mapping[ir.ValueKind, type[np.generic]] = {
 }  # fmt: skip
 AXES = ("x", "y", "z")
 PUSHED_REGISTER = "moved"  # mm per step, by contacts; only species that use it have this register
+UNWRAPPED_REGISTERS = tuple(f"unwrapped.{axis}" for axis in AXES)  # mm; only species of periodic worlds have them
 MOVED_REGISTERS = tuple(name for column in REGISTER_COLUMN_BY_NAME.values() if column.shape for name in column.registers)
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -264,6 +266,7 @@ class World:
     feet: dict[str, Feet] = field(default_factory=dict)  # by body key; only those with computed feet
     legs_by_species: dict[str, LegsOfBody] = field(default_factory=dict)  # legs and gaits, by body key
     foot_ground: FootGround | None = None  # the ground for feet
+    periodic: PeriodicWorld | None = None  # None: the world does not wrap
     is_stepping: bool = False  # between the first and the last phase of a step
 
     @property
@@ -281,7 +284,7 @@ class World:
 
 def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     """Return the registers that a block or phase may change after birth."""
-    names = {*MOVED_REGISTERS, PUSHED_REGISTER}
+    names = {*MOVED_REGISTERS, PUSHED_REGISTER, *UNWRAPPED_REGISTERS}
     pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
     while pending:
         for statement in pending.pop().statements:

@@ -27,6 +27,7 @@ from antdsl.scene.values import (
     FrameRange,
     FrameRangeValue,
     FramesPerSecond,
+    LengthRange,
     PointOrName,
     PositiveLength,
     SceneName,
@@ -118,6 +119,14 @@ class Output(ScenePart):
     events: tuple[Annotated[str, BeforeValidator(parse_one_of("contact", "emit"))], ...] = ()
 
 
+class Wrap(ScenePart):
+    """The range of each axis along which the world is periodic: what leaves it on one side enters on the other."""
+
+    x: LengthRange | None = None
+    y: LengthRange | None = None
+    z: LengthRange | None = None
+
+
 class StartFrom(ScenePart):
     """A frame of another cache. Its agents, items and fields are the start of the run."""
 
@@ -126,7 +135,7 @@ class StartFrom(ScenePart):
 
 
 MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by key
-    "place": Placement, "camera": Camera, "light": Light, "lod": LevelOfDetail, "output": Output, "from": StartFrom,
+    "place": Placement, "camera": Camera, "light": Light, "lod": LevelOfDetail, "output": Output, "from": StartFrom, "wrap": Wrap,
     "crowd": CrowdLine, "walk": Walk, "ranks": Ranks, "clumps": Clumps,
 }  # fmt: skip
 
@@ -146,6 +155,7 @@ class SceneModel(ScenePart):
     stick: Stick = "triangles"
     orient: Orient = "normal"
     contacts: Contacts = "off"
+    wrap: Wrap | None = None
     seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] = 0
     start: StartFrom | None = Field(None, alias="from")
     world: dict[SceneName, WorldThing] = {}

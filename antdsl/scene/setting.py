@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.scene.crowds.body_choice import list_body_keys
 from antdsl.scene.crowds.crowd_data import CrowdData as CrowdData
 from antdsl.scene.crowds.crowd_data import PlacementData as PlacementData
@@ -271,7 +272,8 @@ class WorldSetting:
     `imports`: by mesh, the import report of its file.
     `spans`: where the scene defines each thing of the world.
     `notes`: what agents do in some frames.
-    `lamp_strength`: a factor for the light of all lamps."""
+    `lamp_strength`: a factor for the light of all lamps.
+    `period`: the box of a periodic world, in the scene's coordinates; None for other worlds."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -305,6 +307,7 @@ class WorldSetting:
     spans: Mapping[str, Span] = field(default_factory=dict)
     notes: tuple[Note, ...] = ()
     lamp_strength: float = 1.0
+    period: PeriodicBox | None = None
 
     def list_body_keys(self, species: str) -> tuple[str, ...]:
         """Return the keys of all bodies of a species (`scene.body_choice`); at least one."""

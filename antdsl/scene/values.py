@@ -277,6 +277,22 @@ def parse_word_or_quantity(word: str, parse_other: Callable[[Any], Quantity]) ->
     return lambda value: word if str(value) == word else parse_other(value)
 
 
+def _parse_length_range(value: Any) -> tuple[Quantity, Quantity]:
+    """Return the two ends of a text such as `-35 mm .. 35 mm`. The second must be above the first."""
+    text = require_text(value, "a range of lengths")
+    first, dots, last = text.partition("..")
+    if not dots:
+        raise make_error(f"{describe_value(text)} is not a range of lengths", "write both ends: `-35 mm .. 35 mm`")
+    read_length = parse_quantity_of(LENGTH_DIMENSION)
+    low, high = read_length(first), read_length(last)
+    if low.is_bare != high.is_bare:
+        raise make_error(f"only one end of `{text}` has a unit", "write both ends with a unit: `-35 mm .. 35 mm`")
+    if not low.number < high.number:
+        raise make_error(f"`{text}` does not end above its start", "write the smaller number first")
+    return low, high
+
+
+LengthRange = Annotated[tuple[Quantity, Quantity], BeforeValidator(_parse_length_range)]
 PositiveLength = Annotated[Quantity, BeforeValidator(parse_positive_quantity(LENGTH_DIMENSION))]
 PositiveSpeed = Annotated[Quantity, BeforeValidator(parse_positive_quantity(SPEED_DIMENSION))]
 PositiveTime = Annotated[Quantity, BeforeValidator(parse_positive_quantity(TIME_DIMENSION))]

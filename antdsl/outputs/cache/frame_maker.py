@@ -105,6 +105,9 @@ class FrameMaker:
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
         arrays |= self._make_moving_arrays(world)
+        if world.periodic is not None:
+            vectors = [each.read_vector("unwrapped")[each.rows_by_id()] for _, each in sorted(world.populations.items())]
+            arrays["unwrapped"] = np.concatenate([np.empty((0, 3)), *vectors]).astype(np.float32) * np.float32(self.scale)
         arrays |= make_event_arrays(world, self.events, self.scale)
         return arrays if self.piece_maker is None else arrays | self.piece_maker.frame(world)
 

@@ -47,6 +47,9 @@ def declare_registers(w: PlanWriter) -> None:
         w.declare_register(name, ValueKind.F32, "attribute")
     if w.has_moved_register:
         w.declare_register("moved", ValueKind.F32, "attribute")
+    if w.period is not None:
+        for axis in "xyz":
+            w.declare_register(f"unwrapped.{axis}", ValueKind.F32, "attribute")
     if w.species.has_body_clearance:
         for name in CLEARANCE_REGISTERS:
             w.declare_register(name, ValueKind.F32, "attribute")
@@ -110,6 +113,8 @@ def is_standing(species: model.Species) -> bool:
 
 def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
     """Write the statements that set the registers of a new agent, and its entry into the start states."""
+    if w.period is not None:
+        w.store_vector("unwrapped", w.read_vector("position"), w.species.span)
     for machine in machines:
         machine.write_start_state()
     for name in _order_attributes(w):

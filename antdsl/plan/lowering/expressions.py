@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container
+from dataclasses import replace
 from typing import Any
 
 from antdsl.plan.builder import PlanError
@@ -274,6 +275,7 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
     if pair_attribute is not None and e.owner is not None:
         return w.rules.read_pair_value(w, pair_attribute, e.owner)
     owner = None if e.owner is None else lower_expression(w, e.owner)
+    e = replace(e, name="position") if e.name == "unwrapped" and w.period is None else e
     if e.name == "moved" and "moved" not in w.registers and getattr(owner, "kind", None) is not model.TypeKind.ITEM:
         words = "`moved`, which the program does not use elsewhere,"
         raise UnsupportedConstruct(words, e.span, "add `let pushed = moved` to a species")
@@ -295,6 +297,8 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
         species = w.program.species.get(owner.owner or "")
         if species is not None and not needs_register(species, e.name):
             return w.b.add_number(OPTIONAL_ATTRIBUTES[e.name])
+    if e.name == "position" and w.period is not None:
+        return w.rules.locate_point(w, owner, e)[1]
     if e.type.kind is model.TypeKind.VECTOR:
         prefix = "" if owner.kind is model.TypeKind.ITEM and e.name == "position" else f"{e.name}."
         return VectorNodes(*(_read_other_register(w, owner, f"{prefix}{axis}", ValueKind.F32) for axis in AXES))
@@ -323,12 +327,6 @@ def read_own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> Lower
     if name in OPTIONAL_ATTRIBUTES and name not in w.registers:
         return w.b.add_number(OPTIONAL_ATTRIBUTES[name])
     return convert_to_typed_value(w, w.read(name), type)
-
-
-def needs_moved_register(program: model.Program) -> bool:
-    """Return whether the program reads how far contacts pushed an agent. If so, species have the register `moved`."""
-    asking = iterate_parts([*program.species.values(), *program.specs, *program.measures])
-    return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in asking)
 
 
 def needs_register(species: model.Species, name: str) -> bool:

@@ -18,7 +18,7 @@ from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import Block, PlanNode, ValueKind
 from antdsl.plan.lowering import appearance, birth, blending, clips, pair_values
 from antdsl.plan.lowering.actions import STEER_TEMP, report_unsupported, write_statements
-from antdsl.plan.lowering.expressions import lower_condition, lower_scalar, lower_vector, needs_moved_register, read_own_attribute
+from antdsl.plan.lowering.expressions import lower_condition, lower_scalar, lower_vector, read_own_attribute
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.rules import LOWERING_RULES
 from antdsl.plan.lowering.source_map import NotingWriter, SourceNotes
@@ -28,6 +28,7 @@ from antdsl.plan.lowering.writer import AXES, BodyProportions, PlanWriter, Unsup
 from antdsl.plan.traverse import collect_required_nodes, find_shared_senses, iterate_statements, list_operands
 from antdsl.program import model
 from antdsl.program.tables.things import KIND_BY_WORD
+from antdsl.program.traverse import iterate_parts
 
 # maximum number of Python frames for the recursion over expressions; the parser and the checker limit nesting
 MAX_RECURSION_FRAMES = 20_000
@@ -40,16 +41,18 @@ def lower(
     notes: dict[str, SourceNotes] | None = None,
     scene_attributes: Mapping[str, Collection[str]] | None = None,
     proportions: Mapping[str, BodyProportions] | None = None,
+    period: tuple[float, float, float] | None = None,
 ) -> tuple[ir.Plan, Report]:
     """Return the plan of a program, and errors for constructs that pass the checks but cannot run yet.
 
     - `orders`: by species, the order of the layers, each named by its text or by the word before its bracket.
     - `notes`: receives, for each species, the nodes of each part of its text.
     - `scene_attributes`: by species, the attributes that the scene may set at an agent's birth.
-    - `proportions`: of the bodies of species that set their height."""
+    - `proportions`: of the bodies of species that set their height.
+    - `period`: the widths (mm) of a periodic world, 0 along axes that do not wrap."""
     report = Report()
     builder = PlanBuilder()
-    pushes = needs_moved_register(program)
+    pushes = _needs_moved_register(program)
 
     def species_plan(s: model.Species) -> ir.SpeciesPlan:
         if notes is None:
@@ -57,7 +60,7 @@ def lower(
         else:
             notes[s.name] = SourceNotes()
             w = NotingWriter(builder, program, s, report, LOWERING_RULES, notes[s.name])
-        w.has_moved_register = pushes
+        w.has_moved_register, w.period = pushes, period
         w.scene_attributes = frozenset((scene_attributes or {}).get(s.name, ()))
         w.proportions = (proportions or {}).get(s.name, w.proportions)
         return _lower_species(w, (orders or {}).get(s.name))
@@ -73,7 +76,13 @@ def lower(
     item_groups = [t for t in world if KIND_BY_WORD[t.kind].is_item_group]
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in item_groups}
     things = {k: tuple(t.name for t in world if t.kind == k) for k, row in KIND_BY_WORD.items() if not row.has_values}
-    return ir.Plan(species, fields, items, params, things, tuple(builder.nodes)), report
+    return ir.Plan(species, fields, items, params, things, tuple(builder.nodes), period), report
+
+
+def _needs_moved_register(program: model.Program) -> bool:
+    """Return whether the program reads how far contacts pushed an agent. If so, species have the register `moved`."""
+    parts = iterate_parts([*program.species.values(), *program.specs, *program.measures])
+    return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in parts)
 
 
 @contextmanager

@@ -201,7 +201,9 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
 
 
 def cast_ray(w: PlanWriter, direction: VectorNodes, reach: PlanNode, target: str) -> RayHit:
-    """Return one ray. `direction` has length 1, `reach` is in mm."""
+    """Return one ray. `direction` has length 1, `reach` is in mm: at most half a width in a periodic world."""
+    if w.period is not None:
+        reach = w.b("min", reach, w.b.add_number(min(width for width in w.period if width) / 2))
     ray = w.b("ray", *direction, reach, attrs=(target,))
     hit, distance, x, y, z = (w.b("get", ray, attrs=(i,)) for i in range(5))
     return RayHit(hit, distance, VectorNodes(x, y, z), direction)

@@ -47,7 +47,7 @@ class _SpecWriter(PlanWriter):
 
     def __init__(self, lowering: _SpecLowering, species: model.Species, registers: dict[str, Register]) -> None:
         super().__init__(lowering.b, lowering.program, species, lowering.report, LOWERING_RULES)
-        self.lowering = lowering
+        self.lowering, self.period = lowering, lowering.program_plan.period
         self.registers = dict(registers)
         self.blocks: dict[str, list[Store]] = {"decide": [], "act": [], "blend": []}
 

@@ -108,6 +108,18 @@ def sub(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
     return zip_with(lambda p, q: b("sub", p, q), u, v)
 
 
+def wrap_vector(b: PlanBuilder, v: VectorNodes, widths: tuple[float, float, float]) -> VectorNodes:
+    """Return a vector less whole `widths` (mm) of a periodic world, so that no part is longer than half a width. A width of 0 has
+    no effect."""
+    parts = []
+    for part, width in zip(v, widths, strict=True):
+        if width:
+            turns = b("floor", b("add", b("mul", part, b.add_number(1 / width)), b.add_number(0.5)))
+            part = b("sub", part, b("mul", turns, b.add_number(width)))
+        parts.append(part)
+    return VectorNodes(*parts)
+
+
 def neg(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
     return zip_with(lambda p: b("neg", p), v)
 

@@ -56,6 +56,7 @@ class LoweringRules(NamedTuple):
     lower_reduction: Callable[[PlanWriter, model.ReduceExpr], values.LoweredValue]
     read_pair_value: Callable[[PlanWriter, model.AttributeDecl, model.Expr], PlanNode]
     lower_clip_test: Callable[[PlanWriter, model.ClipTest], PlanNode]
+    locate_point: Callable[[PlanWriter, values.LoweredValue, model.Expr], tuple[PlanNode, values.VectorNodes]]
 
 
 class PlanWriter:
@@ -74,6 +75,7 @@ class PlanWriter:
         self.registers: dict[str, Register] = {}
         self.is_birth = False
         self.has_moved_register = False  # whether agents have the register `moved`
+        self.period: tuple[float, float, float] | None = None  # widths (mm) of a periodic world; 0 along axes that do not wrap
         self.proportions = BodyProportions()
         self.scene_attributes: frozenset[str] = frozenset()  # attributes that the scene may set at birth
         self.is_snapshot = False

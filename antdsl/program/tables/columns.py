@@ -118,6 +118,8 @@ AGENT_COLUMNS = (
     Column("group", "register", "f4", (), "which line of the scene's `crowd` made it, from 0", save_mode="request"),
     Column("v_ground", "derived", "f4", (3,), "velocity of the ground below each agent, if a surface moves. `v` is relative to "
            "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENES, interpolation="linear"),
+    Column("unwrapped", "derived", "f4", (3,), "position without the jumps at the seam, in a "
+           "[periodic world](scene.md#periodic-worlds)", save_mode="always", interpolation="linear"),
 )
 
 

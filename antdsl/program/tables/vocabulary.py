@@ -112,6 +112,9 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
     "moved": BuiltinAttribute(
         "length", False, None, "how far contacts pushed it in the step before; 0 where bodies take no room"
     ),
+    "unwrapped": BuiltinAttribute(
+        "position", False, None, "where it would be if a periodic world did not wrap; elsewhere its position", edition=2
+    ),
     "id": BuiltinAttribute("number", False, None, "its number, assigned at birth and never reused"),
     "age": BuiltinAttribute("time", False, None, "since birth"),
     "group": BuiltinAttribute("number", False, None, "which line of the scene's `crowd` made it, from 0"),

@@ -21,6 +21,7 @@ from antdsl.plan.registers import find_early_loads, number_statements
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.runtime.requests import ClaimEntry, EffectRequests, FaultEntry, GiftEntry, RequestEntry
+from antdsl.runtime.sensing.image_pairs import measure_offsets
 from antdsl.runtime.sensing.world_senses import SENSE_FUNCTIONS, compute_uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.source import Span
@@ -199,10 +200,10 @@ class AgentRun:
         args = [self.values[a] for a in node.args]
         if node.op == "set.items":
             items = self.world.items[node.attrs[0]]
-            measured = _measure_members([items.visible_values[axis] for axis in AXES], own)
+            measured = _measure_members(self.world, [items.visible_values[axis] for axis in AXES], own)
             return [m for m in measured if m[4] <= args[0]]
         other = self.world.populations[node.attrs[0]]
-        measured = _measure_members([other.start[f"position.{axis}"] for axis in AXES], own)
+        measured = _measure_members(self.world, [other.start[f"position.{axis}"] for axis in AXES], own)
         if other is self.population:
             measured = [m for m in measured if m[0] != self.row]
         if node.op == "set.every":
@@ -269,9 +270,9 @@ def _list_own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
     return tuple(dict.fromkeys(operands))
 
 
-def _measure_members(positions: list[Any], own_position: list[Any]) -> list[SetMember]:
+def _measure_members(world: World, positions: list[Any], own_position: list[Any]) -> list[SetMember]:
     """Return the row, offset (mm) and distance (mm) of every agent from one position."""
-    dx, dy, dz = (theirs - mine for theirs, mine in zip(positions, own_position, strict=True))
+    dx, dy, dz = measure_offsets(world, positions, own_position)
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     return [(k, dx[k], dy[k], dz[k], distance[k]) for k in range(len(distance))]
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from antdsl.diagnostics import Report
 from antdsl.fields.cells import FieldTooFine, SurfaceCells
 from antdsl.fields.growing import GrowingCells
+from antdsl.fields.periodic_cells import CellsDoNotFit, PeriodicCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.plan import ir
 from antdsl.runtime.binding.binding_cache import BindingCache
@@ -41,10 +42,18 @@ def bind_fields(
         if key not in cells:
             surfaces = [(m.vertices, m.faces) for name in plan.surfaces if (m := meshes.get(name)) is not None]
             try:
-                kind = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
-                make_cells = partial(kind, surfaces, size)
+                kind: type[SurfaceCells] = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
+                inputs: tuple[Any, ...] = (surfaces, size)
+                if world.periodic is not None:
+                    kind, inputs = PeriodicCells, (surfaces, size, world.periodic.box)
+                make_cells = partial(kind, *inputs)
                 keep_all = binding_cache.get_deep_copy if kind is GrowingCells else binding_cache.get_or_make
-                cells[key] = keep_all(kind.__name__, (surfaces, size), make_cells)
+                cells[key] = keep_all(kind.__name__, inputs, make_cells)
+            except CellsDoNotFit as error:
+                words = f"the world is {error.width:g} mm wide, which is no whole number of cells of {size:g} mm"
+                advice = f"write `cell {error.fitting_cell:g} mm`, or a width that is at least three cells"
+                report.error("field-setting", f"field `{plan.name}` does not fit: {words}", plan.span, advice)
+                continue
             except FieldTooFine as error:
                 row = " in a row" if error.is_axis_limit else ""
                 words = f"about {error.needed:,} cells of {size:g} mm{row}; {error.cap:,} are allowed"
@@ -97,6 +106,6 @@ def _set_start_amounts(field: PheromoneField, start: FieldStartData, world: Worl
     if start.around is None:
         field.values[:] = start.value
         return
-    away = field.cells.position - (np.asarray(start.around, np.float64) - world.origin)
+    away = field.cells.compute_offsets(field.cells.position, np.asarray([start.around], np.float64) - world.origin)
     distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
     field.values[distance <= (np.inf if start.radius is None else start.radius)] = start.value

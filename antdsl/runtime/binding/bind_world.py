@@ -34,6 +34,7 @@ from antdsl.runtime.feet import feet_step
 from antdsl.runtime.line_tables import reserve_ids
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import make_curve
+from antdsl.runtime.periodic_world import make_periodic_world
 from antdsl.runtime.world import AXES, Items, Options, World, make_empty_population
 from antdsl.scene.setting import FlowData, MeshData, WorldSetting, compute_world_origin
 
@@ -93,8 +94,9 @@ def bind_empty(
     up = np.asarray(setting.up, np.float64)
     meshes = {name: _translate_mesh(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
     solids = _make_solids(setting, origin, binding_cache)
-    surfaces = {name: meshes[name] for name in setting.surfaces}
     stages.begin_stage("ground")
+    periodic, extended = make_periodic_world(setting, meshes, origin)
+    surfaces = {name: extended[name] for name in setting.surfaces}
     ground = _make_ground(surfaces, solids, up, setting.motion.meshes, setting.uses_rays, binding_cache)
     world = World(
         plan=plan,
@@ -108,7 +110,7 @@ def bind_empty(
         items={name: _make_items(setting, items, origin) for name, items in plan.items.items()},
         fields={},
         field_rates={},
-        obstacles=_make_ray_scenes(meshes, solids, binding_cache),
+        obstacles=_make_ray_scenes(extended, solids, binding_cache),
         curves={
             name: make_curve(setting.curves[name] - origin)
             for name in plan.list_things_of_kind("curve")
@@ -124,6 +126,7 @@ def bind_empty(
         motion=MotionMeasures(),
         crowd_lines=reserve_ids(setting),
         notes=_make_note_run(setting),
+        periodic=periodic,
     )
     _set_params(world)
     stages.begin_stage("fields")
@@ -131,7 +134,7 @@ def bind_empty(
         world, {**meshes, **{name: _translate_mesh(solid.mesh, origin) for name, solid in setting.solids.items()}}, binding_cache
     )
     _bind_flows(world, binding_cache)
-    _bind_detail_levels(world, {name: meshes[name] for name in setting.obstacles})
+    _bind_detail_levels(world, {name: extended[name] for name in setting.obstacles})
     return world
 
 
@@ -217,7 +220,8 @@ def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], bin
 
 def _make_items(setting: WorldSetting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:
     items = setting.items.get(plan.name, ())
-    position = np.array([item.position for item in items], np.float64).reshape(-1, 3) - origin
+    points = np.array([item.position for item in items], np.float64).reshape(-1, 3)
+    position = (points if setting.period is None else setting.period.wrap_points(points)) - origin
     visible_values = {axis: position[:, k].astype(np.float32) for k, axis in enumerate(AXES)}
     visible_values["radius"] = np.array([item.radius for item in items], np.float32)
     amounts = {

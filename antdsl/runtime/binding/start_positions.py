@@ -105,7 +105,7 @@ class StartPositionSampler:
             return self._draw_by_rays(np.asarray(place.ray_origin, np.float64) - world.origin, ids, tries)
         if self._faces is not None:
             return self._draw_by_area(self._faces, ids, tries)
-        points = np.concatenate([self._find_target_points(ids, attempt) for attempt in tries])
+        points = self._wrap_points([self._find_target_points(ids, attempt) for attempt in tries])
         if self.has_points and place.is_by_area:
             footing, has_ground = world.ground.find_nearest(points, place.surfaces or None)[0], np.ones(len(points), np.bool_)
             return StartPositionDraws(footing, world.ground.position(footing), world.ground.normal(footing), has_ground)
@@ -121,7 +121,7 @@ class StartPositionSampler:
 
         Positions of edges, volumes and areas are instead moved to the nearest point of the ground."""
         world, place = self._world, self.place
-        points = np.concatenate([self._find_shape_points(ids, attempt) for attempt in tries])
+        points = self._wrap_points([self._find_shape_points(ids, attempt) for attempt in tries])
         has_ground = np.ones(len(points), np.bool_)
         if place.is_by_area or place.volume is not None or place.edge_of is not None:
             footing = world.ground.find_nearest(points, place.surfaces or None)[0]
@@ -132,6 +132,11 @@ class StartPositionSampler:
             up = np.array(np.broadcast_to(world.up, at.shape))
         is_allowed = has_ground if self.has_points else has_ground & ~is_inside_obstacle(world, at)
         return StartPositionDraws(footing, at, up, is_allowed)
+
+    def _wrap_points(self, point_sets: list[Floats]) -> Floats:
+        """Return all points (n, 3) mm of some sets; in a periodic world, moved into its box."""
+        points, periodic = np.concatenate(point_sets), self._world.periodic
+        return points if periodic is None else periodic.box.wrap_points(points)
 
     def _find_shape_points(self, ids: Ids, attempt: int) -> Floats:
         """Return the requested positions (n, 3) mm. Agents of a clump stand around one position of the place."""
@@ -227,7 +232,8 @@ def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
         if mesh is None or not len(mesh.faces):
             continue
         hits = find_obstacle_mesh(world, name).find_first_hits(points, up)
-        corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
+        face = np.maximum(hits.face, 0)
+        corners = mesh.vertices[mesh.faces[face if world.periodic is None else world.periodic.obstacle_faces[name].source[face]]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges do not depend on the origin
         is_inside |= hits.is_hit & ((normal * up).sum(axis=1) > 0)
     return is_inside

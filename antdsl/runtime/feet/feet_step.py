@@ -42,7 +42,7 @@ def place_initial_feet(world: World) -> None:
 def prepare_feet(world: World) -> None:
     """Give a world empty feet for each body with legs, if feet are simulated."""
     world.feet, world.legs_by_species, world.foot_ground = {}, {}, None
-    if not world.options.feet:
+    if not world.options.feet or world.periodic is not None:  # feet stay where they stand, also when their agent wraps
         return
     for name, legs in world.setting.legs.items():
         if find_species_of_key(name) in world.populations:

@@ -14,6 +14,7 @@ from antdsl.ground.protocol import Footing, GroundMove
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.obstacles import find_obstacle_mesh
+from antdsl.runtime.periodic_world import wrap_world
 from antdsl.runtime.world import AXES, Population, World
 
 _CURVE_SPACING_MM = 1.0  # queries for the nearest point and direction split a curve into pieces of this length
@@ -23,7 +24,10 @@ _F = np.float32
 
 
 def move_world(world: World) -> None:
-    """Move all moving things to the next frame. Agents move with their ground, then out of obstacles that have reached them."""
+    """Move all moving things to the next frame. Agents move with their ground, then out of obstacles that have reached them.
+
+    In a periodic world, agents that have left its box are moved into it first."""
+    wrap_world(world)
     if not world.setting.motion:
         return
     ground = get_moving_ground(world)

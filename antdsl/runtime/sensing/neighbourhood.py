@@ -17,12 +17,14 @@ from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.sensing.image_pairs import ImageGrid, find_image_rows
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import VelocityWishes, fill_clear_velocities, find_widest_gaps
 from antdsl.senses.nearest_others import CrowdTables, Requesters, fill_nearest_offsets, store_up_and_motion
 from antdsl.senses.neighbours import CellGrid
 
 _MAX_COARSER_QUARTERS = 4  # cells may be wider than requested by this many quarters of an octave
+_CELL_RATIO = 1.2  # more than the ratio of radii that one grid serves, a quarter of an octave
 _ALL_SPECIES_GRID_NAME = ""  # the name of the grid of all agents
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -88,11 +90,19 @@ class _CrowdGrid(CellGrid):
             return join_arrays(x), join_arrays(y), join_arrays(z)
 
         x, y, z = join_vectors("position")
+        sources: Rows | None = None
+        if world.periodic is not None:
+            sources, (x, y, z) = find_image_rows(world.periodic.box, (x, y, z), world.periodic.reach)
+
+        def add_images(array: NDArray[Any]) -> NDArray[Any]:
+            return array if sources is None else array.take(sources)
+
         super().__init__(x, y, z, np.arange(x.size), cell, threads)
-        numbers = join_arrays([each.id_ranks() + self.first_rows[name] for name, each in populations.items()])
-        radius = join_arrays([each.start["radius"] for each in populations.values()])
+        numbers = add_images(join_arrays([each.id_ranks() + self.first_rows[name] for name, each in populations.items()]))
+        radius = add_images(join_arrays([each.start["radius"] for each in populations.values()]))
         up, motion = np.empty((2, 4 * (x.size + LANE_COUNT)), np.float32)
-        sensed = join_vectors("up"), join_vectors("velocity"), radius, numbers
+        ups, velocities = (tuple(map(add_images, join_vectors(name))) for name in ("up", "velocity"))
+        sensed = ups, velocities, radius, numbers
         parallel.run_in_parts(
             partial(store_up_and_motion, self.order.position_by_row, *sensed, up, motion),
             x.size,
@@ -101,7 +111,9 @@ class _CrowdGrid(CellGrid):
         )
         by_name = np.empty(0, np.int32)
         if len(populations) > 1:
-            by_name = join_arrays([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])
+            by_name = add_images(
+                join_arrays([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])
+            )
         self.crowd = CrowdTables(self.table(), up, motion, by_name)
 
 
@@ -115,6 +127,9 @@ def find_species_grid(world: World, other: Population, max_radius: float) -> Cel
     """Return the agents of a population in cells that suit the radius `max_radius` (mm)."""
 
     def sort_agents(cell: float) -> CellGrid:
+        if world.periodic is not None:
+            reach = _CELL_RATIO * cell  # the grid serves all radii of its size class
+            return ImageGrid(world.periodic.box, other, cell, reach, world.options.threads)
         x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
         return CellGrid(x, y, z, other.ids, cell, world.options.threads)
 

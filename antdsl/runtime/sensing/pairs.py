@@ -17,6 +17,7 @@ from antdsl.numerics import exact_sums
 from antdsl.plan import ir
 from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
 from antdsl.runtime.faults import Fault, LimitStop
+from antdsl.runtime.sensing.image_pairs import fits_image_grid, measure_offsets, measure_pairs_within
 from antdsl.runtime.sensing.item_pairs import find_items_within
 from antdsl.runtime.sensing.nearest_pairs import find_nearest_agents
 from antdsl.runtime.sensing.neighbourhood import find_species_grid
@@ -66,14 +67,15 @@ def find_pairs(
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
         items = world.items[node.attrs[0]]
+        if world.periodic is not None:
+            return PairRows(items, len(own[0]), *measure_pairs_within(world, items, own, None, args[0]))
         return PairRows(items, len(own[0]), *find_items_within(items, own, args[0]))
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
-        nearest = (
-            find_nearest_agents(world, other, own, ids) if is_nearest_only(world.plan.species[population.name], node) else None
-        )
-        return _make_all_pairs(other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
+        plain = world.periodic is None and is_nearest_only(world.plan.species[population.name], node)
+        nearest = find_nearest_agents(world, other, own, ids) if plain else None
+        return _make_all_pairs(world, other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
     radius, cosine = args
     view = None if node.attrs[1] else _read_view_cones(population, rows, cosine, len(own[0]))
     try:
@@ -178,6 +180,8 @@ def _find_pairs_within(
 ) -> PairRows:
     """Return the pairs within a radius (mm) and in view, found with a cell grid."""
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
+    if not fits_image_grid(world, widest):
+        return PairRows(other, len(own_positions[0]), *measure_pairs_within(world, other, own_positions, ids, radius, view))
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
     grid = find_species_grid(world, other, widest)
     p = grid.find_pairs(
@@ -194,14 +198,17 @@ def _find_pairs_within(
     return PairRows(other, len(own_positions[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 
-def _make_all_pairs(other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
+def _make_all_pairs(
+    world: World, other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None
+) -> PairRows:
     """Return the pairs of each requesting row with all agents of a species except itself."""
     n, m = len(own_positions[0]), len(other)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
     if ids is not None:
         keep = np.flatnonzero(other.ids.take(j) != ids.take(i))
         i, j = i.take(keep), j.take(keep)
-    dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own_positions[k].take(i) for k, axis in enumerate(AXES))
+    theirs = [other.start[f"position.{axis}"].take(j) for axis in AXES]
+    dx, dy, dz = measure_offsets(world, theirs, [own.take(i) for own in own_positions])
     return PairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
 
 

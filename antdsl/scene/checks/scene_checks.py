@@ -19,6 +19,7 @@ from antdsl.scene.checks.entry_checks import Entry, check_dimension, check_file,
 from antdsl.scene.checks.existence_checks import check_absent_species, check_bodies, check_dark_lamps
 from antdsl.scene.checks.shape_checks import list_item_names
 from antdsl.scene.checks.step_checks import check_avoidance_steps, check_step_lengths
+from antdsl.scene.checks.wrap_checks import check_wrap
 from antdsl.scene.crowds.crowd_checks import check_around, check_crowd, count_agents
 from antdsl.scene.document import PathKey
 from antdsl.scene.field_settings import check_field_dynamics
@@ -228,6 +229,7 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     check_bodies,
     check_absent_species,
     check_dark_lamps,
+    check_wrap,
     _check_params,
     _check_fields,
     check_field_dynamics,

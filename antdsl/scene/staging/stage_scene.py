@@ -17,6 +17,7 @@ from antdsl.diagnostics import Report
 from antdsl.program.model import Program
 from antdsl.scene import setting as setting_data
 from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.checks.wrap_checks import make_periodic_box
 from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.closed_meshes import check_obstacle_sides
 from antdsl.scene.geometry.import_notes import MeshImport
@@ -29,6 +30,7 @@ from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.staging.item_placement import check_crowds, place_items
 from antdsl.scene.staging.mesh_imports import check_live_faces, check_origin_distances, collect_imports
 from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
+from antdsl.scene.staging.periodic_surfaces import fit_surfaces_to_box
 from antdsl.scene.staging.size_checks import check_sizes
 from antdsl.scene.staging.stage_cameras import stage_cameras
 from antdsl.scene.staging.stage_crowd import stage_crowd
@@ -149,6 +151,7 @@ def build_setting(
     model = scene.model
     for group in (*_MESH_GROUPS, "curves", "items"):
         _stage_things(staging, group)
+    fit_surfaces_to_box(staging)
     _stage_things(staging, "flows", "maps")  # first, because they contain curves and items
     item_points = {item.name: item.position for group in staging.items.values() for item in group} | {
         name: group[0].position for name, group in staging.items.items() if group
@@ -198,6 +201,7 @@ def build_setting(
         imports=collect_imports(staging),
         spans={name: scene.span("world", name) for name in model.world},
         notes=model.notes,
+        period=make_periodic_box(scene),
         **things,
     )
     check_origin_distances(staging, setting)

@@ -20,5 +20,5 @@ OPERATION_RULES: dict[str, Callable[[PlanWriter, model.OperationExpr], LoweredVa
     **senses.SENSE_RULES,
 }
 LOWERING_RULES = LoweringRules(
-    OPERATION_RULES, lower_set, lower_reduction, pair_values.read_pair_attribute, clips.lower_clip_test
+    OPERATION_RULES, lower_set, lower_reduction, pair_values.read_pair_attribute, clips.lower_clip_test, places.locate_point
 )

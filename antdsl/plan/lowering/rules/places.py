@@ -14,16 +14,16 @@ from antdsl.program import model
 
 
 def locate_point(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
-    """Return whether the point exists, and its position (mm)."""
+    """Return whether the point exists, and its position (mm). In a periodic world, that is its image nearest to the agent."""
     b = w.b
     if isinstance(value, VectorNodes):
         return b.true, value
     if isinstance(value, OwnPosition):
         return b.true, w.read_vector("position")
     value = _find_nearest_member(w, value)
-    if isinstance(value, EntityRef):
+    if isinstance(value, EntityRef) and w.period is None:
         return _read_ref_position(w, value)
-    if isinstance(value, SetElement):
+    if isinstance(value, SetElement) and w.period is None:
         prefix = "" if value.kind is model.TypeKind.ITEM else "position."
         return b.true, VectorNodes(*(b("other", attrs=(prefix + axis,), kind=ValueKind.F32) for axis in AXES))
     is_present, offset = compute_offset(w, value, e)
@@ -48,11 +48,18 @@ def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[P
     elif isinstance(value, NamedThing) and value.row.nearest_op == "camera.position":
         is_present, camera = b.true, b(value.row.nearest_op, attrs=(value.name,))
         point = VectorNodes(*(b("get", camera, attrs=(i,)) for i in range(3)))
-    elif isinstance(value, VectorNodes | OwnPosition | EntityRef):
+    elif isinstance(value, EntityRef):
+        is_present, point = _read_ref_position(w, value)
+    elif isinstance(value, VectorNodes | OwnPosition):
         is_present, point = locate_point(w, value, e)
     else:
         raise PlanError(f"a {type(value).__name__} has no place: {e.span.text!r}")
-    return is_present, values.sub(b, point, w.read_vector("position"))
+    return is_present, _find_nearest_image(w, values.sub(b, point, w.read_vector("position")))
+
+
+def _find_nearest_image(w: PlanWriter, offset: VectorNodes) -> VectorNodes:
+    """Return the shortest of a vector between two positions and its images in a periodic world; elsewhere the vector itself."""
+    return offset if w.period is None else values.wrap_vector(w.b, offset, w.period)
 
 
 def compute_distance(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanNode:
@@ -124,7 +131,9 @@ def _lower_direction(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         return _compute_direction(w, end, end_expr)
     has_start, from_point = locate_point(w, start, start_expr)
     has_end, to_point = locate_point(w, end, end_expr)
-    return values.select_or_zero(b, b("and", has_start, has_end), values.normalise(b, values.sub(b, to_point, from_point)))
+    return values.select_or_zero(
+        b, b("and", has_start, has_end), values.normalise(b, _find_nearest_image(w, values.sub(b, to_point, from_point)))
+    )
 
 
 def _compute_direction(w: PlanWriter, value: LoweredValue, e: model.Expr) -> VectorNodes:

@@ -78,7 +78,8 @@ def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) ->
 
     def has_machine_code(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
         if node.op.startswith("reduce."):
-            return reduction_loops.has_machine_code(node, PAIR_SENSES) and not is_nearest_only(species, node.args[0])
+            plain = plan.period is None and not is_nearest_only(species, node.args[0])  # pairs of images have no machine code
+            return plain and reduction_loops.has_machine_code(node, PAIR_SENSES)
         return node.op == "get" or node.op in FUNCTION_BY_NAME or node.op in senses
 
     def is_costly(node: ir.PlanNode) -> bool:

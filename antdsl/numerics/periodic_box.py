@@ -1,0 +1,84 @@
+"""The box of a periodic world: what leaves it on one side enters on the opposite side.
+
+An axis that does not wrap has the width 0. Each position has images, one box width apart along each wrapped axis. The difference
+of two positions is that between one and the nearest image of the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicBox:
+    """The low corner and the widths (mm) of a periodic world, along x, y and z."""
+
+    low: tuple[float, float, float]
+    widths: tuple[float, float, float]
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """Return the axes that wrap: 0 for x, 1 for y, 2 for z."""
+        return tuple(axis for axis in range(3) if self.widths[axis])
+
+    @property
+    def least_width(self) -> float:
+        """Return the width (mm) along the narrowest axis that wraps."""
+        return min(self.widths[axis] for axis in self.axes)
+
+    def shift(self, offset: Floats) -> PeriodicBox:
+        """Return the box moved by -`offset` (3,) mm, as for positions relative to an origin."""
+        x, y, z = (float(low - by) for low, by in zip(self.low, offset, strict=True))
+        return PeriodicBox((x, y, z), self.widths)
+
+    def count_widths(self, points: Floats) -> NDArray[np.int64]:
+        """Return how many widths each of `points` (n, 3) mm lies beyond the box, int64[n, 3]: 0 inside it and on its sides."""
+        counts = np.zeros(points.shape, np.int64)
+        for axis in self.axes:
+            low, width = self.low[axis], self.widths[axis]
+            values = points[:, axis]
+            outside = np.isfinite(values) & ~((values >= low) & (values <= low + width))
+            if outside.any():
+                counts[outside, axis] = np.floor((values[outside] - low) / width)
+        return counts
+
+    def wrap_points(self, points: Floats) -> Floats:
+        """Return `points` (n, 3) mm moved into the box by whole widths."""
+        return self.move_points(points, -self.count_widths(points))
+
+    def move_points(self, points: Floats, counts: NDArray[np.int64]) -> Floats:
+        """Return `points` (n, 3) mm moved by `counts` (n, 3) widths."""
+        return points + counts * np.array(self.widths) if counts.any() else points
+
+    def find_nearest_images(self, offsets: NDArray[Any]) -> NDArray[Any]:
+        """Return by how many widths each of `offsets` (n, 3) mm must move to become the shortest, int64[n, 3].
+
+        Exactly half a width stays, in either direction."""
+        counts = np.zeros(offsets.shape, np.int64)
+        for axis in self.axes:
+            half = offsets.dtype.type(self.widths[axis] / 2)
+            counts[:, axis] = (offsets[:, axis] < -half).astype(np.int64) - (offsets[:, axis] > half)
+        return counts
+
+    def list_images(self) -> list[NDArray[np.int64]]:
+        """Return the images next to the box: by how many widths each lies beyond it, int64[3]. The first is the box itself."""
+        return [np.array(step, np.int64) for step in product(*((0, -1, 1) if width else (0,) for width in self.widths))]
+
+
+def measure_offset(first: NDArray[Any], second: NDArray[Any], width: float) -> NDArray[Any]:
+    """Return the nearest image of `first` minus `second` (mm, float32) along one axis. `width` (mm): 0 if it does not wrap.
+
+    The image is chosen by the plain difference. Then its coordinate is computed, and the difference last, so that a grid with
+    images of all agents gives the same bits."""
+    offset: NDArray[Any] = first - second
+    if not width:
+        return offset
+    half, step = np.float32(width / 2), np.float32(width)
+    offset = np.where(offset > half, (first - step) - second, offset)
+    return np.where(first - second < -half, (first + step) - second, offset)

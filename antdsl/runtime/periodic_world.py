@@ -1,0 +1,143 @@
+"""Periodic worlds: the images of the ground around the box of the scene, and the agents that leave the box.
+
+During a step, agents walk on over images of the ground, so that no part of the step knows about the seam. After the step, agents
+outside the box move into it by whole widths. The first faces of an extended mesh are those of the mesh itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.plane import PlaneGround
+from antdsl.numerics.periodic_box import PeriodicBox
+from antdsl.runtime.world import AXES, UNWRAPPED_REGISTERS, Population, World
+from antdsl.scene.setting import MeshData, WorldSetting
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+MARGIN_SHARE = 0.5  # of the width: how far images of the world reach beyond the box
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaceImages:
+    """The faces of an extended mesh: `source` int32[m], the face of the mesh, and `counts` int64[m, 3], by how many widths the
+    face lies beyond it."""
+
+    source: NDArray[np.int32]
+    counts: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeriodicWorld:
+    """The box of a periodic world, relative to the world's origin. `faces`: the images of faces by the number of each surface.
+    `obstacle_faces`: those of obstacles, by name."""
+
+    box: PeriodicBox
+    faces: tuple[FaceImages, ...]
+    obstacle_faces: Mapping[str, FaceImages]
+
+    @property
+    def reach(self) -> float:
+        """Return the distance (mm) up to which each position has one image only: half of the least width."""
+        return MARGIN_SHARE * self.box.least_width
+
+
+def extend_mesh(mesh: MeshData, box: PeriodicBox) -> tuple[MeshData, FaceImages]:
+    """Return a mesh with its images up to half a width beyond the box, and the sources of their faces."""
+    widths = np.array(box.widths)
+    low = np.where(widths > 0, np.array(box.low) - MARGIN_SHARE * widths, -np.inf)
+    high = np.where(widths > 0, np.array(box.low) + (1 + MARGIN_SHARE) * widths, np.inf)
+    corners = mesh.vertices[mesh.faces]
+    least, most = (corners.min(axis=1), corners.max(axis=1)) if len(corners) else (np.zeros((0, 3)), np.zeros((0, 3)))
+    vertices, faces = [mesh.vertices], [mesh.faces]
+    sources, counts = [np.arange(len(mesh.faces), dtype=np.int32)], [np.zeros((len(mesh.faces), 3), np.int64)]
+    first = len(mesh.vertices)
+    for count in box.list_images()[1:]:
+        displacement = count * widths
+        own = np.flatnonzero(((most + displacement >= low) & (least + displacement <= high)).all(axis=1))
+        used, numbers = np.unique(mesh.faces[own], return_inverse=True)
+        vertices.append(mesh.vertices[used] + displacement)
+        faces.append((first + numbers.reshape(-1, 3)).astype(np.int32))
+        sources.append(own.astype(np.int32))
+        counts.append(np.tile(count, (len(own), 1)))
+        first += len(used)
+    extended = MeshData(np.concatenate(vertices), np.concatenate(faces))
+    return extended, FaceImages(np.concatenate(sources), np.concatenate(counts))
+
+
+def wrap_world(world: World) -> None:
+    """Move the agents that have left the box of a periodic world into it, and update their unwrapped positions."""
+    if world.periodic is None:
+        return
+    for population in world.populations.values():
+        wrap_agents(world, population, slice(None))
+        _update_unwrapped(population, world.periodic.box)
+
+
+def wrap_agents(world: World, population: Population, among: slice) -> None:
+    """Move the agents of some rows that are outside the box into it."""
+    assert world.periodic is not None
+    counts = count_widths(world, population)
+    chosen = np.zeros(len(population), np.bool_)
+    chosen[among] = True
+    rows = np.flatnonzero(chosen & counts.any(axis=1))
+    if not len(rows):
+        return
+    box, footing = world.periodic.box, population.footing
+    population.position = population.position.copy()  # arrays of the step may still refer to the old one
+    if isinstance(world.ground, PlaneGround):
+        population.position[rows] = box.move_points(population.position[rows], -counts[rows])
+        footing.columns["point"] = population.position.copy()
+    else:
+        standing = footing.take_rows(rows)
+        for number, images in enumerate(world.periodic.faces):
+            own = np.flatnonzero((standing.mesh == number) & (standing.face >= 0))
+            standing.face[own] = images.source[standing.face[own]]
+        footing.put_rows(rows, standing)
+        population.position[rows] = world.ground.position(standing)
+    for k, axis in enumerate(AXES):
+        population.now[f"position.{axis}"][rows] = population.position[rows, k]
+    window = world.motion.windows.get(population.name)
+    if window is not None and len(window.ids) == len(population):
+        window.start[rows] -= counts[rows] * np.array(box.widths)
+
+
+def count_widths(world: World, population: Population) -> NDArray[np.int64]:
+    """Return by how many widths each agent is outside the box, int64[n, 3]."""
+    assert world.periodic is not None
+    if isinstance(world.ground, PlaneGround):
+        return world.periodic.box.count_widths(population.position)
+    counts, footing = np.zeros((len(population), 3), np.int64), population.footing
+    for number, images in enumerate(world.periodic.faces):
+        own = np.flatnonzero((footing.mesh == number) & (footing.face >= 0))
+        counts[own] = images.counts[footing.face[own]]
+    return counts
+
+
+def _update_unwrapped(population: Population, box: PeriodicBox) -> None:
+    """Add the last step to unwrapped positions: they follow the wrapped ones, without the jumps at the seam."""
+    for k, axis in enumerate(AXES):
+        register = population.now[UNWRAPPED_REGISTERS[k]]
+        place, width = population.now[f"position.{axis}"], box.widths[k]
+        if not width:
+            register[:] = place
+            continue
+        turns = np.rint((register.astype(np.float64) - place) / width)
+        register[:] = place + turns * width
+
+
+def make_periodic_world(
+    setting: WorldSetting, meshes: dict[str, MeshData], origin: Floats
+) -> tuple[PeriodicWorld | None, dict[str, MeshData]]:
+    """Return the periodic world of a setting, or None, and its meshes with images around the box. `meshes`: relative to `origin`
+    (3,) mm."""
+    if setting.period is None:
+        return None, meshes
+    box = setting.period.shift(origin)
+    extended = {name: extend_mesh(mesh, box) for name, mesh in meshes.items()}
+    surfaces = tuple(extended[name][1] for name in setting.surfaces)
+    obstacles = {name: extended[name][1] for name in setting.obstacles}
+    return PeriodicWorld(box, surfaces, obstacles), {name: mesh for name, (mesh, _) in extended.items()}

@@ -1,0 +1,124 @@
+"""Pairs of agents in a periodic world: each pair is that of an agent and the nearest image of the other.
+
+Within less than half a width, a cell grid of all agents and their images near the box has each pair once. For wider radii, all
+agents are measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.numerics.periodic_box import PeriodicBox, measure_offset
+from antdsl.runtime.world import AXES, Items, Population, World
+from antdsl.senses.neighbours import CellGrid, FieldOfView, NeighbourPairs
+
+Floats = NDArray[np.float32]
+Rows = NDArray[np.intp]
+PairColumns = tuple[NDArray[Any], ...]  # requesting row, other row, offset x, y, z, distance
+
+# Share of the least width: up to this radius no two images of an agent are in reach, in spite of rounding
+_MAX_GRID_REACH_SHARE = 0.499
+_REACH_SLACK_SHARE = 1e-4  # share of the greatest width; exceeds the rounding of positions
+_PAIRS_PER_CHUNK = 1 << 20
+
+
+def measure_offsets(world: World, theirs: Any, mine: Any) -> tuple[NDArray[Any], ...]:
+    """Return the vectors x, y, z (mm) from positions `mine` to positions `theirs` (x, y, z). In a periodic world, they lead to
+    the nearest images."""
+    if world.periodic is None:
+        return tuple(other - own for other, own in zip(theirs, mine, strict=True))
+    return tuple(measure_offset(*each) for each in zip(theirs, mine, world.periodic.box.widths, strict=True))
+
+
+def find_image_rows(box: PeriodicBox, position: tuple[Floats, ...], reach: float) -> tuple[Rows, tuple[Floats, ...]]:
+    """Return the rows of all positions (x, y, z; mm) and of their images within `reach` (mm) of the box, and where these are.
+
+    The positions themselves come first, in their order."""
+    reach += _REACH_SLACK_SHARE * max(box.widths)
+    rows, positions = [np.arange(len(position[0]))], [position]
+    for image in box.list_images()[1:]:
+        moved, near = [], np.ones(len(position[0]), np.bool_)
+        for own, low, width, count in zip(position, box.low, box.widths, image.tolist(), strict=True):
+            coordinate = own + np.float32(count * width) if count else own
+            near &= (coordinate >= low - reach) & (coordinate <= low + width + reach) if width else True
+            moved.append(coordinate)
+        chosen = np.flatnonzero(near)
+        rows.append(chosen)
+        positions.append(tuple(each.take(chosen) for each in moved))
+    x, y, z = (np.concatenate(each) for each in zip(*positions, strict=True))
+    return np.concatenate(rows), (x, y, z)
+
+
+class ImageGrid(CellGrid):
+    """Agents of a species and their images within `reach` (mm) of the box of a periodic world, in cells."""
+
+    def __init__(self, box: PeriodicBox, other: Population, cell: float, reach: float, threads: int) -> None:
+        position = tuple(other.start[f"position.{axis}"] for axis in AXES)
+        self._sources, (x, y, z) = find_image_rows(box, position, min(reach, box.least_width / 2))
+        super().__init__(x, y, z, other.ids.take(self._sources), cell, threads)
+
+    def find_pairs(self, *arguments: Any, **options: Any) -> NeighbourPairs:
+        pairs = super().find_pairs(*arguments, **options)
+        return replace(pairs, j=self._sources.take(pairs.j))
+
+
+def fits_image_grid(world: World, radius: float) -> bool:
+    """Return whether a search with a radius (mm) can use images: no agent has two images in reach."""
+    return world.periodic is None or radius < _MAX_GRID_REACH_SHARE * world.periodic.box.least_width
+
+
+def measure_pairs_within(
+    world: World,
+    others: Population | Items,
+    own_positions: tuple[Floats, ...],
+    ids: NDArray[np.int64] | None,
+    radius: Any,
+    view: FieldOfView | None = None,
+) -> PairColumns:
+    """Return the pairs within a radius (mm) and in view by measuring all agents or items, each at its nearest image.
+
+    An agent gets at most `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by distance and id; items are not limited. `ids`:
+    of the requesting agents, if they are of the same species."""
+    is_agents = isinstance(others, Population)
+    source = others.start if isinstance(others, Population) else others.visible_values
+    theirs = [np.asarray(source[f"position.{axis}" if is_agents else axis], np.float32) for axis in AXES]
+    reach = np.broadcast_to(np.asarray(radius, np.float32), own_positions[0].shape)
+    parts, at_once = [], max(1, _PAIRS_PER_CHUNK // max(1, len(theirs[0])))
+    for first in range(0, len(reach), at_once):
+        last = min(first + at_once, len(reach))
+        mine = [own[first:last, None] for own in own_positions]
+        dx, dy, dz = measure_offsets(world, [each[None, :] for each in theirs], mine)
+        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
+        near = distance <= reach[first:last, None]
+        if ids is not None and isinstance(others, Population):
+            near &= others.ids[None, :] != ids[first:last, None]
+        i, j = np.nonzero(near)
+        own = [i, j, *(each[i, j] for each in (dx, dy, dz, distance))]
+        if isinstance(others, Population):
+            own = _limit_neighbours(own, others.ids, None if view is None else [each[first:last] for each in view])
+        parts.append([own[0] + first, *own[1:]])
+    if not parts:
+        none = np.empty(0, np.intp)
+        return none, none, *np.empty((4, 0), np.float32)
+    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+
+
+def _limit_neighbours(columns: list[NDArray[Any]], ids: NDArray[np.int64], view: list[Floats] | None) -> list[NDArray[Any]]:
+    """Return the nearest neighbours of each requesting row, at most `limits.MAX_QUERY_NEIGHBOURS`, then those in view."""
+    i, j, *_, distance = columns
+    order = np.lexsort((ids.take(j), distance, i))
+    columns = [each.take(order) for each in columns]
+    i = columns[0]
+    starts = np.searchsorted(i, i, side="left")
+    nearest = np.flatnonzero(np.arange(len(i)) - starts < limits.MAX_QUERY_NEIGHBOURS)
+    columns = [each.take(nearest) for each in columns]
+    if view is None:
+        return columns
+    i, _, dx, dy, dz, distance = columns
+    hx, hy, hz, cosine = (each.take(i) for each in view)
+    visible = np.flatnonzero((dx * hx + dy * hy) + dz * hz >= cosine * distance)
+    return [each.take(visible) for each in columns]

@@ -1,0 +1,92 @@
+"""Checks of `wrap`, which makes a world periodic: the axes, and the things that cannot cross a seam."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Report
+from antdsl.numerics.periodic_box import PeriodicBox
+from antdsl.program.model import OperationExpr, Program
+from antdsl.program.traverse import iterate_parts
+from antdsl.scene.document import PathKey
+from antdsl.scene.load import Scene
+from antdsl.scene.thing_models import UP_VECTORS
+
+_MIN_WIDTH_MM, _MIN_WIDTH_SHARE = 0.001, 1e-4  # mm; share of the greatest coordinate, which float32 must resolve
+WRAP_AXES = ("x", "y", "z")
+
+
+def make_periodic_box(scene: Scene) -> PeriodicBox | None:
+    """Return the box of a scene's periodic world in mm, or None. An axis without a range has the width 0."""
+    wrap = scene.model.wrap
+    if wrap is None:
+        return None
+    ranges = (getattr(wrap, axis) for axis in WRAP_AXES)
+    ends = [tuple(end.to_millimetres(scene.model.unit_mm) for end in each) if each else (0.0, 0.0) for each in ranges]
+    x, y, z = ends
+    return PeriodicBox((x[0], y[0], z[0]), (x[1] - x[0], y[1] - y[0], z[1] - z[0]))
+
+
+def check_wrap(scene: Scene, program: Program, report: Report) -> None:
+    """Report axes that cannot wrap, and things that a periodic world cannot have."""
+    wrap, model = scene.model.wrap, scene.model
+    if wrap is None:
+        return
+    up = WRAP_AXES[UP_VECTORS[model.up].index(1.0)]
+    level = [axis for axis in WRAP_AXES if axis != up]
+    if getattr(wrap, up) is not None:
+        words = f"`{up}` points up in this scene, so the world cannot wrap along it"
+        report.error("wrong-value", words, scene.span("wrap", up, key=True), f"write `{level[0]}` or `{level[1]}`")
+    elif not any(getattr(wrap, axis) for axis in level):
+        advice = f"write `wrap: {{{level[0]}: -35 mm .. 35 mm, {level[1]}: -35 mm .. 35 mm}}`"
+        report.error("missing-key", "`wrap` has no axis", scene.span("wrap", key=True), advice)
+    box = make_periodic_box(scene)
+    assert box is not None
+    for k in box.axes:
+        least = max(_MIN_WIDTH_MM, _MIN_WIDTH_SHARE * max(abs(box.low[k]), abs(box.low[k] + box.widths[k])))
+        if box.widths[k] < least:
+            words = f"the world is only {box.widths[k]:.3g} mm wide along `{WRAP_AXES[k]}`, too narrow for precise positions"
+            place = scene.span("wrap", WRAP_AXES[k])
+            report.error("wrong-value", words, place, f"write a range of at least {least:.3g} mm")
+    for path, what, advice in (*_list_unsupported_keys(scene), *_list_unsupported_things(scene, program)):
+        report.error("wrap-unsupported", f"a periodic world cannot have {what} yet", scene.span(*path, key=True), advice)
+    for species in program.species.values():
+        for part in iterate_parts(species):
+            if isinstance(part, OperationExpr) and part.name == "light":
+                words = "a periodic world cannot have the sense `light` yet: lamps do not shine across the seam"
+                report.error("wrap-unsupported", words, part.span, "leave `light` out, or `wrap`")
+
+
+_Unsupported = tuple[tuple[PathKey, ...], str, str]
+
+
+def _list_unsupported_keys(scene: Scene) -> list[_Unsupported]:
+    """Return the keys of a scene that a periodic world cannot have: path, what it is, and what to write instead."""
+    model = scene.model
+    findings: list[_Unsupported] = []
+    if model.contacts != "off":
+        findings.append(
+            (("contacts",), "contacts", "write `contacts: off`; `separate` and `clear_velocity` work across the seam")
+        )
+    if model.notes:
+        findings.append((("notes",), "notes", "leave `notes` out; their regions and targets end at the seam"))
+    if model.lod is not None:
+        findings.append((("lod",), "levels of detail", "leave `lod` out"))
+    return [(path if path[0] in scene.document.entries else ("wrap",), what, advice) for path, what, advice in findings]
+
+
+def _list_unsupported_things(scene: Scene, program: Program) -> list[_Unsupported]:
+    """Return the things of a scene that a periodic world cannot have, as `_list_unsupported_keys` does."""
+    findings: list[_Unsupported] = []
+    for name, value in scene.model.world.items():
+        kind = program.world[name].kind if name in program.world else ""
+        moves = getattr(value, "keys", None) if not isinstance(value, dict) else any(item.keys for item in value.values())
+        path = ("world", name)
+        if kind == "solid":
+            findings.append((path, "solids", "declare a `surface` or an `obstacle` in the program"))
+        elif kind in ("flow", "map", "curve"):
+            findings.append((path, f"a {kind}", "steer by fields, items or neighbours, which wrap"))
+        elif moves or scene.roots.is_sequence(str(getattr(value, "mesh", ""))):
+            findings.append((path, "things that move", "leave `keys` out, and name one file"))
+    for number, line in enumerate(scene.model.crowd):
+        if line.walk is not None:
+            findings.append((("crowd", number, "walk"), "guided walks", "leave `walk` out"))
+    return findings
