@@ -116,3 +116,14 @@ def test_parity_has_every_id_once_and_names_files_that_exist() -> None:
             path, _, function = file.partition("::")
             assert (ROOT / path).exists(), f"{name}: there is no {path}"
             assert not function or f"def {function}(" in (ROOT / path).read_text(encoding="utf-8"), f"{name}: {file}"
+
+
+def test_parity_begins_with_the_words_of_the_documents() -> None:
+    """Each row about a document quotes at most fifteen of its words, then summarises. A row that is part says what is missing."""
+    quoted_rows = [row for row in rows("docs/parity.md") if row[0][0] in "TPHR"]
+    assert len(quoted_rows) == sum(name[0] in "TPHR" for name in PARITY_IDS)
+    for name, what, state, evidence in quoted_rows:
+        quotation = re.match(r'"([^"]*\w[^"]*)": \S', what)
+        assert quotation, f"{name} begins with no quotation"
+        assert len(quotation[1].split()) <= 15, f"{name} quotes too much"
+        assert state != "part" or re.search(r"Missing: \S", evidence), f"{name} does not say what is missing"
