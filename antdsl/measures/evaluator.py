@@ -21,9 +21,9 @@ from antdsl.plan.traverse import collect_required_nodes, iterate_statements, lis
 from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.lifecycle import find_own_cells
+from antdsl.runtime.periodic_world import measure_overlaps
 from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import AXES, DTYPE_BY_KIND, Items, Population, World, make_fixed_columns
-from antdsl.senses.overlaps import measure_worst_overlaps
 
 FloatArray = NDArray[np.float32]
 _UNKNOWN_VALUE = 1e300  # not representable as float32; marks agents that did not exist yet
@@ -202,7 +202,7 @@ def _measure_overlap(world: World, population: Population) -> FloatArray:
     )
     own_index = next(k for k, each in enumerate(measured) if each.name == population.name)
     first = sum(len(each) for each in measured[:own_index])
-    worst = measure_worst_overlaps(x, y, z, radius)
+    worst = measure_overlaps(world, x, y, z, radius)
     return worst[first : first + len(population)]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+_REACH_SLACK_SHARE = 1e-4  # share of the greatest width; exceeds the rounding of positions
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,11 @@ class PeriodicBox:
     def least_width(self) -> float:
         """Return the width (mm) along the narrowest axis that wraps."""
         return min(self.widths[axis] for axis in self.axes)
+
+    @property
+    def inverse_table(self) -> Floats:
+        """Return the widths (mm) and their inverses, float64[6]; 0 along axes that do not wrap."""
+        return np.array([*self.widths, *(1 / width if width else 0.0 for width in self.widths)])
 
     def shift(self, offset: Floats) -> PeriodicBox:
         """Return the box moved by -`offset` (3,) mm, as for positions relative to an origin."""
@@ -69,6 +75,23 @@ class PeriodicBox:
     def list_images(self) -> list[NDArray[np.int64]]:
         """Return the images next to the box: by how many widths each lies beyond it, int64[3]. The first is the box itself."""
         return [np.array(step, np.int64) for step in product(*((0, -1, 1) if width else (0,) for width in self.widths))]
+
+    def find_image_rows(self, position: tuple[NDArray[Any], ...], reach: float) -> tuple[NDArray[np.intp], tuple[Any, ...]]:
+        """Return the rows of all positions (x, y, z; mm) and of their images within `reach` (mm) of the box, and where these are.
+
+        The positions themselves come first, in their order."""
+        reach += _REACH_SLACK_SHARE * max(self.widths)
+        rows, positions = [np.arange(len(position[0]))], [position]
+        for image in self.list_images()[1:]:
+            moved, near = [], np.ones(len(position[0]), np.bool_)
+            for own, low, width, count in zip(position, self.low, self.widths, image.tolist(), strict=True):
+                coordinate = own + own.dtype.type(count * width) if count else own
+                near &= (coordinate >= low - reach) & (coordinate <= low + width + reach) if width else True
+                moved.append(coordinate)
+            chosen = np.flatnonzero(near)
+            rows.append(chosen)
+            positions.append(tuple(each.take(chosen) for each in moved))
+        return np.concatenate(rows), tuple(np.concatenate(each) for each in zip(*positions, strict=True))
 
 
 def measure_offset(first: NDArray[Any], second: NDArray[Any], width: float) -> NDArray[Any]:

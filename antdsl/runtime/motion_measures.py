@@ -22,8 +22,8 @@ from antdsl.runtime.binding.spacing import has_extent
 from antdsl.runtime.moving.clearance.bodies_inside import find_sampled_bodies_inside
 from antdsl.runtime.moving.clearance.head_clearance import find_heads_inside
 from antdsl.runtime.moving.contacts.capsules import measure_overlap_depths
+from antdsl.runtime.periodic_world import measure_overlaps
 from antdsl.runtime.world import AXES
-from antdsl.senses.overlaps import measure_worst_overlaps
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import Population, World
@@ -102,7 +102,7 @@ class MotionMeasures:
         wide = has_extent(radius)
         x, y, z = (np.concatenate([now[f"position.{axis}"] for now in crowds])[wide] for axis in "xyz")
         self.placed = len(radius)
-        self.overlapping = int(np.count_nonzero(measure_worst_overlaps(x, y, z, radius[wide]) > _TOUCH_OVERLAP_SHARE))
+        self.overlapping = int(np.count_nonzero(measure_overlaps(world, x, y, z, radius[wide]) > _TOUCH_OVERLAP_SHARE))
 
     def checkpoint_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all counts, by name, for a checkpoint."""
@@ -204,7 +204,7 @@ class MotionMeasures:
         looks: list[Callable[[], NDArray[Any]]] = [partial(measure_overlap_depths, world)] if needs_depths else []
         for population in crowds:
             places = *vec.get_vector_registers(population.now, "position"), population.now["radius"]
-            looks.append(partial(measure_worst_overlaps, *places))
+            looks.append(partial(measure_overlaps, world, *places))
             looks += [partial(find, world, population) for find in (find_heads_inside, find_sampled_bodies_inside)]
 
         def run_looks(begin: int, end: int) -> list[NDArray[Any]]:

@@ -15,6 +15,7 @@ from antdsl.ground.plane import PlaneGround
 from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.runtime.world import AXES, UNWRAPPED_REGISTERS, Population, World
 from antdsl.scene.setting import MeshData, WorldSetting
+from antdsl.senses.overlaps import measure_worst_overlaps
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -103,6 +104,17 @@ def wrap_agents(world: World, population: Population, among: slice) -> None:
     window = world.motion.windows.get(population.name)
     if window is not None and len(window.ids) == len(population):
         window.start[rows] -= counts[rows] * np.array(box.widths)
+
+
+def measure_overlaps(
+    world: World, x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], radius: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the result of `measure_worst_overlaps`, in a periodic world also for bodies on opposite sides of the seam."""
+    if world.periodic is None:
+        return measure_worst_overlaps(x, y, z, radius)
+    reach = 2 * float(np.max(radius, initial=0.0, where=np.isfinite(radius)))
+    rows, (x_all, y_all, z_all) = world.periodic.box.find_image_rows((x, y, z), reach)
+    return measure_worst_overlaps(x_all, y_all, z_all, radius.take(rows))[: len(x)]
 
 
 def count_widths(world: World, population: Population) -> NDArray[np.int64]:

@@ -58,6 +58,7 @@ def open_world(
     wrap: str = f"{{x: -{HALF:g} mm .. {HALF:g} mm, z: -{HALF:g} mm .. {HALF:g} mm}}",
     world: str = "{ground: {mesh: ground.ply}}",
     keys: str = "",
+    body: str = "arrow",
     half: float = 20.0,
 ) -> Shot:
     """Return a shot of a periodic world. `crowd`: the values of its only line after the species' file."""
@@ -65,7 +66,7 @@ def open_world(
     (folder / "p.ant").write_text(program)
     species = program.split("species ")[1].split()[0]
     lines = f"antdsl: 1\nunits: mm\nfps: 1\nframes: 0..50\nseed: 1\nwrap: {wrap}\nworld: {world}\n{keys}"
-    (folder / "scene.yaml").write_text(f"{lines}crowd: [{{species: {species}, from: p.ant, body: arrow, {crowd}}}]\n")
+    (folder / "scene.yaml").write_text(f"{lines}crowd: [{{species: {species}, from: p.ant, body: {body}, {crowd}}}]\n")
     shot, report = open_scene(folder / "scene.yaml")
     assert shot is not None, report
     return shot

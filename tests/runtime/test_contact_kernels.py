@@ -459,5 +459,5 @@ def test_rows_are_gathered() -> None:
     single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (built.ahead, built.up)]
     crowd = capsule_distances.CrowdCapsules(built.middle, *single, built.half, built.radius)
     capsule_distances.gather_capsules(rows, crowd, to)
-    for result, expected in zip(to, (built.middle, *map(np.stack, single), built.half, built.radius), strict=True):
+    for result, expected in zip(to[:5], (built.middle, *map(np.stack, single), built.half, built.radius), strict=True):
         assert np.array_equal(result, expected[..., rows])

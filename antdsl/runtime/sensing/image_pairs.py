@@ -22,7 +22,6 @@ PairColumns = tuple[NDArray[Any], ...]  # requesting row, other row, offset x, y
 
 # Share of the least width: up to this radius no two images of an agent are in reach, in spite of rounding
 _MAX_GRID_REACH_SHARE = 0.499
-_REACH_SLACK_SHARE = 1e-4  # share of the greatest width; exceeds the rounding of positions
 _PAIRS_PER_CHUNK = 1 << 20
 
 
@@ -34,31 +33,12 @@ def measure_offsets(world: World, theirs: Any, mine: Any) -> tuple[NDArray[Any],
     return tuple(measure_offset(*each) for each in zip(theirs, mine, world.periodic.box.widths, strict=True))
 
 
-def find_image_rows(box: PeriodicBox, position: tuple[Floats, ...], reach: float) -> tuple[Rows, tuple[Floats, ...]]:
-    """Return the rows of all positions (x, y, z; mm) and of their images within `reach` (mm) of the box, and where these are.
-
-    The positions themselves come first, in their order."""
-    reach += _REACH_SLACK_SHARE * max(box.widths)
-    rows, positions = [np.arange(len(position[0]))], [position]
-    for image in box.list_images()[1:]:
-        moved, near = [], np.ones(len(position[0]), np.bool_)
-        for own, low, width, count in zip(position, box.low, box.widths, image.tolist(), strict=True):
-            coordinate = own + np.float32(count * width) if count else own
-            near &= (coordinate >= low - reach) & (coordinate <= low + width + reach) if width else True
-            moved.append(coordinate)
-        chosen = np.flatnonzero(near)
-        rows.append(chosen)
-        positions.append(tuple(each.take(chosen) for each in moved))
-    x, y, z = (np.concatenate(each) for each in zip(*positions, strict=True))
-    return np.concatenate(rows), (x, y, z)
-
-
 class ImageGrid(CellGrid):
     """Agents of a species and their images within `reach` (mm) of the box of a periodic world, in cells."""
 
     def __init__(self, box: PeriodicBox, other: Population, cell: float, reach: float, threads: int) -> None:
         position = tuple(other.start[f"position.{axis}"] for axis in AXES)
-        self._sources, (x, y, z) = find_image_rows(box, position, min(reach, box.least_width / 2))
+        self._sources, (x, y, z) = box.find_image_rows(position, min(reach, box.least_width / 2))
         super().__init__(x, y, z, other.ids.take(self._sources), cell, threads)
 
     def find_pairs(self, *arguments: Any, **options: Any) -> NeighbourPairs:

@@ -17,7 +17,7 @@ from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.sensing.image_pairs import ImageGrid, find_image_rows
+from antdsl.runtime.sensing.image_pairs import ImageGrid
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import VelocityWishes, fill_clear_velocities, find_widest_gaps
 from antdsl.senses.nearest_others import CrowdTables, Requesters, fill_nearest_offsets, store_up_and_motion
@@ -92,7 +92,7 @@ class _CrowdGrid(CellGrid):
         x, y, z = join_vectors("position")
         sources: Rows | None = None
         if world.periodic is not None:
-            sources, (x, y, z) = find_image_rows(world.periodic.box, (x, y, z), world.periodic.reach)
+            sources, (x, y, z) = world.periodic.box.find_image_rows((x, y, z), world.periodic.reach)
 
         def add_images(array: NDArray[Any]) -> NDArray[Any]:
             return array if sources is None else array.take(sources)

@@ -62,10 +62,6 @@ def _list_unsupported_keys(scene: Scene) -> list[_Unsupported]:
     """Return the keys of a scene that a periodic world cannot have: path, what it is, and what to write instead."""
     model = scene.model
     findings: list[_Unsupported] = []
-    if model.contacts != "off":
-        findings.append(
-            (("contacts",), "contacts", "write `contacts: off`; `separate` and `clear_velocity` work across the seam")
-        )
     if model.notes:
         findings.append((("notes",), "notes", "leave `notes` out; their regions and targets end at the seam"))
     if model.lod is not None:

@@ -27,17 +27,21 @@ _MAY_TOUCH_FLAG, _NO_AXIS_FLAG = 1, 2  # flags of a pair: it may touch; it has n
 _NEAR_OVERLAP_FLAG, _OVERLAPPING_FLAG = 1, 2  # flags of a row: a neighbour overlaps another; the row itself overlaps another
 
 
+NO_PERIOD = np.zeros(6)
+
+
 class CapsuleArrays(NamedTuple):
     """Capsules of some rows.
 
     `middle`, `ahead`, `up` (3, k): middle of the axis (mm), and unit vectors. `half`, `radius` (k): half length and radius
-        (mm)."""
+        (mm). `period` (6): widths (mm) of a periodic world, and their inverses; 0 along axes that do not wrap."""
 
     middle: Strided2[F64]
     ahead: Strided2[F64]
     up: Strided2[F64]
     half: Array1[F64]
     radius: Array1[F64]
+    period: Array1[F64] = NO_PERIOD
 
 
 class CrowdCapsules(NamedTuple):
@@ -48,6 +52,7 @@ class CrowdCapsules(NamedTuple):
     up: VectorColumns
     half: Array1[F64]
     radius: Array1[F64]
+    period: Array1[F64] = NO_PERIOD
 
 
 class CapsuleShape(NamedTuple):
@@ -194,6 +199,24 @@ def _measure_gap(
     return gap, (separation[0] / size, separation[1] / size, separation[2] / size), lost
 
 
+@inlined
+def _wrap(offset: Vec3, period: Array1[F64]) -> Vec3:
+    """Return the nearest image of an offset. Without a period, it keeps its bits."""
+    return (
+        offset[0] - period[0] * np.floor(offset[0] * period[3] + 0.5),
+        offset[1] - period[1] * np.floor(offset[1] * period[4] + 0.5),
+        offset[2] - period[2] * np.floor(offset[2] * period[5] + 0.5),
+    )
+
+
+@inlined
+def _measure_rows(bodies: CapsuleArrays, offset: Vec3, p: I64, q: I64) -> tuple[F64, Vec3, BOOL]:
+    """Return what `_measure_gap` does, for rows p and q with an `offset` of their middles."""
+    _, ahead, up, half, radius, period = bodies
+    a, b, u, v = get_column(ahead, p), get_column(ahead, q), get_column(up, p), get_column(up, q)
+    return _measure_gap(_wrap(offset, period), a, b, u, v, half[p], half[q], radius[p] + radius[q])
+
+
 @kernel_helper
 def measure_listed(
     bodies: CapsuleArrays,
@@ -207,23 +230,14 @@ def measure_listed(
     lost_pairs: Array1[I64],
 ) -> I64:
     """Measure the first `count` pairs in `pair_numbers`, as `measure_changed` does."""
-    middle, ahead, up, half, radius = bodies
+    middle = bodies.middle
     for n in simd_range(0, count):
         pair = pair_numbers[n]
         p, q = i[pair], j[pair]
         away = minus(
             plus(get_column(middle, p), get_column(displacement, p)), plus(get_column(middle, q), get_column(displacement, q))
         )
-        gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_gap(
-            away,
-            get_column(ahead, p),
-            get_column(ahead, q),
-            get_column(up, p),
-            get_column(up, q),
-            half[p],
-            half[q],
-            radius[p] + radius[q],
-        )
+        gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_rows(bodies, away, p, q)
         lost_pairs[n] = 1 if nowhere else 0
     without = compact_indices(lost_pairs, count)
     for n in range(without):
@@ -268,7 +282,7 @@ def measure_before_step(
     """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyPairs.measure_before_step`.
 
     Returns the number of pairs without a separation axis; these are listed at the start of `lost_pairs`."""
-    middle, ahead, up, half, radius = bodies
+    middle, ahead, up, half, radius, _ = bodies
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
             for side in range(2):
@@ -281,16 +295,7 @@ def measure_before_step(
         for pair in simd_range(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
             p, q = i[pair], j[pair]
             away = minus(minus(get_column(middle, p), get_column(travel, p)), minus(get_column(middle, q), get_column(travel, q)))
-            gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_gap(
-                away,
-                get_column(ahead, p),
-                get_column(ahead, q),
-                get_column(up, p),
-                get_column(up, q),
-                half[p],
-                half[q],
-                radius[p] + radius[q],
-            )
+            gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_rows(bodies, away, p, q)
             lost_pairs[pair] = 1 if nowhere else 0
     depth[:] = 0.0
     for pair in range(i.size):
@@ -319,7 +324,7 @@ def select_touching_pairs(
     `flags`: receives the indices of pairs without a separation axis. `number`: a work buffer.
     `all_pairs`: if False, select only pairs with a row that overlaps another row. The overlap must exceed `dead_zone_share` times
     the sum of both radii."""
-    middle, ahead, up, half, radius = crowd
+    middle, ahead, up, half, radius, period = crowd
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
             for side in range(2):
@@ -335,17 +340,9 @@ def select_touching_pairs(
             p, q = i[pair], j[pair]
             if key[p] > key[q]:
                 p, q = j[pair], i[pair]
-            away, wide = minus(get_column(middle, p), get_column(middle, q)), radius[p] + radius[q]
-            far, v, nowhere = _measure_gap(
-                away,
-                _read_vector(ahead, p),
-                _read_vector(ahead, q),
-                _read_vector(up, p),
-                _read_vector(up, q),
-                half[p],
-                half[q],
-                wide,
-            )
+            away, wide = _wrap(minus(get_column(middle, p), get_column(middle, q)), period), radius[p] + radius[q]
+            a, b, u, w = _read_vector(ahead, p), _read_vector(ahead, q), _read_vector(up, p), _read_vector(up, q)
+            far, v, nowhere = _measure_gap(away, a, b, u, w, half[p], half[q], wide)
             i[pair], j[pair], gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]) = p, q, far, v
             flags[pair] = (_NO_AXIS_FLAG if nowhere else _MAY_TOUCH_FLAG) if far < wide * _CANDIDATE_DISTANCE_WIDTHS else 0
     number[:] = 0
@@ -389,7 +386,7 @@ def select_touching_pairs(
 @kernel
 def gather_capsules(rows: Array1[I64], crowd: CrowdCapsules, target: CapsuleArrays) -> None:
     """Write the capsules of the given rows to `target`."""
-    middle, ahead, up, half, radius = crowd
+    middle, ahead, up, half, radius, _ = crowd
     for k in simd_range(0, rows.size):
         row = rows[k]
         target.half[k], target.radius[k] = half[row], radius[row]

@@ -7,7 +7,7 @@ count as an overlap."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Any
 
@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.runtime.body_positions import compute_body_positions
 from antdsl.runtime.body_rows import group_rows_by_body
 from antdsl.runtime.moving.contacts.capsule_distances import (
+    NO_PERIOD,
     CapsuleArrays,
     CapsuleShape,
     CrowdCapsules,
@@ -92,6 +94,7 @@ class CapsuleCrowd:
         self.agent_keys = self.concatenate_species(
             lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids
         )
+        self.period = NO_PERIOD if world.periodic is None else world.periodic.box.inverse_table
         self.bounds = self._place_capsules()  # bounds of x, y and z of the middles, and of the reach
 
     def _place_capsules(self) -> Bounds | None:
@@ -188,11 +191,12 @@ class NearbyPairs:
     max_radius: float
     gap: Floats
     direction: Floats
+    period: Floats = field(default_factory=lambda: NO_PERIOD)  # as in `CapsuleArrays`
 
     @property
     def bodies(self) -> CapsuleArrays:
         """Return the capsules of the rows as kernels read them."""
-        return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius)
+        return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius, self.period)
 
     def measure_before_step(self, travel: Floats) -> tuple[Floats, Floats, Floats]:
         """Return gaps and separation axes of all pairs before the rows `travel` (3, k) mm, with current headings.
@@ -237,19 +241,39 @@ def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -
 
     With `dead_zone_share`, return only pairs with a row that overlaps another row by more than this share of both radii."""
     x, y, z = crowd.middle
-    pairs = find_touching((x, y, z), crowd.reach, crowd.agent_keys, crowd.bounds)
-    i, j, m = *parallel.make_contiguous(pairs.i, pairs.j), len(pairs.i)
+    if crowd.world.periodic is None:
+        pairs = find_touching((x, y, z), crowd.reach, crowd.agent_keys, crowd.bounds)
+        i, j = parallel.make_contiguous(pairs.i, pairs.j)
+    else:
+        i, j = _find_pairs_of_images(crowd, crowd.world.periodic.box)
+    m = len(i)
     gap, direction, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
-    stand = CrowdCapsules(crowd.middle, crowd.read_vector("heading"), crowd.read_vector("up"), crowd.half, crowd.radius)
+    vectors = crowd.read_vector("heading"), crowd.read_vector("up")
+    stand = CrowdCapsules(crowd.middle, *vectors, crowd.half, crowd.radius, crowd.period)
     every = (True, 0.0) if dead_zone_share is None else (False, dead_zone_share)
     m, count, lost, widest = select_touching_pairs(stand, crowd.agent_keys, i, j, gap, direction, known, rows, number, *every)
     rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
     own = CapsuleArrays(middle, ahead, up, half, radius)
     gather_capsules(rows, stand, own)
-    near = NearbyPairs(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(direction[:, :m]))
+    near = NearbyPairs(crowd, rows, i[:m], j[:m], *own[:5], widest, gap[:m], np.ascontiguousarray(direction[:, :m]), crowd.period)
     near.draw_directions(near.direction, known[:lost])
     return near
+
+
+def _find_pairs_of_images(crowd: CapsuleCrowd, box: PeriodicBox) -> tuple[Rows, Rows]:
+    """Return the rows of the pairs in reach of each other in a periodic world; each pair once."""
+    x, y, z = crowd.middle
+    widest = float(np.max(crowd.reach, initial=0.0, where=np.isfinite(crowd.reach)))
+    sources, position = box.find_image_rows((x, y, z), 2 * widest)
+    order = np.empty(len(sources), np.int64)
+    order[np.lexsort((np.arange(len(sources)), crowd.agent_keys.take(sources)))] = np.arange(len(sources))
+    pairs = find_touching((position[0], position[1], position[2]), crowd.reach.take(sources), order)
+    i, j = sources.take(pairs.i), sources.take(pairs.j)
+    # A pair at the seam occurs for several images of both.
+    pair_rows = np.stack([np.minimum(i, j), np.maximum(i, j)], axis=1)[i != j]
+    distinct = np.unique(pair_rows, axis=0)
+    return np.ascontiguousarray(distinct[:, 0]), np.ascontiguousarray(distinct[:, 1])
 
 
 def measure_overlap_depths(world: World) -> Floats:

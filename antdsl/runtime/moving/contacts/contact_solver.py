@@ -218,7 +218,7 @@ def _solve_separation(
     magic = np.ldexp(1.5, int(np.frexp(nearby_pairs.max_radius)[1]) + 1 - SUM_BITS + 52)
     is_selected, displacement = is_selected.copy(), cut.copy()
     looks, lost = effort.outer_iterations, np.empty(len(nearby_pairs.i), np.intp)
-    bodies = (nearby_pairs.middle, nearby_pairs.ahead, nearby_pairs.up, nearby_pairs.half, nearby_pairs.radius)
+    bodies = nearby_pairs.bodies
     pairs = (nearby_pairs.i, nearby_pairs.j, nearby_pairs.gap, nearby_pairs.direction, is_selected)
     stand = (agents.mass, agents.push_share, agents.max_travel, depth, is_held, agents.normal, travel, cut)
     while looks:
