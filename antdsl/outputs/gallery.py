@@ -30,6 +30,7 @@ from antdsl.outputs.flow_arrows import read_flow_arrows
 from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.outputs.pictures.model import Crowd, FlowArrows, Item, LegendRow, Picture, Solid, Trail
+from antdsl.outputs.pictures.seam_images import add_seam_images
 from antdsl.outputs.pictures.trail_colours import estimate_full_strength
 from antdsl.scene.looks import (
     INVISIBLE_LOOK,
@@ -121,7 +122,7 @@ class Gallery:
         crowds, legend = self._make_crowds(frame, arrays, agents)
         whole = Picture(
             solids=(*self._make_solids(arrays), *self._make_dug_solids(frame)),
-            crowds=crowds,
+            crowds=add_seam_images(crowds, self.manifest.periodic_box),
             items=self._make_items(arrays),
             trails=self._make_trails(arrays),
             flows=self.flows,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
+from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.agent_arrays import AgentArrayBuilder
 from antdsl.outputs.cache.event_arrays import make_event_arrays
@@ -35,7 +36,7 @@ from antdsl.outputs.cache.manifest import (
     WornBodyEntry,
     make_camera_array_name,
 )
-from antdsl.outputs.cache.manifest_parts import FollowEntry, LampEntry
+from antdsl.outputs.cache.manifest_parts import FollowEntry, LampEntry, PeriodEntry
 from antdsl.outputs.cache.pose_arrays import (
     list_playing_machines,
     list_wearable_layers,
@@ -253,7 +254,13 @@ def make_manifest(
         events=list_event_names(world),
         camera=None if isinstance(default := cameras.get(DEFAULT_CAMERA), FollowEntry) else default,
         cameras=dict(cameras),
+        period=None if world.periodic is None else _make_period_entry(world.periodic.box, scale),
     )
+
+
+def _make_period_entry(box: PeriodicBox, scale: float) -> PeriodEntry:
+    """Return the manifest's entry for the box (mm) of a periodic world."""
+    return PeriodEntry(low=_scale_point(np.array(box.low), scale), widths=_scale_point(np.array(box.widths), scale))
 
 
 def _scale_point(point: NDArray[np.float64], scale: float) -> tuple[float, float, float]:

@@ -14,7 +14,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from antdsl import limits
 from antdsl.atomic_write import write_atomically
-from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry, LampEntry, ManifestPart, Triple, Word
+from antdsl.numerics.periodic_box import PeriodicBox
+from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry, LampEntry, ManifestPart, PeriodEntry, Triple, Word
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, ThingKindRow
 from antdsl.safe_read import FileTooLarge, read_size_limited
 from antdsl.scene.camera_models import DEFAULT_CAMERA
@@ -270,7 +271,7 @@ class Manifest(ManifestPart):
     `scene_path`: the path from the cache's folder to the scene file; None if `find_relative_path` returned none.
     `origin`: the point, in scene units, that all positions are relative to; the zero point in caches without it.
     `notes`: the lines of the scene's notes that were on.
-    `light`: the light of pictures.
+    `light`: the light of pictures. `period`: the box of a periodic world, relative to the origin.
     `camera`: the default camera if it does not depend on agents. `cameras`: all cameras of the scene, by name."""
 
     format: Literal[1] = 1
@@ -304,6 +305,12 @@ class Manifest(ManifestPart):
     camera: CameraEntry | Literal["fit"] | None = None
     cameras: dict[Word, AnyCameraEntry] = Field({})
     light: LightSettings = DEFAULT_LIGHT
+    period: PeriodEntry | None = None
+
+    @property
+    def periodic_box(self) -> PeriodicBox | None:
+        """Return the box of a periodic world, in scene units and relative to the origin; None for other worlds."""
+        return None if self.period is None else PeriodicBox(self.period.low, self.period.widths)
 
     @property
     def named_cameras(self) -> Mapping[str, AnyCameraEntry]:

@@ -8,12 +8,20 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Word = Annotated[str, Field(max_length=500)]
 Triple = tuple[float, float, float]
+Width = Annotated[float, Field(ge=0)]
 
 
 class ManifestPart(BaseModel):
     """An object of the manifest. Unknown keys are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, hide_input_in_errors=True)
+
+
+class PeriodEntry(ManifestPart):
+    """The box of a periodic world: its low corner, and its widths, 0 along axes that do not wrap."""
+
+    low: Triple
+    widths: tuple[Width, Width, Width]
 
 
 class LampEntry(ManifestPart):
