@@ -53,7 +53,7 @@ def report_of(folder: Path, text: str, program: str = FLOCK) -> list[tuple[str, 
         ),
         ("{x: -8 mm .. 8 mm}", "notes: [{hold: bird, frames: 1..2}]\n", "wrap-unsupported", "notes", "leave `notes` out"),
         ("{x: -8.25 mm .. 8 mm}", "", "field-setting", "16.25 mm wide", "cell 1.01562 mm"),
-        ("{x: -1 mm .. 1 mm}", "", "field-setting", "2 mm wide", "cell 0.666667 mm"),
+        ("{x: -1.25 mm .. 1.25 mm}", "", "field-setting", "2.5 mm wide", "cell 0.833333 mm"),
     ],
 )
 def test_mistakes(tmp_path: Path, wrap: str, keys: str, code: str, words: str, advice: str) -> None:
@@ -93,6 +93,13 @@ def test_things_that_cannot_wrap(tmp_path: Path, declared: str, thing: str, word
     program = FLOCK.replace("surface ground", f"surface ground; {declared}")
     errors = report_of(tmp_path, f"wrap: {WRAP}\nworld:\n  ground: {{mesh: ground.ply}}\n  {thing}\ncrowd: {CROWD}\n", program)
     assert any(each[0] == "wrap-unsupported" and words in each[1] for each in errors), errors
+
+
+def test_steps_of_half_a_width_are_reported(tmp_path: Path) -> None:
+    text = f"wrap: {WRAP}\nworld: {GROUND}\ncrowd: {CROWD}\n"
+    errors = report_of(tmp_path, text, FLOCK.replace("max_speed 1 mm/step", "max_speed 8 mm/step"))
+    assert [each[0] for each in errors] == ["wrong-value"] and "walks up to 8 mm in a step" in errors[0][1], errors
+    assert not report_of(tmp_path, text, FLOCK.replace("max_speed 1 mm/step", "max_speed 7.9 mm/step"))
 
 
 def test_light_cannot_wrap(tmp_path: Path) -> None:

@@ -20,12 +20,12 @@ def check_avoidance_steps(scene: Scene, program: Program, report: Report) -> Non
     """Warn once for each species that avoids others by `clear_velocity` and walks too far from one decision to the next.
 
     Substeps do not help, because agents decide once per frame."""
-    for number, species in _find_first_lines(scene, program):
+    for number, species in find_first_lines(scene, program):
         if not any(isinstance(each, OperationExpr) and each.name == "clear_velocity" for each in iterate_parts(species)):
             continue
         attributes = {each.name: each for each in species.attributes}
         speed, radius, size = (
-            _compute_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "radius", "size")
+            compute_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "radius", "size")
         )
         radius = radius or (size or 0.0) / 2
         frame_step = (speed or 0.0) * float(1 / scene.model.fps)
@@ -38,7 +38,7 @@ def check_avoidance_steps(scene: Scene, program: Program, report: Report) -> Non
         report.warning("late-avoidance", words, place, advice, labels=(Label(attributes["max_speed"].span, "its speed"),))
 
 
-def _find_first_lines(scene: Scene, program: Program) -> Iterator[tuple[int, Species]]:
+def find_first_lines(scene: Scene, program: Program) -> Iterator[tuple[int, Species]]:
     """Yield each species of the crowd with the number of its first line."""
     seen: set[str] = set()
     for number, line in enumerate(scene.model.crowd):
@@ -55,11 +55,11 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
     model = scene.model
     if model.contacts == "off":
         return
-    for number, species in _find_first_lines(scene, program):
+    for number, species in find_first_lines(scene, program):
         line = model.crowd[number]
         attributes = {each.name: each for each in species.attributes}
         body = line.body or find_body_for_species(line.species)
-        speed, size = (_compute_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "size"))
+        speed, size = (compute_typical_value(attributes.get(name), scene, program) for name in ("max_speed", "size"))
         if body not in BODY_WORDS or not speed or not size or min(speed, size) <= 0:
             continue
         frame_step, length = speed * float(1 / model.fps), CAPSULE_BY_BODY[body].length * size
@@ -79,7 +79,7 @@ def _format_limit(length: float, scene: Scene) -> str:
     return f"{length * float(scene.model.fps) * limits.MAX_SUBSTEPS / 1000:.3g} m/s"
 
 
-def _compute_typical_value(attribute: AttributeDecl | None, scene: Scene, program: Program) -> float | None:
+def compute_typical_value(attribute: AttributeDecl | None, scene: Scene, program: Program) -> float | None:
     """Return the mean value of an attribute at birth in base units. Return None if it depends on more than params and draws."""
     part: Expr | None = attribute.default if attribute is not None else None
     if isinstance(part, OperationExpr) and part.name in ("uniform", "normal"):

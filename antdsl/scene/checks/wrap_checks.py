@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from antdsl.diagnostics import Report
+from antdsl.diagnostics import Label, Report
 from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.program.model import OperationExpr, Program
 from antdsl.program.traverse import iterate_parts
+from antdsl.scene.checks.step_checks import compute_typical_value, find_first_lines
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.thing_models import UP_VECTORS
@@ -38,6 +39,7 @@ def check_wrap(scene: Scene, program: Program, report: Report) -> None:
     elif not any(getattr(wrap, axis) for axis in level):
         advice = f"write `wrap: {{{level[0]}: -35 mm .. 35 mm, {level[1]}: -35 mm .. 35 mm}}`"
         report.error("missing-key", "`wrap` has no axis", scene.span("wrap", key=True), advice)
+        return
     box = make_periodic_box(scene)
     assert box is not None
     for k in box.axes:
@@ -46,6 +48,14 @@ def check_wrap(scene: Scene, program: Program, report: Report) -> None:
             words = f"the world is only {box.widths[k]:.3g} mm wide along `{WRAP_AXES[k]}`, too narrow for precise positions"
             place = scene.span("wrap", WRAP_AXES[k])
             report.error("wrong-value", words, place, f"write a range of at least {least:.3g} mm")
+    for number, species in find_first_lines(scene, program):
+        speed = next((each for each in species.attributes if each.name == "max_speed"), None)
+        step = (compute_typical_value(speed, scene, program) or 0.0) * float(1 / model.fps)
+        if speed is not None and step >= box.least_width / 2:
+            words = f"a `{species.name}` walks up to {step:.3g} mm in a step, half of the world's width or more"
+            help = "write a wider range below `wrap`, more `fps`, or a lower `max_speed`"
+            place = scene.span("crowd", number, "species")
+            report.error("wrong-value", words, place, help, labels=(Label(speed.span, "its speed"),))
     for path, what, advice in (*_list_unsupported_keys(scene), *_list_unsupported_things(scene, program)):
         report.error("wrap-unsupported", f"a periodic world cannot have {what} yet", scene.span(*path, key=True), advice)
     for species in program.species.values():
