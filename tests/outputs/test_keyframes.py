@@ -204,3 +204,20 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
 def test_unknown_forms_are_reported(cache: Path, tmp_path: Path, words: tuple[str, str], message: str) -> None:
     result = RUN.invoke(app, ["export", str(cache), "--to", str(tmp_path / words[0]), "--as", words[1]])
     assert result.exit_code == 2 and message in result.output and not list(tmp_path.iterdir())
+
+
+def test_trajectories_are_in_metres_seen_from_above(cache: Path, tmp_path: Path) -> None:
+    output = export(cache, "--to", str(tmp_path / "people.txt"), "--frames", "5..6")
+    assert "id times 2" in output and "bug 0, mite 1" in output
+    lines = (tmp_path / "people.txt").read_text().splitlines()
+    assert lines[:2] == ["# framerate: 24", "# id frame x/m y/m z/m"]
+    table = np.array([line.split() for line in lines[2:]], float)
+    stored_cache = open_cache(cache)
+    for frame in (5, 6):
+        arrays, rows = stored_cache.frame(frame), table[table[:, 1] == frame]
+        names = arrays["id"] * 2 + arrays["species"]
+        order = np.argsort(names)
+        assert np.array_equal(rows[:, 0], names[order])
+        x, up, z = arrays["P"][order].astype(np.float64).T / 1000
+        assert np.allclose(rows[:, 2:], np.column_stack((x, -z, up)), atol=1e-6)
+    assert len(table) == sum(len(stored_cache.frame(frame)["P"]) for frame in (5, 6))

@@ -22,6 +22,7 @@ from antdsl.outputs.exports.mesh_export import export_meshes, export_usd_meshes
 from antdsl.outputs.exports.npz_export import export_arrays
 from antdsl.outputs.exports.poses_export import export_poses
 from antdsl.outputs.exports.solid_export import export_solids, export_volumes
+from antdsl.outputs.exports.trajectory_export import export_trajectories
 from antdsl.outputs.numbered_files import make_numbered_path
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
 
@@ -67,6 +68,7 @@ EXPORT_FORMATS = (
     ),
     ExportFormat((".geo",), {"points": export_geo}, frozenset({"points"})),
     ExportFormat((".csv",), {"keyframes": export_csv, "events": export_csv_events}),
+    ExportFormat((".txt",), {"trajectories": export_trajectories}),
     ExportFormat(
         (".npz",), {"arrays": export_arrays, "poses": export_poses, "volume": export_volumes, "events": export_npz_events}
     ),
