@@ -1,6 +1,6 @@
 """Writes the meshes and the curve of this example: `python examples/pedestrians/make_corridor.py`.
 
-Metres, y up. A round corridor of 40 m by 2.5 m, so 100 square metres; a room of 8 by 9 m with a passage 2 m long, for four widths.
+Metres, y up. A round corridor of 40 m by 2.5 m has 100 square metres; a room of 8 by 9 m has a passage 2 m long, in four widths.
 The same numbers give the same files."""
 
 import json

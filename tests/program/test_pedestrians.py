@@ -35,7 +35,7 @@ def open_people(folder: Path, steer: str, *places: tuple[float, float]) -> antds
     """People on a floor of 40 m at these places (x, z in metres), each in a group of its own."""
     trimesh.Trimesh(*meshes.grid(40.0, 8)).export(folder / "floor.ply")
     (folder / "person.ant").write_text(PROGRAM.replace("STEER", steer))
-    row = "  - {{species: person, from: person.ant, count: 1, body: person, place: {{on: floor, around: [{}, 0, {}], radius: 1 mm}}}}\n"
+    row = "  - {{species: person, from: person.ant, count: 1, place: {{on: floor, around: [{}, 0, {}], radius: 1 mm}}}}\n"
     (folder / "scene.yaml").write_text(SCENE + "".join(row.format(*place) for place in places))
     return antdsl.open_scene(folder / "scene.yaml")
 
