@@ -31,12 +31,12 @@ species person {
 SCENE = "antdsl: 1\nunits: m\nfps: 24\nframes: 0..480\ncontacts: off\nworld: {floor: {mesh: floor.ply}}\ncrowd:\n"
 
 
-def open_people(folder: Path, steer: str, *places: tuple[float, float]) -> antdsl.Simulation:
-    """People on a floor of 40 m at these places (x, z in metres), each in a group of its own."""
+def open_people(folder: Path, steer: str, *positions: tuple[float, float]) -> antdsl.Simulation:
+    """People on a floor of 40 m at these positions (x, z in metres). Each is a group."""
     trimesh.Trimesh(*meshes.grid(40.0, 8)).export(folder / "floor.ply")
     (folder / "person.ant").write_text(PROGRAM.replace("STEER", steer))
     row = "  - {{species: person, from: person.ant, count: 1, place: {{on: floor, around: [{}, 0, {}], radius: 1 mm}}}}\n"
-    (folder / "scene.yaml").write_text(SCENE + "".join(row.format(*place) for place in places))
+    (folder / "scene.yaml").write_text(SCENE + "".join(row.format(*position) for position in positions))
     return antdsl.open_scene(folder / "scene.yaml")
 
 
@@ -44,26 +44,26 @@ def test_a_person_behind_another_is_as_fast_as_the_gap_allows(tmp_path: Path) ->
     steer = "collision_free(vector(if group == 0 then 0 else 1, 0, 0), time_gap: 2 s)"
     world, rows = open_people(tmp_path, steer, (0, 0), (-6, 0)), []
     for _ in range(240):
-        places = world["person"]["position"] / 1000
+        positions = world["person"]["position"] / 1000
         world.step()
-        step = world["person"]["position"][1] / 1000 - places[1]
-        rows.append((float(np.linalg.norm(places[0] - places[1])) - 0.4, float(np.linalg.norm(step)) * 24))
+        step = world["person"]["position"][1] / 1000 - positions[1]
+        rows.append((float(np.linalg.norm(positions[0] - positions[1])) - 0.4, float(np.linalg.norm(step)) * 24))
     gaps, speeds = np.array(rows[24:]).T
     assert gaps.min() > 0, "people do not overlap"
     ahead = gaps > 0.4  # nearer, the other pushes aside
     assert np.abs(speeds - np.minimum(1.2, gaps / 2))[ahead].max() < 0.03 and speeds.max() > 1.1 and speeds[ahead].min() < 0.3
 
 
-def test_headway_is_for_those_who_go_the_same_way(tmp_path: Path) -> None:
+def test_headway_is_counts_people_of_the_same_direction(tmp_path: Path) -> None:
     steer = "keep_headway(vector(1, 0, 0) * (if group == 0 then 0.2 else 1), time_gap: 1 s)"
     world, least = open_people(tmp_path, steer, (0, 0), (-4, 0.05), (-2, 3)), np.inf
     for _ in range(240):
         world.step()
-        places = world["person"]["position"] / 1000
-        least = min(least, float(np.linalg.norm(places[0] - places[1])))
+        positions = world["person"]["position"] / 1000
+        least = min(least, float(np.linalg.norm(positions[0] - positions[1])))
     assert least > 0.39, "people do not overlap"
-    assert places[1, 0] - places[0, 0] > 0.5, "who is faster overtakes"
-    assert places[2, 0] > 9, "nobody is before the third"
+    assert positions[1, 0] - positions[0, 0] > 0.5, "the faster person overtakes"
+    assert positions[2, 0] > 9, "the way of the third is free"
 
 
 def test_oncoming_people_pass_on_the_right(tmp_path: Path) -> None:
@@ -71,11 +71,11 @@ def test_oncoming_people_pass_on_the_right(tmp_path: Path) -> None:
     world, least = open_people(tmp_path, steer, (-4, 0), (4, 0)), np.inf
     for _ in range(160):
         world.step()
-        places = world["person"]["position"] / 1000
-        least = min(least, float(np.linalg.norm(places[0] - places[1])))
-        if abs(places[0, 0] - places[1, 0]) < 0.1:
-            assert places[0, 2] > places[1, 2], "seen from above, +z is to the right of who goes along +x"
-    assert least > 0.39 and places[0, 0] > 2 and places[1, 0] < -2
+        positions = world["person"]["position"] / 1000
+        least = min(least, float(np.linalg.norm(positions[0] - positions[1])))
+        if abs(positions[0, 0] - positions[1, 0]) < 0.1:
+            assert positions[0, 2] > positions[1, 2], "seen from above, +z is to the right of a person who goes along +x"
+    assert least > 0.39 and positions[0, 0] > 2 and positions[1, 0] < -2
 
 
 def test_alone_a_person_walks_at_full_speed(tmp_path: Path) -> None:
