@@ -57,7 +57,7 @@ def test_each_library_is_in_its_reference_as_it_is(library_name: str, page: str)
     """Signature and help of each behaviour; on the card the names alone."""
     library = (ROOT / "behaviours" / f"{library_name}.ant").read_text(encoding="utf-8")
     broken = r"^(behaviour \w+\()\n((?:  .*\n)+)\) ->"
-    library = re.sub(broken, lambda found: f"{found[1]}{' '.join(found[2].split())}) ->", library, flags=re.MULTILINE)
+    library = re.sub(broken, lambda match: f"{match[1]}{' '.join(match[2].split())}) ->", library, flags=re.MULTILINE)
     signatures = re.findall(r'^behaviour (\w+)(\(.*?\)) -> (?:push|angle|length) \{\n  "(.*?)"', library, flags=re.MULTILINE)
     assert len(signatures) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
     reference = (ROOT / page).read_text(encoding="utf-8")
