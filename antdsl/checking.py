@@ -211,8 +211,8 @@ def _can_fork() -> bool:
 
 
 def _start_child(check: Callable[[int], None]) -> tuple[int, int]:
-    """Start a child process that checks files and writes its result to the pipe that `check` gets. Return its process id, and the
-    handle of that pipe."""
+    """Start a child process that runs `check` and passes it the pipe for the result. Return its process id, and the handle of
+    that pipe."""
     ours, theirs = os.pipe()
     process = os.fork()
     if process == 0:

@@ -49,7 +49,7 @@ def build_module_command(module: str, *arguments: str) -> list[str]:
 
 
 def build_module_environment() -> dict[str, str]:
-    """Return the environment for `build_module_command`: that of this process, so that the child imports the same antdsl."""
+    """Return the environment of a child process, so that it imports the same antdsl."""
     isolate_search_paths()
     path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     if os.path.basename(INSTALLATION_FOLDER) not in ("site-packages", "dist-packages") and INSTALLATION_FOLDER not in path:

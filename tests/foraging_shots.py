@@ -75,7 +75,7 @@ def counts(world: World) -> NDArray[np.int64]:
 
 def concentration(world: World) -> float:
     """Share of all scent that lies in the strongest 5 % of the cells. Of those cells, that is, on which anybody has walked."""
-    held = np.sort(world.fields["trail"].values)[::-1]
+    held = np.sort(world.fields["trail"].amounts)[::-1]
     walked = int(np.count_nonzero(held))
     return float(held[: max(1, walked // 20)].sum() / held.sum())
 

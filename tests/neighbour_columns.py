@@ -11,8 +11,8 @@ from antdsl.runtime import World
 from antdsl.runtime.sensing.neighbourhood import build_nearest_search
 from antdsl.runtime.world import Population
 from antdsl.senses import nearest_others as others
-from antdsl.senses.clear_velocity import find_nearest_velocity, set_velocity_border
-from antdsl.senses.nearest_others import SEARCH_CAPACITY, CrowdTables, RelativeAgent, Requesters, SearchMemory
+from antdsl.senses.clear_velocity import find_nearest_allowed_velocity, write_velocity_border
+from antdsl.senses.nearest_others import MAX_SEARCH_CANDIDATES, CandidateMemory, CrowdTables, NeighbourRequests, RelativeAgent
 
 
 class Moves(NamedTuple):
@@ -46,18 +46,18 @@ def clear_velocities(neighbours: Neighbours, moves: Moves, dt: float) -> tuple[n
 @kernel
 def _fill_velocities(neighbours: Neighbours, moves: Moves, dt: F64, x: Array1[F64], y: Array1[F64]) -> None:
     borders = (
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
     )
     between = (
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
     )
     for k in range(x.size):
         count = 0
@@ -66,9 +66,11 @@ def _fill_velocities(neighbours: Neighbours, moves: Moves, dt: F64, x: Array1[F6
                 ahead, left, radius_sum = neighbours.x[k, c], neighbours.y[k, c], neighbours.radius_sum[k, c]
                 other = RelativeAgent(ahead, left, neighbours.vx[k, c], neighbours.vy[k, c], radius_sum)
                 side = -1.0 if neighbours.first[k, c] else 1.0
-                set_velocity_border(other, side, count, moves.velocity[0][k], moves.velocity[1][k], moves.horizon[k], dt, borders)
+                write_velocity_border(
+                    other, side, count, moves.velocity[0][k], moves.velocity[1][k], moves.horizon[k], dt, borders
+                )
                 count += 1
-        x[k], y[k] = find_nearest_velocity(borders, between, count, moves.fastest[k], moves.wish[0][k], moves.wish[1][k])
+        x[k], y[k] = find_nearest_allowed_velocity(borders, between, count, moves.fastest[k], moves.wish[0][k], moves.wish[1][k])
 
 
 def nearest_others(
@@ -82,13 +84,13 @@ def nearest_others(
 
 
 @kernel
-def fill_neighbours(crowd: CrowdTables, requesters: Requesters, columns: Neighbours, planes: Array2[F64]) -> None:
-    memory = SearchMemory(
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
+def fill_neighbours(crowd: CrowdTables, requesters: NeighbourRequests, columns: Neighbours, planes: Array2[F64]) -> None:
+    memory = CandidateMemory(
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
     )
     others.reset_candidates(memory)
     for k in range(requesters.max_others.size):
@@ -99,4 +101,4 @@ def fill_neighbours(crowd: CrowdTables, requesters: Requesters, columns: Neighbo
             other = others.compute_relative_agent(crowd, plane, at, memory.nearest_rows[c])
             columns.x[k, c], columns.y[k, c], columns.vx[k, c], columns.vy[k, c] = other.x, other.y, other.vx, other.vy
             columns.radius_sum[k, c], columns.is_present[k, c] = other.radius_sum, True
-            columns.first[k, c] = others.compare_names(crowd, at, memory.nearest_keys[c]) < 0.0
+            columns.first[k, c] = others.compare_agent_names(crowd, at, memory.nearest_keys[c]) < 0.0

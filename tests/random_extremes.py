@@ -258,9 +258,9 @@ def spoil(world: World, frame: int, seed: int) -> None:
         for amounts in items.amounts.values():
             amounts[draw.integers(0, len(amounts))] = draw.choice(ODD)
     for _, field in sorted(world.fields.items()):
-        cells = draw.integers(0, max(len(field.values), 1), 9)
-        if len(field.values):
-            field.values[cells] = draw.choice(np.abs(ODD), 9)
+        cells = draw.integers(0, max(len(field.amounts), 1), 9)
+        if len(field.amounts):
+            field.amounts[cells] = draw.choice(np.abs(ODD), 9)
 
 
 def one_nan(world: World) -> None:
@@ -268,7 +268,7 @@ def one_nan(world: World) -> None:
     arrays = [array for p in world.populations.values() for held in (p.now, p.start) for array in held.values()]
     arrays += [p.position for p in world.populations.values()] + [p.normal for p in world.populations.values()]
     arrays += [amounts for items in world.items.values() for amounts in items.amounts.values()]
-    arrays += [field.values for field in world.fields.values()]
+    arrays += [field.amounts for field in world.fields.amounts()]
     for array in arrays:
         if array.dtype.kind == "f":
             array[np.isnan(array)] = np.nan

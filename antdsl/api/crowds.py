@@ -32,7 +32,7 @@ def make_unknown_name_error(kind: str, name: object, known: Iterator[str] | tupl
 
 
 def make_read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array that rejects assignments, so that a change of this copy is not mistaken for a change of the world."""
+    """Make an array read-only, because changes of a copy would have no effect. Return the array."""
     array.setflags(write=False)
     return array
 
@@ -256,7 +256,7 @@ class Field:
     def values(self) -> NDArray[Any]:
         """The amounts (n,) of all cells, a read-only copy."""
         field = self._simulation.world.fields[self.name]
-        return make_read_only(np.array(field.values))
+        return make_read_only(np.array(field.amounts))
 
     @property
     def positions(self) -> NDArray[np.float64]:

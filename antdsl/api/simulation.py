@@ -216,8 +216,8 @@ class Simulation:
             raise
 
     def run(self, until: Callable[[Simulation], bool] | None = None) -> Simulation:
-        """Simulate to the last frame of the scene, or to the first in which its `until` holds, or until the function `until`
-        returns True after a step. Return the simulation."""
+        """Simulate to the end of the scene. Stop earlier if its `until` condition holds, or if the function `until` returns
+        True. Return the simulation."""
         while self.frame < self.last_frame and not self._measures.is_over:
             self.step()
             if until is not None and until(self):

@@ -127,7 +127,8 @@ class Measurement:
     told: tuple[str, ...] = ()
 
     def compute_ratios(self, name: str, other: str) -> list[float]:
-        """Return, for each turn, the CPU time of a step of `name` divided by that of `other`. Both are keys of `costs`."""
+        """Return the ratio of two CPU times per step for each turn: that of `name` divided by that of `other`. Both are keys of
+        `costs`."""
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
 
 

@@ -222,8 +222,7 @@ def count_mean_neighbours(world: World, sight_radius_mm: float) -> float:
 
 
 def choose_run_frames(step: float) -> int:
-    """Return the number of frames of a run to measure: those of about two seconds, within limits. `step`: seconds of a bare
-    step."""
+    """Return how many frames of a run take about two seconds, within limits. `step`: seconds of a bare step."""
     return min(max(int(2.0 / max(8.0 * step, 1e-6)), _MIN_RUN_FRAMES), _MAX_STEPS_PER_TURN)
 
 

@@ -37,7 +37,7 @@ _MAX_LISTED_NAMES = 12  # maximum number of names in a message
 
 @dataclass(frozen=True, slots=True)
 class NamedBody:
-    """A body that a scene names for a species, or that fits the species' name.
+    """A body of a species. The scene names it, or it has the name of the species.
 
     `key`: its key, as `scene.body_choice` makes it.
     `text`: the library word or the path in the scene.
@@ -155,8 +155,7 @@ def _select_first_bodies(bodies: Mapping[str, Body]) -> dict[str, Body]:
 def _check_layers(
     scene: Scene, program: Program, bodies: Iterable[NamedBody], definitions: Mapping[str, Definition], report: Report
 ) -> None:
-    """Report layers that crowd lines wear and that a body of the species does not have. Also report more layers than can be
-    distinguished."""
+    """Report worn layers that the body of the species does not have. Also report more layers than can be distinguished."""
     layers: dict[str, set[str]] = {}
     keys_by_species: dict[str, list[str]] = {}
     for each in bodies:
@@ -226,7 +225,7 @@ def _get_library_collision_size(word: str) -> BodyCapsuleData:
 
 
 def list_named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
-    """Return the bodies of each species of the crowd, and of further `species`.
+    """Return the bodies of all species of the crowd, and of the additional `species`.
 
     These are the bodies of the first crowd line of the species that names any, else the library body that matches the species'
     name."""

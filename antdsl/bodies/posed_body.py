@@ -143,8 +143,7 @@ class PosedBody:
         return PosedBody(coarsen_definition(replace(self._full_definition, layers=layers, shapes=drawn)), self.clips, self.layers)
 
     def build_idle_clips(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
-        """Return the clips that agents with these ids play by default: the definition's idle clip, which begins at a different
-        time for each agent.
+        """Return the idle clip of each agent with these ids. It begins at a different time for each agent.
 
         `seconds`: time since frame 0. Empty if there is no idle clip."""
         clip = self._full_definition.clips.get(self._full_definition.idle)
@@ -157,7 +156,7 @@ class PosedBody:
 
     @cached_property
     def mesh(self) -> SkinnedMesh:
-        """Return the vertices with the bones that each follows, so that graphics hardware can pose them."""
+        """Return the vertices with their bones, for skinning by graphics hardware."""
         return build_skinned_mesh(self._definition, self._bindings, self.point_indices)
 
     @cached_property

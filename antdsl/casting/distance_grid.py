@@ -127,7 +127,7 @@ def write_lower_bounds64(
 
 @inlined
 def _to_cell_number(place: F64) -> I64:
-    """Return the number of the cell that contains a coordinate `place` (in cells), which must not be negative."""
+    """Return the number of the cell at the coordinate `place` (in cells), which must not be negative."""
     return round_to_int(np.floor(place))
 
 
@@ -154,8 +154,8 @@ def choose_cell_width(extent: NDArray[np.float64], cells: int) -> float:
 
 
 def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
-    """Return an edge length of cubes, at least `width`, for which it takes at most a few seconds to list the cubes that triangles
-    touch. The triangles have corners float64[m,3,3]."""
+    """Return a cube width of at least `width`. With it, listing the touched cubes takes a few seconds at most. The triangles
+    have corners float64[m,3,3]."""
     lengths, area = measure_sides_and_area(corners)
     perimeter = float(lengths.sum())
     while 3 * area / width**2 + 2 * perimeter / width > _MAX_LISTED_CELLS + 8.0 * len(corners):
@@ -164,7 +164,7 @@ def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
 
 
 def measure_sides_and_area(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the lengths (3, m) of the sides of triangles with corners (m, 3, 3), and the total area of these triangles."""
+    """Return the side lengths (3, m) of triangles (m, 3, 3), and their total area."""
     sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
     normal = np.cross(sides[0], sides[1])
     lengths: NDArray[np.float64] = np.sqrt(np.stack([dot(side, side) for side in sides]))

@@ -201,7 +201,7 @@ class Faces:
         return is_doubled
 
     def _weld_corners(self) -> tuple[Index, Index, Index]:
-        """Return the welded vertex number of each corner, the start of each vertex's faces in a list of faces, and this list."""
+        """Weld equal corners. Return the vertex number of each corner, and the faces at each vertex as starts and a list."""
         flat = self.corners.reshape(-1, 3)
         order = np.lexsort((flat[:, 2], flat[:, 1], flat[:, 0]))
         new = (flat[order[1:]] != flat[order[:-1]]).any(axis=1)

@@ -264,7 +264,7 @@ def prefetch_rays(
 
 @inlined
 def _list_end_cubes(grid: GridTables, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
-    """Write the numbers of the cubes at both ends of ray `n` of a batch into `cells`."""
+    """Append the numbers of the cubes at both ends of ray `n` to `cells`."""
     cells[2 * n] = _prefetch_cube(grid, a)
     cells[2 * n + 1] = _prefetch_cube(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
 

@@ -157,7 +157,7 @@ def _make_contiguous(*columns: Float32Array) -> tuple[Float32Array, ...]:
 
 
 def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:
-    """Return two tables: the start of each cube's faces in a list, and this list of the face numbers of all cubes.
+    """Return the faces that each cube contains, as the start of each cube in a list, and the list.
 
     The grid has `size` cubes of edge `width` (mm), from the corner `low` on."""
     count, keys = len(corners), [np.empty(0, np.int64)]
@@ -171,8 +171,7 @@ def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) ->
 
 
 def _choose_cube_width(corners: Floats) -> float | None:
-    """Return the edge of cubes (mm): about that of the faces, but larger if there would be too many cubes, or too many faces per
-    cube."""
+    """Return the edge of cubes (mm): the usual edge of the faces, or more if there would be too many cubes."""
     if not len(corners):
         return None
     lengths, area = measure_sides_and_area(corners)

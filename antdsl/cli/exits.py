@@ -179,7 +179,7 @@ def make_failure_error(problem: OSError | MemoryError, operation: str = "", retr
 
 
 def make_missing_package_error(problem: Exception) -> CommandError | None:
-    """Return the exception that ends a command for which a required package is missing. None for any other problem."""
+    """Return the error for a command that needs a missing package. None for any other problem."""
     from antdsl.packages import INSTALL_ADVICE, find_missing_distribution
 
     if (distribution := find_missing_distribution(problem)) is not None:

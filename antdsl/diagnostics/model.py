@@ -39,7 +39,7 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """A correction that an editor can apply: the text that replaces a span."""
+    """A correction that an editor can apply. It replaces the span by a text."""
 
     span: Span
     text: str

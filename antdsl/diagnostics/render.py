@@ -47,7 +47,7 @@ def render(report: Report, format: str = "full") -> str:
 
 
 def choose_visible_diagnostics(report: Report) -> list[Diagnostic]:
-    """Return the findings that people see, by location: at most 50, where errors take precedence over warnings."""
+    """Return at most 50 findings by location. Errors take precedence over warnings."""
     ordered = report.sort_by_place()
     if len(ordered) <= limits.MAX_SHOWN_DIAGNOSTICS:
         return ordered

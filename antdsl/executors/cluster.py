@@ -181,7 +181,7 @@ class Cluster(Engine):
         return messages
 
     def _read_events(self) -> None:
-        """Read the messages of workers: the current frames of tasks, and reports of whether a worker can run tasks."""
+        """Read messages from workers: the frames of their tasks, and whether they can run tasks."""
         with suppress(Empty):
             while True:
                 event = self._event_queue.get_nowait()

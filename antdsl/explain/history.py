@@ -142,8 +142,7 @@ def open_shot(
 
 
 def _find_scene(cache: Cache) -> Path:
-    """Return the scene's file: at its old location relative to the cache, else in one of the folders above the cache, else in the
-    working directory."""
+    """Return the scene file. Look at its old relative path, in the folders above the cache, and in the working directory."""
     name = Path(cache.manifest.scene).name
     folder = cache.folder.resolve()
     then = Path(os.path.normpath(folder / cache.manifest.scene_path)) if cache.manifest.scene_path else None

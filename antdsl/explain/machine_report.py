@@ -98,7 +98,7 @@ def _build_claim_result(world: World, population: Population, taken_change: Chan
 
 
 def _compute_claim_draw(world: World, population: Population, entry: ClaimEntry, row: int) -> float:
-    """Return the random draw, from 0 to 1, that sets the order in which the agent's claim is served."""
+    """Return the random number from 0 to 1 that orders the agent's claim among all claims."""
     ids = population.ids[row : row + 1]
     words = randomness.draw_four_words(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
     return float(words[0][0]) / float(np.uint64(1) << np.uint64(32))

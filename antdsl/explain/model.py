@@ -71,7 +71,7 @@ class TransitionReport:
 
 @dataclass(frozen=True, slots=True)
 class ClaimResult:
-    """A claim of an agent to an amount of an item or of a field.
+    """The result of one claim by the agent.
 
     `amount`: None means all. `draw`: a random number; claims with smaller draws are served first. `won`: whether the claim
     succeeded. For a field, `items` and `item` are the name of the field, and `attribute` may be empty."""

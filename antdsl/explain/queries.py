@@ -15,7 +15,7 @@ from antdsl.explain.replaying import Replay
 from antdsl.explain.state_timeline import read_state_timeline
 from antdsl.explain.step_report import explain_agents
 from antdsl.outputs.cache.cache_reader import Cache
-from antdsl.runtime.moving.scripted_walks import find_guided_agents
+from antdsl.runtime.moving.scripted_walks import find_scripted_agents
 
 
 def explain(
@@ -93,7 +93,7 @@ def _require_alive(
 
 
 def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
-    """Return a hint: which agents of the species a frame has, and which id is most like the given one."""
+    """Return a hint with the agents of a frame, and with the id most similar to the given one."""
     arrays = cache.frame(frame, frozenset(("id", "species")))
     ids = arrays["id"]
     if "species" in arrays:
@@ -110,7 +110,7 @@ def make_absence_error(replay: Replay, species: str, agent: int, frame: int) -> 
     world = replay.restore_step_start(frame)
     population = world.populations[species]
     row = int(population.find_rows(np.array([agent]))[0])
-    if row >= 0 and find_guided_agents(world, population)[row]:
+    if row >= 0 and find_scripted_agents(world, population)[row]:
         return ExplainError(f"{species} {agent} decides nothing: it follows the `walk` of its crowd line", "")
     if row >= 0:
         return ExplainError(

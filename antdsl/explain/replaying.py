@@ -16,7 +16,7 @@ from antdsl.passes.hoist import hoist_factors
 from antdsl.plan.ir import Plan, PlanNode
 from antdsl.plan.lowering.source_map import SourceNotes
 from antdsl.runtime import FaultStop, Population, World, state_hash, step
-from antdsl.runtime.moving.scripted_walks import find_guided_agents
+from antdsl.runtime.moving.scripted_walks import find_scripted_agents
 from antdsl.runtime.phases import PHASES
 from antdsl.scene.checks.scene_checks import resolve_layer_order
 
@@ -100,7 +100,7 @@ class Replay:
     def _read_trace(self, world: World, species: str, agent: int, read_trace: TraceReader[T]) -> T | None:
         population = world.populations[species]
         row = int(population.find_rows(np.array([agent]))[0])
-        if row < 0 or population.quarantined[row] or find_guided_agents(world, population)[row]:
+        if row < 0 or population.quarantined[row] or find_scripted_agents(world, population)[row]:
             return None
         return read_trace(
             world,

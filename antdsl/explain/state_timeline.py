@@ -42,7 +42,7 @@ def _find_state_name(states: Sequence[str], state: int) -> str:
 
 
 def _find_state(cache: Cache, frame: int, species: int, agent: int) -> int | None:
-    """Return the index of the agent's state in a frame: -1 where states are not stored, None where it does not live."""
+    """Return the agent's state index in a frame. Return -1 if states are not stored, and None if the agent is not alive."""
     arrays = cache.frame(frame, _FRAME_ARRAYS)
     if "id" not in arrays:
         return None

@@ -137,8 +137,7 @@ def _list_scene_notes(replay: Replay, world: World, population: Population, row:
 
 
 def _find_active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
-    """Return the code sites that run for this agent in this step: the bodies of its current states, their `enter` blocks after a
-    change, and the layers' `face` lines. If no current state steers, the default site is added."""
+    """Return the code sites that run for this agent in this step. If no current state steers, the default site is added."""
     sites = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
     sites += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
     sites.append(f"{species.name}.layers.face#")

@@ -118,7 +118,7 @@ def _format_transition_lines(transition: TransitionReport, hide_condition: bool)
 
 
 def _format_condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
-    """Yield a part and its inner parts; a part that only tests whether an equal part exists is replaced by that part."""
+    """Yield the lines of a condition and of its parts. Tests of existence are replaced by their subject."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
     if part.role in ("draw", "bar"):

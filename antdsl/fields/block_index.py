@@ -24,11 +24,11 @@ class BlockIndex:
     bisection_steps: int
 
     @staticmethod
-    def build(numbers: NDArray[np.int64], end: int) -> BlockIndex:
-        """Return the index of ascending `numbers`, each at least 0 and below `end`."""
-        shift = max(0, int(end // min(_MAX_BLOCKS, 4 * len(numbers) + 1)).bit_length())
-        start = np.zeros((end >> shift) + 2, np.int32)
-        np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
+    def build(ascending_numbers: NDArray[np.int64], end_number: int) -> BlockIndex:
+        """Return the index of ascending `ascending_numbers`, each at least 0 and below `end_number`."""
+        shift = max(0, int(end_number // min(_MAX_BLOCKS, 4 * len(ascending_numbers) + 1)).bit_length())
+        start = np.zeros((end_number >> shift) + 2, np.int32)
+        np.cumsum(np.bincount(ascending_numbers >> shift, minlength=len(start) - 1), out=start[1:])
         return BlockIndex(shift, start, int(np.diff(start).max(initial=0)).bit_length())
 
     def count_smaller(self, numbers: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -44,7 +44,7 @@ class BlockIndex:
         return low
 
 
-EMPTY_INDEX = BlockIndex(0, np.zeros(1, np.int32), 0)
+EMPTY_BLOCK_INDEX = BlockIndex(0, np.zeros(1, np.int32), 0)
 EMPTY_CELLS = np.empty(0, np.int32)
 
 

@@ -11,51 +11,51 @@ _PREFETCH_GROUP_SIZE = 64  # points with cells prefetched together
 
 
 @inlined
-def _find_voxel_along_axis(place: F64, cell: F64, low: I64, size: I64) -> I64:
-    """Return the index of the voxel at coordinate `place` (mm) along one axis of the box; -1 outside the box.
+def _find_voxel_along_axis(coordinate: F64, voxel_width: F64, lowest_voxel: I64, voxel_count: I64) -> I64:
+    """Return the index of the voxel at coordinate `coordinate` (mm) along one axis of the box; -1 outside the box.
 
-    `cell`: voxel width (mm). `low`, `size`: the lowest voxel of the box, and its number of voxels."""
-    step = np.floor(place / cell + 0.5) - np.float64(low)
-    if step >= 0.0 and step < np.float64(size):
+    `voxel_width`: voxel width (mm). `lowest_voxel`, `voxel_count`: the lowest voxel of the box, and its number of voxels."""
+    step = np.floor(coordinate / voxel_width + 0.5) - np.float64(lowest_voxel)
+    if step >= 0.0 and step < np.float64(voxel_count):
         return np.int64(step)
     return -1
 
 
 @inlined
-def _find_cell(
-    direct_table: Array1[I32], has_direct_table: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64
+def _find_cell_by_key(
+    direct_table: Array1[I32], has_direct_table: BOOL, keys: Array1[I64], block_shift: I64, block_starts: Array1[I32], key: I64
 ) -> I64:
-    """Return the cell with key `key`, -1 if there is none. The other arguments are fields of `CellIndex`."""
+    """Return the cell with key `key`, -1 if there is none. The other arguments are fields of `VoxelCellIndex`."""
     if has_direct_table:
         return np.int64(direct_table[key])
-    a = find_lower_bound(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
+    a = find_lower_bound(keys, key, np.int64(block_starts[key >> block_shift]), np.int64(block_starts[(key >> block_shift) + 1]))
     return a if a < keys.size and keys[a] == key else -1
 
 
-class CellIndex(NamedTuple):
+class VoxelCellIndex(NamedTuple):
     """The cells of a box of voxels, by key. A key is the number of a voxel and a side.
 
     `voxel_width`: voxel width (mm).
-    `low`, `size`: the lowest voxel of the box, and its number of voxels along each axis.
+    `lowest_voxel`, `voxels_per_axis`: the lowest voxel of the box, and its number of voxels along each axis.
     `direct_table`: the cell of every key; empty if the box is too large. Then `keys` is searched by bisection in one block.
     `keys`: the ascending keys of the cells.
-    `shift`: each block covers 2**shift keys.
-    `start` [blocks + 1]: the position of each block's first key in `keys`."""
+    `block_shift`: each block covers 2**shift keys.
+    `block_starts` [blocks + 1]: the position of each block's first key in `keys`."""
 
     voxel_width: F64
-    low: Array1[I64]
-    size: Array1[I64]
+    lowest_voxel: Array1[I64]
+    voxels_per_axis: Array1[I64]
     direct_table: Array1[I32]
     keys: Array1[I64]
-    shift: I64
-    start: Array1[I32]
+    block_shift: I64
+    block_starts: Array1[I32]
 
 
 @kernel
-def locate_cells(
+def update_cell_lookups(
     points: tuple[Array1[F64], Array1[F64], Array1[F64]],
-    side: Array1[I8],
-    index: CellIndex,
+    sides: Array1[I8],
+    index: VoxelCellIndex,
     previous_keys: Array1[I64],
     previous_cells: Array1[I32],
     cells: Array1[I32],
@@ -64,9 +64,9 @@ def locate_cells(
 ) -> I64:
     """Write the cell of each point from `begin` to before `end` to `cells` [n], -1 for none. Return how many points have no cell.
 
-    `points`: x, y, z [n] mm. `side` [n]: the side of the face under each point.
+    `points`: x, y, z [n] mm. `sides` [n]: the side of the face under each point.
     `previous_keys` [n]: the key of each point at the previous call, -1 outside the box; updated.
-    `previous_cells` [n]: the cell of each point at the previous call; updated."""
+    `lookup_state` [n]: the cell of each point at the previous call; updated."""
     cell, box, size, direct, keys, shift, start = index
     has_direct_table = direct.size > 0
     point_keys, is_changed, others = (
@@ -83,7 +83,7 @@ def locate_cells(
             z = _find_voxel_along_axis(points[2][n], cell, box[2], size[2])
             key = -1
             if x >= 0 and y >= 0 and z >= 0:
-                key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
+                key = ((x * size[1] + y) * size[2] + z) * 6 + sides[n]
             point_keys[n - low] = key
             is_changed[n - low] = 1 if key != previous_keys[n] or previous_cells[n] < 0 else 0
         count = 0
@@ -103,7 +103,7 @@ def locate_cells(
             n = others[k]
             key = point_keys[n - low]
             previous_keys[n] = key
-            previous_cells[n] = _find_cell(direct, has_direct_table, keys, shift, start, key) if key >= 0 else -1
+            previous_cells[n] = _find_cell_by_key(direct, has_direct_table, keys, shift, start, key) if key >= 0 else -1
             missing_count += 1 if previous_cells[n] < 0 else 0
         for n in simd_range(low, high):
             cells[n] = previous_cells[n]

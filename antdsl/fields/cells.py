@@ -14,23 +14,23 @@ from antdsl import limits
 from antdsl.casting.faces import find_nearest_on_triangle
 from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.rays import MeshArrays
-from antdsl.fields.block_index import EMPTY_CELLS, EMPTY_INDEX, BlockIndex, compute_group_ranks, sum_by_key
-from antdsl.fields.cell_lookup import CellIndex, locate_cells
+from antdsl.fields.block_index import EMPTY_BLOCK_INDEX, EMPTY_CELLS, BlockIndex, compute_group_ranks, sum_by_key
+from antdsl.fields.cell_lookup import VoxelCellIndex, update_cell_lookups
 from antdsl.ground.mesh.topology import find_facing_sides
 from antdsl.numerics import parallel, stored_tables
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
 
-NEAREST_CELLS = 16
+NEAREST_CELL_COUNT = 16
 _MAX_DENSE_VOXELS = 8_000_000  # maximum number of voxels of a box for a table of all voxels
 _MAX_VOXELS_PER_AXIS = 1 << 19  # three packed coordinates and a side fit into 63 bits
 _MAX_SLIVER_CELL_RATIO = 2.0  # factor of triangle cells above the limit: many slivers may lie in one cell
-BLOCK_OFFSETS = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
+VOXEL_BLOCK_OFFSETS = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
 _POINTS_PER_CHUNK = 1 << 15
 
 
-class FieldTooFine(ValueError):
+class FieldTooFineError(ValueError):
     """The error that a field would need more cells than `limits.MAX_FIELD_CELLS`, or (`is_axis_limit`) too many voxels along an
     axis. It is raised before anything is allocated."""
 
@@ -48,7 +48,7 @@ class CellLinks:
 
 
 class SurfaceCells:
-    """The cells that cover surfaces: each is a voxel that a surface touches, and a side.
+    """The cells of a field on surfaces. Each cell is a voxel that a surface touches, with one side of it.
 
     The side is the axis direction nearest to the surface's normal, so a thin plate has cells of two sides. Voxels have the edge
     length `cell` (mm), and their centres are on a lattice through the origin. Cells are numbered by position, then by side, for
@@ -67,13 +67,13 @@ class SurfaceCells:
         needed = float(area.sum() / 2 / self.cell**2)
         extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         if needed > cap:
-            raise FieldTooFine(int(needed), cap)
+            raise FieldTooFineError(int(needed), cap)
         voxels_along_axis = float(extent.max()) / self.cell
         if voxels_along_axis > _MAX_VOXELS_PER_AXIS:
-            raise FieldTooFine(int(voxels_along_axis), _MAX_VOXELS_PER_AXIS, is_axis_limit=True)
+            raise FieldTooFineError(int(voxels_along_axis), _MAX_VOXELS_PER_AXIS, is_axis_limit=True)
         touched_count = float((corners.max(axis=1) - corners.min(axis=1)).max(axis=1).sum()) / self.cell
         if touched_count > _MAX_SLIVER_CELL_RATIO * cap:
-            raise FieldTooFine(int(touched_count), cap)
+            raise FieldTooFineError(int(touched_count), cap)
         scaled = corners / self.cell + 0.5
         self._low = np.floor(scaled.min(axis=(0, 1))).astype(np.int64) if len(corners) else np.zeros(3, np.int64)
         self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)
@@ -81,7 +81,7 @@ class SurfaceCells:
         work = partial(self._build_cell_tables, corners, scaled, normal, cap)
         tables = stored_tables.get_or_compute("surface cells", len(corners), (corners, self.cell), work)
         if len(tables["keys"]) > cap:
-            raise FieldTooFine(len(tables["keys"]), cap)
+            raise FieldTooFineError(len(tables["keys"]), cap)
         self._keys: NDArray[np.int64] = tables["keys"]
         self.position: Floats = tables["position"]
         self.normal: Floats = tables["normal"]
@@ -89,10 +89,10 @@ class SurfaceCells:
         self._start_table = self._build_start_table()
         self._tables: dict[int, Cells] = {}
 
-    def _build_cell_tables(self, corners: Floats, scaled_corners: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
+    def _build_cell_tables(self, corners: Floats, scaled_corners: Floats, normal: Floats, max_cells: int) -> stored_tables.Tables:
         """Return the arrays `keys`, `position` and `normal` of all cells of triangles with the given `corners` and normals.
 
-        `scaled_corners`: the corners in units of voxels. `cap`: the number of cells above which FieldTooFine is raised."""
+        `scaled_corners`: the corners in units of voxels. `max_cells`: the number of cells above which FieldTooFine is raised."""
         side = find_facing_sides(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
@@ -104,8 +104,8 @@ class SurfaceCells:
             if sum(len(k) for k, _ in waiting) > max(1 << 20, len(keys)):
                 keys, sums = sum_by_key(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
                 waiting.clear()
-                if len(keys) > cap:
-                    raise FieldTooFine(len(keys), cap)
+                if len(keys) > max_cells:
+                    raise FieldTooFineError(len(keys), max_cells)
         keys, sums = sum_by_key(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
         length = np.sqrt((sums[:, 3:6] ** 2).sum(axis=1))[:, None]
         return {"keys": keys, "position": sums[:, :3] / sums[:, 6:], "normal": sums[:, 3:6] / np.maximum(length, 1e-300)}
@@ -114,7 +114,7 @@ class SurfaceCells:
         return len(self._keys)
 
     @property
-    def sides(self) -> NDArray[np.int64]:
+    def side_by_cell(self) -> NDArray[np.int64]:
         """Return the side of each cell: the number of the axis direction that it faces, as from `find_facing_sides`."""
         return self._keys % 6
 
@@ -161,21 +161,17 @@ class SurfaceCells:
         -1. `normals` [n,3]: the normal of the face under each point, also if an agent walks on its back."""
         return self.find_cells_by_side(points, find_facing_sides(np.asarray(normals).reshape(-1, 3)))
 
-    def find_cells_by_side(self, points: Floats, side: NDArray[np.int8]) -> Cells:
+    def find_cells_by_side(self, points: Floats, sides: NDArray[np.int8]) -> Cells:
         """Return cells as `find_cells` does, for faces with sides int8[n] as numbered by `find_facing_sides`."""
-        return self.update_cells(points, side, None)[0]
+        return self.update_cells(points, sides, None)[0]
 
     def update_cells(
-        self,
-        points: Floats,
-        side: NDArray[np.int8],
-        previous_cells: CellLookupState | None,
-        result: Cells | None = None,
-        threads: int = 1,
-    ) -> tuple[Cells, CellLookupState | None]:
+        self, points: Floats, sides: NDArray[np.int8], lookup_state: CellLookupState | None, result: Cells | None = None,
+        threads: int = 1
+    ) -> tuple[Cells, CellLookupState | None]:  # fmt: skip
         """Return cells as `find_cells_by_side` does, and the state for the next call; None if a kernel cannot search the keys.
         Only points with a changed voxel or side are searched. `result`: int32[n], an array for the cells.
-        `previous_cells`: the state that the previous call returned for the same number of points."""
+        `lookup_state`: the state that the previous call returned for the same number of points."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         cell = np.empty(len(points), np.int32) if result is None or len(result) != len(points) else result
         if not len(self):
@@ -183,15 +179,15 @@ class SurfaceCells:
             return cell, None
         state = None
         if self._has_kernel_lookup:
-            missing, state = self._locate_cells(points, side, previous_cells, cell, threads)
+            missing, state = self._locate_cells(points, sides, lookup_state, cell, threads)
         else:
-            missing = self._search_cells(points, side, cell)
+            missing = self._search_all_cells(points, sides, cell)
         if missing:
             missing_points = np.flatnonzero(cell < 0)
             missing_points = missing_points[np.isfinite(points[missing_points]).all(axis=1)]
             bounded = np.clip(points[missing_points] / self.cell + 0.5, -1e15, 1e15)
             voxel = np.floor(bounded).astype(np.int64) - self._low
-            cell[missing_points] = self._find_nearby_cells(points[missing_points], voxel, side[missing_points].astype(np.int64))
+            cell[missing_points] = self._find_nearby_cells(points[missing_points], voxel, sides[missing_points].astype(np.int64))
         return cell, state
 
     def _locate_cells(
@@ -202,13 +198,15 @@ class SurfaceCells:
         state = previous_cells
         if state is None or state.surface_cells is not self or len(state.keys) != len(points):
             state = CellLookupState(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
-        index, direct = (self._block_index, EMPTY_CELLS) if self._direct_table is None else (EMPTY_INDEX, self._direct_table)
-        keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.block_starts)
+        index, direct = (
+            (self._block_index, EMPTY_CELLS) if self._direct_table is None else (EMPTY_BLOCK_INDEX, self._direct_table)
+        )
+        keys = VoxelCellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.block_starts)
         columns = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
-        work = partial(locate_cells, columns, side, keys, state.keys, state.cells, cell)
+        work = partial(update_cell_lookups, columns, side, keys, state.keys, state.cells, cell)
         return sum(parallel.run_in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), state
 
-    def _search_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
+    def _search_all_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
         """Do the same without a kernel, for keys that are not ascending. Return the number of points without a cell."""
         key = np.empty(len(points), np.int64)
         is_in_box = np.empty(len(points), np.bool_)
@@ -266,16 +264,16 @@ class SurfaceCells:
         table[self._keys] = np.arange(len(self), dtype=np.int32)
         return table
 
-    def get_sides(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
+    def get_sides_of_cells(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
         """Return the sides of the given cells, numbered as by `find_facing_sides`."""
         return self._keys.take(cell) % 6
 
     def _find_nearby_cells(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
         best, distance = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
-        for offset in BLOCK_OFFSETS:
+        for offset in VOXEL_BLOCK_OFFSETS:
             for candidate, has_cell in self._iterate_voxel_cells(voxel + np.array(offset)):
                 gap = (self.compute_offsets(self.position[candidate], points) ** 2).sum(axis=1)
-                is_closer = has_cell & are_sides_compatible(self.get_sides(candidate), side) & (gap < distance)
+                is_closer = has_cell & are_sides_compatible(self.get_sides_of_cells(candidate), side) & (gap < distance)
                 best, distance = np.where(is_closer, candidate, best), np.where(is_closer, gap, distance)
         return best
 
@@ -300,7 +298,9 @@ class SurfaceCells:
         first, count = np.stack(firsts, axis=1).ravel(), np.stack(counts, axis=1)
         one, flat = np.repeat(np.arange(len(cells)), count.sum(axis=1)), count.ravel()
         other = np.arange(one.size) + np.repeat(first - (np.cumsum(flat) - flat), flat)
-        compatible_pairs = np.flatnonzero(are_sides_compatible(self.get_sides(other), self.get_sides(cells).take(one)))
+        compatible_pairs = np.flatnonzero(
+            are_sides_compatible(self.get_sides_of_cells(other), self.get_sides_of_cells(cells).take(one))
+        )
         return one.take(compatible_pairs), other.take(compatible_pairs)
 
     def _count_earlier_cells(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -344,7 +344,7 @@ class SurfaceCells:
     @property
     def nearest_block_cells(self) -> Cells:
         """Return the 16 nearest cells of each cell, as `get_nearest_cells` does: int32[n,16]."""
-        return self.get_nearest_cells(NEAREST_CELLS)
+        return self.get_nearest_cells(NEAREST_CELL_COUNT)
 
     def compute_offsets(self, first: Floats, second: Floats) -> Floats:
         """Return the vectors [n,3] from points `second` to points `first`."""

@@ -21,11 +21,11 @@ _MIN_CELL_EXTENT = 1e-12  # smallest cell, as a share of the extent
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_WELD_DISTANCE = 1e-7  # share of the extent; nearer points are merged
-_MAX_CUTS_PER_EDGE = 1024  # maximum number of pieces along an edge
+_WELD_DISTANCE_SHARE = 1e-7  # share of the extent; nearer points are merged
+_MAX_PIECES_PER_EDGE = 1024  # maximum number of pieces along an edge
 
 
-class LatticeTooFine(ValueError):
+class LatticeTooFineError(ValueError):
     """The error that a lattice would need more points than allowed. `needed`: the approximate number of points."""
 
     def __init__(self, needed_count: int) -> None:
@@ -33,17 +33,17 @@ class LatticeTooFine(ValueError):
         self.needed = needed_count
 
 
-def count_slots(cuts: Index) -> int:
-    """Return the number of points in each face that has `cuts` pieces along an edge."""
-    return int(((cuts + 1) * (cuts + 2) // 2).sum())
+def count_slots(edge_pieces: Index) -> int:
+    """Return the number of points in each face that has `edge_pieces` pieces along an edge."""
+    return int(((edge_pieces + 1) * (edge_pieces + 2) // 2).sum())
 
 
-def count_cuts(edge_lengths: Floats, cell: float | Floats) -> Index:
+def count_edge_pieces_by_length(edge_lengths: Floats, cell: float | Floats) -> Index:
     """Return into how many pieces each edge is divided, so that a piece is at most `cell` (mm) long.
 
     The counts are powers of two; 1 if `cell` is infinite. `edge_lengths`: in mm."""
     with np.errstate(divide="ignore"):
-        pieces = np.clip(edge_lengths / cell, 1.0, _MAX_CUTS_PER_EDGE)
+        pieces = np.clip(edge_lengths / cell, 1.0, _MAX_PIECES_PER_EDGE)
     cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
     return cuts
 
@@ -52,27 +52,27 @@ def count_cuts(edge_lengths: Floats, cell: float | Floats) -> Index:
 class FaceLattice:
     """A lattice of points on faces, called slots. Each face is divided into equal triangles, with slots at their corners.
 
-    `cuts`: the number n of pieces along an edge of each face, which has (n + 1)(n + 2) / 2 slots.
+    `edge_pieces`: the number n of pieces along an edge of each face, which has (n + 1)(n + 2) / 2 slots.
     `first_slots`: the first slot of each face. Slots follow each other in rows towards the face's second corner. Rows follow each
     other towards its third corner."""
 
-    cuts: Index
+    edge_pieces: Index
     first_slots: Index
 
     @staticmethod
-    def from_cuts(cuts: Index) -> FaceLattice:
-        """Return the lattice with `cuts` pieces along an edge of each face."""
-        sizes = (cuts + 1) * (cuts + 2) // 2
-        return FaceLattice(cuts, np.concatenate(([0], np.cumsum(sizes)))[:-1])
+    def from_edge_pieces(edge_pieces: Index) -> FaceLattice:
+        """Return the lattice with `edge_pieces` pieces along an edge of each face."""
+        sizes = (edge_pieces + 1) * (edge_pieces + 2) // 2
+        return FaceLattice(edge_pieces, np.concatenate(([0], np.cumsum(sizes)))[:-1])
 
     def __len__(self) -> int:
-        return count_slots(self.cuts)
+        return count_slots(self.edge_pieces)
 
-    def locate(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
+    def find_slots(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
         """Return the three slots around each position in a face (3, n), and the weight of each slot (3, n).
 
         `face`, `b1`, `b2` (n): the faces, and the barycentric weights of their second and third corners."""
-        n, start = self.cuts.take(face), self.first_slots.take(face)
+        n, start = self.edge_pieces.take(face), self.first_slots.take(face)
         u, v = b1 * n, b2 * n
         j = np.clip(v.astype(np.int64), 0, n - 1)
         i = np.clip(u.astype(np.int64), 0, n - 1 - j)
@@ -84,14 +84,14 @@ class FaceLattice:
         weights = np.stack([np.where(upper, u + v - 1, 1 - u - v), np.where(upper, 1 - v, u), np.where(upper, 1 - u, v)])
         return slots, weights
 
-    def faces(self) -> Index:
+    def get_face_by_slot(self) -> Index:
         """Return the face of each slot."""
-        return np.repeat(np.arange(len(self.cuts)), (self.cuts + 1) * (self.cuts + 2) // 2)
+        return np.repeat(np.arange(len(self.edge_pieces)), (self.edge_pieces + 1) * (self.edge_pieces + 2) // 2)
 
     def compute_slot_weights(self) -> tuple[Floats, Floats]:
         """Return the barycentric weights of the face's second and third corner, for each slot."""
         b1, b2 = np.empty(len(self)), np.empty(len(self))
-        for n, chosen, i, j in self._group_by_cuts():
+        for n, chosen, i, j in self._group_by_edge_pieces():
             slots = self.first_slots[chosen][:, None] + np.arange(len(i))
             b1[slots], b2[slots] = i / n, j / n
         return b1, b2
@@ -99,7 +99,7 @@ class FaceLattice:
     def compute_triangles(self) -> tuple[Index, Index]:
         """Return the triangles between slots: their corners as slots (t, 3), wound like their face, and their faces (t,)."""
         parts, owners = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
-        for n, chosen, i, j in self._group_by_cuts():
+        for n, chosen, i, j in self._group_by_edge_pieces():
             slots = np.arange(len(i))
             low = slots[i + j < n]
             high = slots[i + j < n - 1]
@@ -111,30 +111,30 @@ class FaceLattice:
             owners.append(np.repeat(chosen, len(small)))
         return np.concatenate(parts), np.concatenate(owners)
 
-    def _group_by_cuts(self) -> list[tuple[int, Index, Index, Index]]:
+    def _group_by_edge_pieces(self) -> list[tuple[int, Index, Index, Index]]:
         """Return one tuple for each number of cuts that occurs, with four values.
 
         They are the number of cuts, the faces with that number, and the columns and the rows of such a face's slots."""
         groups = []
-        for n in np.unique(self.cuts).tolist():
+        for n in np.unique(self.edge_pieces).tolist():
             j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))
             i = np.arange(len(j)) - np.repeat(np.cumsum([0, *range(n + 1, 1, -1)]), np.arange(n + 1, 0, -1))
-            groups.append((n, np.flatnonzero(self.cuts == n), i, j))
+            groups.append((n, np.flatnonzero(self.edge_pieces == n), i, j))
         return groups
 
 
-def weld_points(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
+def weld_points(positions: Floats, surface_numbers: NDArray[np.integer]) -> tuple[Index, int]:
     """Return the number of each position's point, and the number of points.
 
     Equal positions (n, 3) with the same owner are one point."""
     if not len(positions):
         return np.empty(0, np.int64), 0
     low = positions.min(axis=0)
-    grain = max(float((positions.max(axis=0) - low).max()) * _WELD_DISTANCE, 1e-300)
+    grain = max(float((positions.max(axis=0) - low).max()) * _WELD_DISTANCE_SHARE, 1e-300)
     # an odd offset, so that round coordinates are not near the border of a cell
     keys = np.floor((positions - low) / grain + 0.318).astype(np.int64)
-    order = np.lexsort((keys[:, 2], keys[:, 1], keys[:, 0], owner))
-    rows = np.column_stack([owner, keys])[order]
+    order = np.lexsort((keys[:, 2], keys[:, 1], keys[:, 0], surface_numbers))
+    rows = np.column_stack([surface_numbers, keys])[order]
     fresh = np.concatenate(([0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1))))
     point = np.empty(len(positions), np.int64)
     point[order] = fresh
@@ -153,7 +153,7 @@ def choose_cell_size(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, ext
     return min(cell_size, flow.clearance / 2) if flow.clearance else cell_size
 
 
-def count_edge_pieces(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, edge_lengths: Floats, extent: float) -> Index:
+def choose_edge_pieces(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, edge_lengths: Floats, extent: float) -> Index:
     """Return into how many pieces the edges of each face are divided.
 
     `edge_lengths` (n): the longest edge (mm) of each face, 0 where the flow is not needed. `extent`: the size (mm) of the ground.
@@ -161,10 +161,10 @@ def count_edge_pieces(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, ed
     sets is too small."""
     cell = choose_cell_size(flow, extent)
     while True:
-        cuts = count_cuts(edge_lengths, cell)
+        cuts = count_edge_pieces_by_length(edge_lengths, cell)
         points = count_slots(cuts)
         if flow.cell is not None and points > limits.MAX_FLOW_POINTS:
-            raise LatticeTooFine(points)
+            raise LatticeTooFineError(points)
         if flow.cell is not None or points <= max(_MAX_DEFAULT_POINTS, 3 * len(edge_lengths)):
             return cuts
         cell = max(1.3 * cell, extent * _MIN_CELL_EXTENT)  # a radius near 0 gives a cell size of 0

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
 VectorColumns = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-VectorSource = Callable[[Floats], Floats]  # vectors (n, 3) at positions (n, 3), not projected onto a surface
+VectorFunction = Callable[[Floats], Floats]  # vectors (n, 3) at positions (n, 3), not projected onto a surface
 
 _CURVE_SPACING_MM = 1.0  # mm, as for curves in nearest-point queries
 _MIN_FACE_COSINE = 0.5  # cosine of the angle to the face; below it, a projected vector loses length
@@ -47,17 +47,17 @@ def project_across_up(v: Floats, up: Floats) -> Floats:
     return down
 
 
-def compute_falloff(distance: Floats, radius: float | None, kind: str) -> Floats:
+def compute_falloff(distance: Floats, radius: float | None, falloff_kind: str) -> Floats:
     """Return the strength of a flow at a distance (mm) from its source: 1 at the source, and 0 beyond `radius` (mm).
 
-    The strength is 1 everywhere if `radius` is None. `kind`: how it decreases up to `radius`: `none`, `linear`, or any other
-    word for a smooth decrease."""
+    The strength is 1 everywhere if `radius` is None. `falloff_kind`: how it decreases up to `radius`: `none`, `linear`, or any
+    other word for a smooth decrease."""
     if radius is None:
         return np.ones_like(distance)
     t = np.minimum(distance / radius, 1.0)
-    if kind == "none":
+    if falloff_kind == "none":
         return (distance <= radius).astype(np.float64)
-    strength: Floats = 1 - t if kind == "linear" else 1 - t * t * (3 - 2 * t)
+    strength: Floats = 1 - t if falloff_kind == "linear" else 1 - t * t * (3 - 2 * t)
     return strength
 
 
@@ -65,22 +65,25 @@ def compute_falloff(distance: Floats, radius: float | None, kind: str) -> Floats
 class SurfaceFlow:
     """A flow along the ground's faces, with a vector at each slot of a lattice.
 
-    `c`, `s`: the vectors' components along the first and the second axis of the face.
-    `source`: evaluates the flow at any position, for agents on ground without faces. If it is None, the flow is zero there.
-    `updater`: a function that updates the flow after things have moved."""
+    `axis1_components`, `axis2_components`: the vectors' components along the first and the second axis of the face.
+    `compute_vectors`: evaluates the flow at any position, for agents on ground without faces. If it is None, the flow is zero
+    there.
+    `update_after_motion`: a function that updates the flow after things have moved."""
 
     lattice: FaceLattice
-    c: Floats
-    s: Floats
-    source: VectorSource | None = None
-    updater: Callable[[World], None] | None = None
+    axis1_components: Floats
+    axis2_components: Floats
+    compute_vectors: VectorFunction | None = None
+    update_after_motion: Callable[[World], None] | None = None
 
     def sample_on_faces(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
         """Return the flow's components along the first and the second axis of the face, at points on faces.
 
         `face`, `b1`, `b2`: the face of each point, and the barycentric weights of its second and third corner."""
-        slots, weights = self.lattice.locate(face, b1, b2)
-        return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
+        slots, weights = self.lattice.find_slots(face, b1, b2)
+        return (self.axis1_components.take(slots) * weights).sum(axis=0), (self.axis2_components.take(slots) * weights).sum(
+            axis=0
+        )
 
     def sample(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> VectorColumns:
         """Return the flow at the agents' positions, as float32 x, y, z.
@@ -93,8 +96,8 @@ class SurfaceFlow:
             vectors = meshes.to_world_vectors(face, *self.sample_on_faces(face, footing.b1, footing.b2))
         if not is_on_mesh.all():
             vectors[:, ~is_on_mesh] = 0.0
-            if self.source is not None:
-                vectors[:, ~is_on_mesh] = project_across_up(self.source(place[~is_on_mesh]), up[~is_on_mesh]).T
+            if self.compute_vectors is not None:
+                vectors[:, ~is_on_mesh] = project_across_up(self.compute_vectors(place[~is_on_mesh]), up[~is_on_mesh]).T
         return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
     def has_flow_at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
@@ -106,30 +109,31 @@ class SurfaceFlow:
     def set_displayed_state(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Make `state` return `arrays` without a change of the flow. This is for a copy that is only displayed."""
 
-    def begin(self, world: World) -> None:
+    def update_for_step(self, world: World) -> None:
         """Update the flow before a step. Does nothing for a flow that is computed only once."""
-        if self.updater is not None:
-            self.updater(world)
+        if self.update_after_motion is not None:
+            self.update_after_motion(world)
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def get_state(self) -> dict[str, NDArray[Any]]:
         """Return the arrays, by name, that a continued run needs. The result is empty if the frame alone determines the flow."""
         return {}
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore_state(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Restore the state that `state` returned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaintedMap:
-    """Painted numbers on the ground. `corners` (3, faces): the number at each corner of each face, 0 on unpainted surfaces."""
+    """Painted numbers on the ground. `corner_values` (3, faces): the number at each corner of each face, 0 on unpainted
+    surfaces."""
 
-    corners: Floats
+    corner_values: Floats
 
     def sample(self, meshes: MeshSurfaces, footing: Footing) -> NDArray[np.float32]:
         """Return the numbers at the agents' footings, float32[n]; 0 for agents that stand on no face. `meshes`: as in
         `SurfaceFlow.sample`."""
         face, is_on_mesh = meshes.get_face_numbers(footing)
-        a, b, c = (corner.take(face) for corner in self.corners)
+        a, b, c = (corner.take(face) for corner in self.corner_values)
         return np.where(is_on_mesh, a * (1 - footing.b1 - footing.b2) + b * footing.b1 + c * footing.b2, 0.0).astype(np.float32)
 
 
@@ -151,7 +155,7 @@ def find_nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Float
     return distance, target.positions[nearest], np.zeros_like(positions)
 
 
-def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorSource:
+def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorFunction:
     """Return a function that evaluates a flow around a target: it returns vectors (n, 3) for positions (n, 3).
 
     The target is in the world's axes and relative to the world's origin."""

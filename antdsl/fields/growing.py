@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.casting.rays import MeshArrays
 from antdsl.fields.block_index import sum_by_key
-from antdsl.fields.cells import BLOCK_OFFSETS, Cells, Floats, SurfaceCells, are_sides_compatible
+from antdsl.fields.cells import VOXEL_BLOCK_OFFSETS, Cells, Floats, SurfaceCells, are_sides_compatible
 from antdsl.ground.mesh.topology import find_facing_sides
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, allocate_scratch, inlined, kernel
 
@@ -23,7 +23,7 @@ VoxelKeysAndCells = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
 class GrowingCells(SurfaceCells):
-    """`SurfaceCells` that can `grow_surface`. A cell never changes its number.
+    """`SurfaceCells` that can `add_cells_at_points`. A cell never changes its number.
 
     The initial cells come first, ordered by position, then side. Added cells follow, step by step. Unused reserve cells come
     last; no query returns them."""
@@ -41,15 +41,15 @@ class GrowingCells(SurfaceCells):
         new = slice(self.initial_count, self.used_count)
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
-    def grow_surface(self, points: Floats, normals: Floats) -> NDArray[np.int64]:
+    def add_cells_at_points(self, positions: Floats, normals: Floats) -> NDArray[np.int64]:
         """Add cells for points [n,3] of new surface with unit normals [n,3], where no cell exists yet. Return the numbers of the
         new cells."""
-        voxel = np.floor(points / self.cell + 0.5).astype(np.int64) - self._low
+        voxel = np.floor(positions / self.cell + 0.5).astype(np.int64) - self._low
         is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
-        points, normals, voxel = points[is_in_box], normals[is_in_box], voxel[is_in_box]
+        positions, normals, voxel = positions[is_in_box], normals[is_in_box], voxel[is_in_box]
         key = self._pack_keys(voxel, find_facing_sides(normals))
         fresh = self._find_cells_by_key(key, np.ones(len(key), np.bool_)) < 0
-        keys, sums = sum_by_key(key[fresh], np.column_stack([points[fresh], normals[fresh], np.ones(int(fresh.sum()))]))
+        keys, sums = sum_by_key(key[fresh], np.column_stack([positions[fresh], normals[fresh], np.ones(int(fresh.sum()))]))
         normal = sums[:, 3:6] / np.maximum(np.sqrt((sums[:, 3:6] ** 2).sum(axis=1)), 1e-300)[:, None]
         return self.add_cells(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
 
@@ -58,7 +58,7 @@ class GrowingCells(SurfaceCells):
         count = min(len(keys), max(self._cap - self.used_count, 0))
         if not count:
             return np.empty(0, np.int64)
-        self._grow_capacity(self.used_count + count)
+        self._reserve_capacity(self.used_count + count)
         new = np.arange(self.used_count, self.used_count + count)
         self.used_count += count
         self._keys[new], self.position[new], self.normal[new] = keys[:count], positions[:count, :3], positions[:count, 3:]
@@ -86,7 +86,7 @@ class GrowingCells(SurfaceCells):
         fill_nearby_cells(self._direct_table, self._size, self.position, points, voxel, side, best)
         return best
 
-    def _grow_capacity(self, needed_count: int) -> None:
+    def _reserve_capacity(self, needed_count: int) -> None:
         """Extend the arrays so that they have space for `needed_count` cells."""
         if needed_count <= len(self):
             return
@@ -123,7 +123,7 @@ class GrowingCells(SurfaceCells):
         voxel = np.stack(
             [numbers // (self._size[1] * self._size[2]), numbers // self._size[2] % self._size[1], numbers % self._size[2]]
         )
-        block = [offset for offset in BLOCK_OFFSETS if abs(offset[2]) <= column(*offset[:2])]
+        block = [offset for offset in VOXEL_BLOCK_OFFSETS if abs(offset[2]) <= column(*offset[:2])]
         neighbour_voxels = voxel[:, None, :] + np.array(block).T[:, :, None]
         inbound: NDArray[np.bool_] = (neighbour_voxels >= 0) & (neighbour_voxels < self._size[:, None, None])
         is_in_box: NDArray[np.bool_] = np.logical_and.reduce(inbound, axis=0)
@@ -136,7 +136,7 @@ class GrowingCells(SurfaceCells):
         keys = key[:, None, :] + np.arange(6)[None, :, None]
         inside = np.repeat(is_in_box[:, None, :], 6, axis=1)
         near_cells = self._find_cells_by_key(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
-        near = are_sides_compatible(self.get_sides(np.maximum(near_cells, 0)), self.get_sides(cells))
+        near = are_sides_compatible(self.get_sides_of_cells(np.maximum(near_cells, 0)), self.get_sides_of_cells(cells))
         other = np.sort(np.where(near, near_cells, -1).astype(np.int64), axis=0).T
         rows, columns = np.nonzero(other >= 0)
         return rows, other[rows, columns]

@@ -21,12 +21,12 @@ _CONVERGENCE_TOLERANCE = 0.01  # share of the median edge length; smaller change
 class WalkableSurface:
     """The surface on which paths are computed: `triangles` (t, 3) between `points` (n, 3; mm).
 
-    `is_open` (t,): whether a path can cross each triangle.
+    `is_walkable` (t,): whether a path can cross each triangle.
     `point_links` (k, 2): adjacent points of different surfaces."""
 
     points: Floats
     triangles: Index
-    is_open: Flags
+    is_walkable: Flags
     point_links: Index
 
 
@@ -42,12 +42,12 @@ def compute_path_costs(surface: WalkableSurface, cost: Floats, start: Index, sta
     Sethian, Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432). For obtuse corners, the bound along edges replaces
     their update."""
     bound = _compute_edge_costs(surface, cost, start, start_costs)
-    halves = _make_corner_edges(surface, cost)
+    halves = _make_opposite_edges(surface, cost)
     tolerance = _CONVERGENCE_TOLERANCE * float(np.median(halves.length)) if len(halves.length) else 0.0
     for _ in range(_MAX_PASSES):
         previous_bound = bound.copy()
-        _straighten_costs(bound, halves)
-        _relax_links(surface, cost, bound)
+        _lower_costs_across_triangles(bound, halves)
+        _lower_costs_along_links(surface, cost, bound)
         is_reachable = np.isfinite(bound)
         if (previous_bound[is_reachable] - bound[is_reachable]).max(initial=0.0) <= tolerance:
             break
@@ -59,7 +59,7 @@ def compute_directions(surface: WalkableSurface, path_costs: Floats) -> Floats:
 
     It is zero at the goal and where there is no path."""
     corners, values = surface.points[surface.triangles], path_costs[surface.triangles]
-    is_usable = surface.is_open & np.isfinite(values).all(axis=1)
+    is_usable = surface.is_walkable & np.isfinite(values).all(axis=1)
     corners, values, triangles = corners[is_usable], values[is_usable], surface.triangles[is_usable]
     area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice = np.sqrt((area_vectors * area_vectors).sum(axis=1))
@@ -90,10 +90,10 @@ def _compute_edge_costs(surface: WalkableSurface, cost: Floats, start: Index, st
     from scipy.sparse.csgraph import dijkstra
 
     n = len(surface.points)
-    sides = surface.triangles[surface.is_open]
+    sides = surface.triangles[surface.is_walkable]
     a = np.concatenate([sides[:, k] for k in range(3)])
     b = np.concatenate([sides[:, (k + 1) % 3] for k in range(3)])
-    price = np.tile(cost[surface.is_open], 3)
+    price = np.tile(cost[surface.is_walkable], 3)
     low, high = np.minimum(a, b), np.maximum(a, b)
     order = np.lexsort((price, high, low))
     low, high, price = low[order], high[order], price[order]
@@ -116,23 +116,23 @@ def _compute_edge_costs(surface: WalkableSurface, cost: Floats, start: Index, st
 def _compute_link_costs(surface: WalkableSurface, cost: Floats) -> Floats:
     """Return the cost of each link: its length times the median cost per mm of open triangles."""
     step = surface.points[surface.point_links[:, 1]] - surface.points[surface.point_links[:, 0]]
-    usual = float(np.median(cost[surface.is_open])) if surface.is_open.any() else 1.0
+    usual = float(np.median(cost[surface.is_walkable])) if surface.is_walkable.any() else 1.0
     price: Floats = np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual
     return price
 
 
-def _relax_links(surface: WalkableSurface, cost: Floats, bound: Floats) -> None:
-    """Lower `bound` in place: at each end of a link to at most the bound at the other end plus the link's cost."""
+def _lower_costs_along_links(surface: WalkableSurface, cost: Floats, costs: Floats) -> None:
+    """Lower `costs` in place: at each end of a link to at most the bound at the other end plus the link's cost."""
     price = _compute_link_costs(surface, cost)
     for a, b in ((0, 1), (1, 0)):
-        np.minimum.at(bound, surface.point_links[:, b], bound[surface.point_links[:, a]] + price)
+        np.minimum.at(costs, surface.point_links[:, b], costs[surface.point_links[:, a]] + price)
 
 
 # --- across triangles ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _CornerEdges:
+class _OppositeEdges:
     """The corners of all open triangles, each with the opposite edge of its triangle.
 
     `corner_point`: the point at the corner. `edge_start`, `edge_end`: the points at the ends of the opposite edge.
@@ -149,50 +149,52 @@ class _CornerEdges:
     height: Floats
     cost: Floats
 
-    def take_rows(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _CornerEdges:
+    def select_rows(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _OppositeEdges:
         """Return the entries `rows`."""
         ends = self.corner_point[rows], self.edge_start[rows], self.edge_end[rows]
-        return _CornerEdges(*ends, self.length[rows], self.perpendicular_foot[rows], self.height[rows], self.cost[rows])
+        return _OppositeEdges(*ends, self.length[rows], self.perpendicular_foot[rows], self.height[rows], self.cost[rows])
 
 
-def _make_corner_edges(surface: WalkableSurface, cost: Floats) -> _CornerEdges:
+def _make_opposite_edges(surface: WalkableSurface, cost: Floats) -> _OppositeEdges:
     """Return the corners and opposite edges of all open triangles that have an area. `cost` (t,): per mm in each triangle."""
-    t = surface.triangles[surface.is_open]
+    t = surface.triangles[surface.is_walkable]
     corner_point, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
     edge, side = surface.points[two] - surface.points[one], surface.points[corner_point] - surface.points[one]
     length = np.sqrt((edge * edge).sum(axis=1))
     foot = (edge * side).sum(axis=1) / np.where(length > 0, length, 1.0)
     height = np.sqrt(np.maximum((side * side).sum(axis=1) - foot * foot, 0.0))
     has_area = (length > 0) & (height > 0)
-    return _CornerEdges(corner_point, one, two, length, foot, height, np.tile(cost[surface.is_open], 3)).take_rows(has_area)
+    return _OppositeEdges(corner_point, one, two, length, foot, height, np.tile(cost[surface.is_walkable], 3)).select_rows(
+        has_area
+    )
 
 
-def _straighten_costs(bound: Floats, edges: _CornerEdges) -> None:
-    """Lower `bound` in place where a straight path across a triangle is cheaper, in bands of points of ascending cost."""
-    is_reachable = np.isfinite(bound)
-    rank = np.empty(len(bound), np.int64)
-    rank[np.argsort(bound, kind="stable")] = np.arange(len(bound))
+def _lower_costs_across_triangles(costs: Floats, edges: _OppositeEdges) -> None:
+    """Lower `costs` in place where a straight path across a triangle is cheaper, in bands of points of ascending cost."""
+    is_reachable = np.isfinite(costs)
+    rank = np.empty(len(costs), np.int64)
+    rank[np.argsort(costs, kind="stable")] = np.arange(len(costs))
     bands = max(1, int(2 * np.sqrt(is_reachable.sum())))
     band = rank * bands // max(1, int(is_reachable.sum()))
     usable = np.flatnonzero(is_reachable[edges.corner_point] & is_reachable[edges.edge_start] & is_reachable[edges.edge_end])
     usable = usable[np.lexsort((usable, edges.corner_point[usable], band[edges.corner_point[usable]]))]
-    ordered = edges.take_rows(usable)
+    ordered = edges.select_rows(usable)
     ends = np.searchsorted(band[ordered.corner_point], np.arange(bands + 1))
     for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         if first < last:
-            part = ordered.take_rows(slice(first, last))
+            part = ordered.select_rows(slice(first, last))
             begin = np.flatnonzero(np.concatenate(([True], part.corner_point[1:] != part.corner_point[:-1])))
             points = part.corner_point[begin]
             for _ in range(_MAX_BAND_ITERATIONS):
-                lower = np.minimum(bound[points], np.minimum.reduceat(_compute_corner_costs(bound, part), begin))
-                if np.array_equal(lower, bound[points]):
+                lower = np.minimum(costs[points], np.minimum.reduceat(_compute_corner_costs(costs, part), begin))
+                if np.array_equal(lower, costs[points]):
                     break
-                bound[points] = lower
+                costs[points] = lower
 
 
-def _compute_corner_costs(bound: Floats, edges: _CornerEdges) -> Floats:
+def _compute_corner_costs(costs: Floats, edges: _OppositeEdges) -> Floats:
     """Return the least cost at each corner of a straight path that crosses the triangle from the opposite edge."""
-    from_one, rise = bound[edges.edge_start], (bound[edges.edge_end] - bound[edges.edge_start]) / edges.length
+    from_one, rise = costs[edges.edge_start], (costs[edges.edge_end] - costs[edges.edge_start]) / edges.length
     share = np.clip(rise / edges.cost, -1 + 1e-12, 1 - 1e-12)
     left = np.clip(edges.perpendicular_foot - share * edges.height / np.sqrt(1 - share * share), 0.0, edges.length)
     offset = edges.perpendicular_foot - left

@@ -63,7 +63,7 @@ class PeriodicCells(SurfaceCells):
         voxels = self._list_voxels(np.arange(len(self))) + self._low
         low, size = np.where(wraps, first, self._low), np.where(wraps, self._counts, self._size)
         inner = np.flatnonzero(((voxels >= low) & (voxels < low + size)).all(axis=1))
-        sides = self.sides[inner].astype(np.int8)
+        sides = self.side_by_cell[inner].astype(np.int8)
         self._low, self._size = low, size
         self._keys = self._pack_keys(voxels[inner] - low, sides)
         self.position, self.normal = self.position[inner], self.normal[inner]
@@ -124,7 +124,9 @@ class PeriodicCells(SurfaceCells):
             rows.append(one)
             others.append(np.arange(one.size) + np.repeat(first - (np.cumsum(count) - count), count))
         one, other = np.concatenate(rows), np.concatenate(others)
-        compatible = np.flatnonzero(are_sides_compatible(self.get_sides(other), self.get_sides(cells).take(one)))
+        compatible = np.flatnonzero(
+            are_sides_compatible(self.get_sides_of_cells(other), self.get_sides_of_cells(cells).take(one))
+        )
         one, other = one.take(compatible), other.take(compatible)
         order = np.lexsort((other, one))
         return one.take(order), other.take(order)

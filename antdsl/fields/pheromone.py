@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.fields.cells import NEAREST_CELLS, CellLinks, Cells, SurfaceCells
+from antdsl.fields.cells import NEAREST_CELL_COUNT, CellLinks, Cells, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, kernel, simd_range
 from antdsl.numerics import parallel
@@ -19,10 +19,10 @@ from antdsl.scene.field_settings import compute_max_diffusion
 
 Floats = NDArray[np.float32]
 
-DEPOSIT_UNIT = 2.0**-24  # deposits are integer multiples of this
+DEPOSIT_QUANTUM = 2.0**-24  # deposits are integer multiples of this
 MAX_DEPOSIT = 2.0**16  # five million such deposits in a cell fit into 63 bits
-FLUSH_THRESHOLD = 1e-12
-_EMPTY_SHARES = np.empty(0)
+ZERO_FLUSH_THRESHOLD = 1e-12
+_NO_REMAINING_SHARES = np.empty(0)
 _SYMMETRIC_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -31,7 +31,7 @@ class PheromoneField:
 
     `combine`: `add` sums the deposits of a step in a cell; `max` takes the greatest.
     `limit`: the largest amount of a cell.
-    `values` float64[cells]: the amounts at the start of a step.
+    `amounts` float64[cells]: the amounts at the start of a step.
     `stencil`: with 4, cells that share a face exchange pheromone; with 8, also cells that share an edge.
     `deposits_first`: deposits are added before diffusion and evaporation, otherwise at the end of the step."""
 
@@ -56,7 +56,7 @@ class PheromoneField:
         self._dependents_by_size: dict[int, tuple[NDArray[np.int64], Cells]] = {}
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def amounts(self) -> NDArray[np.float64]:
         """Return the amount in each cell. Write into the array to restore a state."""
         return self._padded[:-1]
 
@@ -73,21 +73,21 @@ class PheromoneField:
 
     @property
     def pending_deposits(self) -> NDArray[np.int64]:
-        """Return the deposits in each cell that are not yet in `values`, in units of `DEPOSIT_UNIT`.
+        """Return the deposits in each cell that are not yet in `values`, in units of `DEPOSIT_QUANTUM`.
 
-        After writing into the array, call `mark_pending`."""
+        After writing into the array, call `mark_deposits_pending`."""
         return self._pending
 
-    def mark_pending(self) -> None:
+    def mark_deposits_pending(self) -> None:
         """Record that `pending_deposits` has deposits for the next step."""
         self._has_pending = True
 
     def extend_arrays(self, new: NDArray[np.int64]) -> None:
         """Extend the arrays for the cells `new`, which were added to `cells`."""
         self.version += 1
-        added_count = len(self.cells) - len(self.values)
+        added_count = len(self.cells) - len(self.amounts)
         if added_count:
-            self._padded = np.concatenate([self.values, np.zeros(added_count + 1)])
+            self._padded = np.concatenate([self.amounts, np.zeros(added_count + 1)])
             self._pending = np.concatenate([self._pending, np.zeros(added_count, np.int64)])
             for name in ("_cell_positions", "_sensed_positions"):
                 self.__dict__.pop(name, None)
@@ -121,21 +121,21 @@ class PheromoneField:
         wrong = int(np.count_nonzero(~is_finite | (np.abs(amounts) > MAX_DEPOSIT)))
         rows = np.flatnonzero(is_finite & (cells >= 0) & (amounts != 0))
         if rows.size:
-            unit_counts = np.rint(np.clip(amounts[rows], -MAX_DEPOSIT, MAX_DEPOSIT) / DEPOSIT_UNIT).astype(np.int64)
+            unit_counts = np.rint(np.clip(amounts[rows], -MAX_DEPOSIT, MAX_DEPOSIT) / DEPOSIT_QUANTUM).astype(np.int64)
             (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[rows], unit_counts)
             self._has_pending = True
         return wrong
 
-    def set_remaining(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
+    def set_remaining_amounts(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
         """Set the amounts that remain in distinct cells after agents took pheromone from them. `step` applies them."""
         self._remaining_amounts.append((cells, amounts))
 
-    def step(self, remaining_share: float, diffusion: float, dt: float, threads: int = 1) -> None:
+    def advance(self, remaining_share: float, diffusion: float, dt: float, threads: int = 1) -> None:
         """Advance by `dt` (s): set the remaining amounts, diffuse, multiply by `remaining_share`, then add deposits.
 
         With `deposits_first`, deposits are added before diffusion. `diffusion` is in mm²/s. Raises ValueError with the largest
         stable value if `diffusion` is unstable for the cell size."""
-        values = self.values
+        values = self.amounts
         for cells, amounts in self._remaining_amounts:
             values[cells] = amounts
         self._remaining_amounts.clear()
@@ -151,19 +151,19 @@ class PheromoneField:
 
         def run_kernel(*arguments: Any) -> None:
             parallel.run_in_parts(
-                partial(step_cells, self._padded, *arguments), len(self._pending), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+                partial(advance_cells, self._padded, *arguments), len(self._pending), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
             )
 
         lands = 0 if not self._has_pending else 1 if self.combine == "add" else 2
         self._has_pending = False
         if self.deposits_first:
-            run_kernel(_EMPTY_SHARES, self._pending, 0.0, 1.0, DEPOSIT_UNIT, self.limit, -np.inf, lands)
-        change = self._laplacian.compute_flow(self._padded, threads) if spread > 0 else _EMPTY_SHARES
-        last = (0.0, np.inf, 0) if self.deposits_first else (DEPOSIT_UNIT, self.limit, lands)
-        run_kernel(change, self._pending, spread, remaining_share, *last[:2], FLUSH_THRESHOLD, last[2])
+            run_kernel(_NO_REMAINING_SHARES, self._pending, 0.0, 1.0, DEPOSIT_QUANTUM, self.limit, -np.inf, lands)
+        change = self._laplacian.compute_flow(self._padded, threads) if spread > 0 else _NO_REMAINING_SHARES
+        last = (0.0, np.inf, 0) if self.deposits_first else (DEPOSIT_QUANTUM, self.limit, lands)
+        run_kernel(change, self._pending, spread, remaining_share, *last[:2], ZERO_FLUSH_THRESHOLD, last[2])
 
     @cached_property
-    def _laplacian(self) -> _DiffusionFlow:
+    def _laplacian(self) -> _DiffusionOperator:
         """Return the flow that one unit of diffusion causes between the cells.
 
         Between two linked cells flows 4 / max(4, links of either cell) of their difference. On a plane this is the five-point
@@ -173,8 +173,8 @@ class PheromoneField:
         nine-point Laplacian (4, 1) / 6, with the same error in all directions (Patra and Karttunen, Stencils with isotropic
         discretization error for differential operators, Numerical Methods for Partial Differential Equations 22, 2006)."""
         if self.stencil == 4:
-            return _DiffusionFlow(self._build_flow_matrix(self.cells.links, 1.0))
-        return _DiffusionFlow(
+            return _DiffusionOperator(self._build_flow_matrix(self.cells.links, 1.0))
+        return _DiffusionOperator(
             self._build_flow_matrix(self.cells.links, 2 / 3) + self._build_flow_matrix(self.cells.diagonal_links, 1 / 6)
         )
 
@@ -193,26 +193,27 @@ class PheromoneField:
         """Return the amounts in cells, float32[n]; 0 for cell -1."""
         return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
 
-    def sample_strongest(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the largest amount in the `k` nearest cells of each of `cells`, and x, y, z of the cell that has it.
+    def sample_strongest(self, cells: Cells, k: int = NEAREST_CELL_COUNT) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the largest amount in the `k` nearest cells of each of `cells`, and the position of that cell.
 
         The results are float32[n] each, positions in mm. Of cells with equal amounts, the first counts. If all amounts are 0,
         the position is that of the given cell. For cell -1 the position is (0, 0, 0)."""
         agent_cells = np.asarray(cells).astype(np.int32, copy=False)
         best, value = np.empty(agent_cells.size, np.int64), np.empty(agent_cells.size)
-        find_strongest(agent_cells, self._get_nearest_cells(k), self._padded, best, value)
+        find_strongest_nearby_cells(agent_cells, self._get_nearest_cells(k), self._padded, best, value)
         x, y, z = (self._sensed_positions[:, k].take(best) for k in range(3))
         return value.astype(np.float32), x, y, z
 
     def get_dependent_cells(self, k: int) -> tuple[NDArray[np.int64], Cells]:
-        """Return arrays `start` and `cell`, which list for each cell a the cells that have a among their `k` nearest cells.
+        """Return which cells depend on each cell: those that have it among their `k` nearest cells. The result is `start` and
+        `cell`.
 
         These are `cell[start[a]:start[a+1]]`, ascending. The field's cells must not be able to grow."""
         if k not in self._dependents_by_size:
             self._dependents_by_size[k] = _find_dependent_cells(self._get_nearest_cells(k), len(self.cells))
         return self._dependents_by_size[k]
 
-    def sample_gradient(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats]:
+    def sample_gradient(self, cells: Cells, k: int = NEAREST_CELL_COUNT) -> tuple[Floats, Floats, Floats]:
         """Return x, y, z of the gradient (per mm) along the surface at each of `cells`, float32[n] each.
 
         It is a least-squares fit over the `k` nearest cells; 0 for cell -1."""
@@ -261,15 +262,15 @@ class PheromoneField:
         return np.ascontiguousarray(np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1))
 
 
-def _find_dependent_cells(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
-    """Return the result of `PheromoneField.get_dependent_cells`. `block` [cells, k]: the nearest cells of each cell."""
-    flat = block.ravel()
+def _find_dependent_cells(nearest_cells: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
+    """Return the result of `PheromoneField.get_dependent_cells`. `nearest_cells` [cells, k]: the nearest cells of each cell."""
+    flat = nearest_cells.ravel()
     start = np.zeros(cells + 2, np.int64)
     np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])
-    return start, (sort_stably(flat) // block.shape[1]).astype(np.int32)
+    return start, (sort_stably(flat) // nearest_cells.shape[1]).astype(np.int32)
 
 
-class _DiffusionFlow:
+class _DiffusionOperator:
     """A symmetric flow between cells. `inflow_matrix`: the share of each linked cell's amount that flows in, sparse."""
 
     def __init__(self, inflow_matrix: Any) -> None:
@@ -293,19 +294,19 @@ class _DiffusionFlow:
         return self._inflow
 
 
-def _solve_symmetric_system(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _solve_symmetric_system(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     """Return the three components of the solution x of M x = v, computed by cofactors.
 
-    M is a symmetric 3×3 matrix; `m` has its entries xx, yy, zz, xy, xz, yz."""
-    xx, yy, zz, xy, xz, yz = m
+    M is a symmetric 3×3 matrix; `matrix` has its entries xx, yy, zz, xy, xz, yz."""
+    xx, yy, zz, xy, xz, yz = matrix
     c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
     size = xx * c00 + xy * c01 + xz * c02
     size = np.where(size > 0, size, 1.0)
     return (
-        (c00 * v[0] + c01 * v[1] + c02 * v[2]) / size,
-        (c01 * v[0] + c11 * v[1] + c12 * v[2]) / size,
-        (c02 * v[0] + c12 * v[1] + c22 * v[2]) / size,
+        (c00 * vector[0] + c01 * vector[1] + c02 * vector[2]) / size,
+        (c01 * vector[0] + c11 * vector[1] + c12 * vector[2]) / size,
+        (c02 * vector[0] + c12 * vector[1] + c22 * vector[2]) / size,
     )
 
 
@@ -332,14 +333,14 @@ def compute_cell_inflow(
 
 
 @kernel
-def step_cells(
+def advance_cells(
     values: Array1[F64],
     change: Array1[F64],
     pending_deposits: Array1[I64],
     spread: F64,
     remaining_share: F64,
-    unit: F64,
-    limit: F64,
+    deposit_quantum: F64,
+    max_amount: F64,
     flush_threshold: F64,
     deposit_mode: I64,
     begin: I64,
@@ -348,9 +349,9 @@ def step_cells(
     """Advance the cells from `begin` to before `end` by one step.
 
     Adds `spread` times `change` (nothing if the array is empty), multiplies by `remaining_share`, then applies deposits.
-    `pending_deposits`: the deposits in multiples of `unit`; set to 0 after they are applied.
+    `pending_deposits`: the deposits in multiples of `deposit_quantum`; set to 0 after they are applied.
     `deposit_mode`: 1 adds deposits; 2 uses them as the least amount of the cell.
-    `limit`: the largest amount. Amounts below `flush_threshold` become 0."""
+    `max_amount`: the largest amount. Amounts below `flush_threshold` become 0."""
     spreads = change.size > 0
     for n in simd_range(begin, end):
         value = values[n]
@@ -358,26 +359,26 @@ def step_cells(
             value += spread * change[n]
         value *= remaining_share
         if deposit_mode > 0:
-            landed = np.float64(pending_deposits[n]) * unit
+            landed = np.float64(pending_deposits[n]) * deposit_quantum
             if deposit_mode == 1:
                 value += landed
             elif landed > value:
                 value = landed
             pending_deposits[n] = 0
-        value = min(value, limit)
+        value = min(value, max_amount)
         if value < flush_threshold:
             value = 0.0
         values[n] = value
 
 
 @kernel
-def find_strongest(
-    agent_cells: Array1[I32], block: Array2[I32], values: Array1[F64], best_cells: Array1[I64], value: Array1[F64]
+def find_strongest_nearby_cells(
+    agent_cells: Array1[I32], nearest_cells: Array2[I32], values: Array1[F64], best_cells: Array1[I64], value: Array1[F64]
 ) -> None:
     """Write, for each agent, the largest amount near its cell to `value`, and the first cell that has it to `best_cells`.
 
     If all amounts are 0, `best_cells` is the agent's own cell and `value` is 0.
-    `agent_cells` [n]: the agents' cells, -1 for none. `block` [cells, k]: the nearest cells of each cell.
+    `agent_cells` [n]: the agents' cells, -1 for none. `nearest_cells` [cells, k]: the nearest cells of each cell.
     `values` [cells + 1]: the amounts, with a final 0 for "no cell"."""
     none = values.size - 1
     for n in range(agent_cells.size):
@@ -386,8 +387,8 @@ def find_strongest(
         if cell < 0:
             strongest_cell = none
         else:
-            for k in range(block.shape[1]):
-                candidate = block[cell, k]
+            for k in range(nearest_cells.shape[1]):
+                candidate = nearest_cells[cell, k]
                 if values[candidate] > strongest:
                     strongest_cell, strongest = candidate, values[candidate]
         best_cells[n], value[n] = strongest_cell, strongest

@@ -16,8 +16,8 @@ _MAX_BLOCK_TABLE_ENTRIES = 1 << 22  # most entries of the table of blocks; its i
 _CELLS_PER_CHUNK = 512  # cells per chunk: compared first, then the changed ones are written
 
 
-class CellsAboveThreshold:
-    """The cells of a field of which one of the `k` nearest cells has at least the amount `threshold`.
+class CellsNearThreshold:
+    """Cells with at least one strong neighbour: one of the `k` nearest cells has at least the amount `threshold`.
 
     All cells count if `threshold` is 0 or less, if the field can get new cells, or if there are too many cells for a table."""
 
@@ -31,12 +31,12 @@ class CellsAboveThreshold:
         self._is_above = np.zeros(0 if self._is_always_above else len(cells), np.bool_)
         self._changed_buffer = np.empty(len(self._is_above), np.int64)
 
-    def matches(self, field: PheromoneField, threshold: np.float32) -> bool:
+    def has_same_settings(self, field: PheromoneField, threshold: np.float32) -> bool:
         """Return whether this object was made for this field, its current cells and this threshold."""
         own_field, own_version, own_threshold = self._inputs
         return own_field is field and own_version == field.version and own_threshold == threshold
 
-    def get_current_counts(self, threads: int = 1) -> NDArray[np.uint8]:
+    def update_counts(self, threads: int = 1) -> NDArray[np.uint8]:
         """Return uint8[cells + 1], above 0 for cells near which the current amounts reach the threshold.
 
         The last entry stands for "no cell". The next call overwrites the array."""

@@ -59,7 +59,7 @@ class PointResult:
 
     @property
     def passed_share(self) -> float:
-        """Return the share of the seeds with which all lines that are not goals hold."""
+        """Return the share of seeds for which all lines without goals hold."""
         return sum(count == 0 for count in self.failed_lines) / len(self.failed_lines) if self.failed_lines else 0.0
 
     @property
@@ -69,7 +69,7 @@ class PointResult:
 
     @property
     def loss(self) -> float:
-        """Return what a fit minimises: the mean square of the residuals, and the mean number of failed lines of a seed."""
+        """Return the quantity that a fit minimises: the mean squared residual and the mean number of failed lines."""
         if not self.failed_lines:
             return math.inf
         squares = [goal.residual**2 for goal in self.goals]

@@ -38,7 +38,7 @@ class FitResult:
 
     @property
     def prior_share(self) -> float:
-        """Return the share of the sample at which all lines that are not goals hold."""
+        """Return the share of sampled points where all lines without goals hold."""
         return sum(point.holds for point in self.sample) / len(self.sample)
 
 

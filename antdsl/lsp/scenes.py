@@ -154,7 +154,7 @@ def _index_changed_values(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _index_fields(index: SceneIndex, node: DocumentNode) -> None:
-    """Record the fields that the scene names, and the things around which they start."""
+    """Record the names of fields in the scene, and the things that they start around."""
     for name, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("field", name))
         for key, _, inner in _list_mapping_entries(value):

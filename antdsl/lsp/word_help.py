@@ -273,7 +273,7 @@ def list_known_words() -> set[str]:
 
 
 def explain_word(word: str) -> str | None:
-    """Return all meanings of a word of the language, of scenes or of the library as Markdown; None for an unknown word.
+    """Return all meanings of a word as Markdown, or None for an unknown word.
 
     The word may be a unit of several units, with a number before it."""
     meanings = [(title, rule(("", word))) for title, table, rule in _WORD_MEANINGS if word in table]

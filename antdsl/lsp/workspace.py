@@ -252,8 +252,7 @@ class Workspace:
         return result
 
     def _find_dependency_state(self, path: Path) -> object:
-        """Return a value that changes whenever an input of a document's check changes: the document or a file that it depends
-        on."""
+        """Return a value that changes if the document or one of its dependencies changes."""
         return [(each, self.find_document(each)) for each in self.find_linked_files(path)]
 
     def find_bindings(self, path: Path) -> NameBindings:
@@ -319,7 +318,7 @@ class Workspace:
     # --- which files belong together ---
 
     def find_linked_files(self, path: Path) -> list[Path]:
-        """Return a file, the files that it names, and the files that these files name."""
+        """Return a file, the files that it names, and the files that those name."""
         paths: dict[Path, None] = {}
         stack = [path]
         while stack:
@@ -333,7 +332,7 @@ class Workspace:
         return list(paths)
 
     def find_related_files(self, path: Path) -> list[Path]:
-        """Return all files in which a name of this file may occur: linked by `use`, or by scenes that use them together."""
+        """Return all files that may contain a name of this file. They are linked by `use` or by a common scene."""
         links = {each: set(self.find_linked_files(each)) for each in self.list_files()}
         links.setdefault(path, set(self.find_linked_files(path)))
         members = set(links[path]) | {path}
@@ -347,7 +346,7 @@ class Workspace:
         return sorted(members)
 
     def find_extending_scenes(self, path: Path) -> list[Path]:
-        """Return a scene, the scenes that it extends, and all scenes that extend one of these."""
+        """Return a scene, its base scenes, and all scenes that extend one of them."""
         linked_files = {
             each: {p for p in self.find_linked_files(each) if p.suffix != PROGRAM_SUFFIX}
             for each in self.list_files()

@@ -75,7 +75,7 @@ def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryE
 
 
 def _compile_task(task: _CompileTask) -> list[bytes]:
-    """Return the object code of one kernel or text for each of its targets, in a process of the pool."""
+    """Compile one kernel or text for each of its targets. This runs in a worker process."""
     place, names = task
     return _compile_for_targets(_load_library()[place], names)
 

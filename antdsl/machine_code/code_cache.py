@@ -51,8 +51,7 @@ def is_code_available(text_or_name: str) -> bool:
 
 
 def _find_stored_code(text_or_name: str, target: llvm_compiler.Target, key: str) -> bytes | None:
-    """Return the object file of a text from the installation, or else the one that an earlier run stored under `key`; None if
-    neither has it."""
+    """Return the object file of a text. It is taken from the installation, or from the cache under `key`."""
     shipped_object = shipped_objects.find_object(text_or_name, target)
     return _get_object_cache().get(key) if shipped_object is None else shipped_object
 

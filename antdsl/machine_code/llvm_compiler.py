@@ -170,7 +170,7 @@ def _make_target_machine(target: Target) -> Any:
 
 @dataclass(slots=True)
 class LoadedCode:
-    """Functions that are ready to call, with the objects that keep their code in memory."""
+    """Loaded machine code. The object keeps the memory of its functions alive."""
 
     _engine: Any
     _functions: dict[str, Any] = field(default_factory=dict)

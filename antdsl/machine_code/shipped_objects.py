@@ -60,8 +60,7 @@ TARGET_BY_NAME: Final[Mapping[str, Target]] = {
 
 @cache
 def find_target_name(host: Target) -> str | None:
-    """Return the name of a shipped target that the processor `host` can run, with the same result bits as code for `host`; None
-    if there is none."""
+    """Return the name of a shipped target that `host` can run with equal results, or None."""
     if "linux" not in host.triple:
         return None
     present = _present_features(host)

@@ -95,7 +95,7 @@ def _has_hard_links(path: Path) -> bool:
 
 @cache
 def machine_id() -> str:
-    """Return an identifier of this machine that survives a restart; empty where the system has none."""
+    """Return an identifier of this machine that survives a restart, or an empty text."""
     if sys.platform == "win32":
         import winreg
 

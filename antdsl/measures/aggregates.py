@@ -34,7 +34,7 @@ def evaluate_aggregate(world: World, populations: dict[str, Population], plan: A
 
     Without agents, it is the result of the reduction of an empty set."""
     if plan.kind == "field" and plan.body_register is None:
-        values = world.fields[plan.subject].values
+        values = world.fields[plan.subject].amounts
         if plan.reducer == "count":
             return np.float64(len(values))
         return _aggregate_values(plan.reducer, values, len(values))

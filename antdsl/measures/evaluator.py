@@ -103,7 +103,7 @@ class RunEvaluator:
             self.values[f"motion.{name}"] = np.float32(np.nan if unknown else value)
 
     def _make_queried_population(self, spec_world: World, name: str) -> Population:
-        """Return all agents of a species, all items of a name or all cells of a field, to be queried one by one."""
+        """Return the agents of a species, the items of a name or the cells of a field as a population."""
         if name in spec_world.items:
             return self._make_item_population(spec_world.items[name])
         if name in spec_world.fields:
@@ -112,7 +112,7 @@ class RunEvaluator:
 
     def _make_cell_population(self, spec_world: World, name: str) -> Population:
         """Return the cells of a field as agents at the origin."""
-        plan, values = self.plan.plan.species[name], np.asarray(spec_world.fields[name].values)
+        plan, values = self.plan.plan.species[name], np.asarray(spec_world.fields[name].amounts)
         start, count = {"value": values.astype(np.float32)}, len(values)
         nowhere = np.broadcast_to(np.zeros(3), (count, 3))
         now = _make_result_arrays(plan.registers, start, count)

@@ -51,8 +51,8 @@ _computed_tables = 0  # number of tables computed by this process
 def get_or_compute(
     name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables], unit: str = "faces"
 ) -> Tables:
-    """Return the tables that `compute` computes from these inputs, or equal tables that an earlier run stored. The caller may
-    change the arrays.
+    """Return the tables that `compute` makes from these inputs. Equal stored tables are reused. The caller may change the
+    arrays.
 
     - `name`: the name of the computation, a part of the key
     - `size`: the number of faces of the mesh, or of another `unit`; small results are not stored. 0 for a result that no other

@@ -44,8 +44,7 @@ class PathWindow:
 
 
 class AgentPaths:
-    """Reader of the paths of agents around the frames of pictures. Each frame is read only once if the requested frames
-    ascend."""
+    """Reader of agents' paths in the frames around a picture. Each frame is read only once if the requested frames ascend."""
 
     def __init__(self, cache: Cache, dt: float, window: PathWindow) -> None:
         self._cache, self._window = cache, window

@@ -31,12 +31,12 @@ class CacheBodies:
         self._worn: dict[tuple[int, int, int], PosedBody] = {}
 
     def keys(self, number: int) -> tuple[str, ...]:
-        """Return the keys of the bodies of a species, which frames use in the names of feet arrays."""
+        """Return the keys of the bodies of a species. Frames use them in the names of feet arrays."""
         species, count = self._manifest.species[number], len(_list_entries(self._manifest.species[number]))
         return tuple(make_body_key(species.name, which, count) for which in range(count))
 
     def numbers(self, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Return the index of the body of each agent of a species, uint8[n]."""
+        """Return each agent's body index, uint8[n]."""
         return find_body_numbers(self._manifest, number, ids)
 
     def body(self, number: int, mask: int = 0, body_index: int = 0) -> PosedBody:

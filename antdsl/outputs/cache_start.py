@@ -16,7 +16,7 @@ from antdsl.outputs.cache.npz import MAX_FILE_BYTES
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore_checkpoint
 from antdsl.runtime.line_tables import restore_lines
-from antdsl.runtime.moving.moving_geometry import pose_world
+from antdsl.runtime.moving.moving_geometry import pose_geometry
 from antdsl.safe_read import read_blocks
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.scene_model import UNIT_MM
@@ -95,7 +95,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
     shift = first - world.frame
     world.frame = first
     restore_lines(world, state, as_start=True)
-    pose_world(world, first)
+    pose_geometry(world, first)
     world.params = params
     world.transitions.clear()
     world.motion.reset()

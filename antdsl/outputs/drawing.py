@@ -192,7 +192,7 @@ def _make_constant_function(camera: Camera) -> Callable[[int], Camera]:
 
 
 def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
-    """Return the message that the camera's agent is missing, with the ids that exist."""
+    """Return the message for a missing agent of the camera, with the existing ids."""
     counts: dict[str, int] = {}
     for crowd in picture.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)

@@ -30,11 +30,14 @@ def make_flow_arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
     step = max(float(meshes.extent) / _ARROWS_PER_EXTENT, 1e-9)
     output: dict[str, NDArray[Any]] = {}
     for name, flow in world.flows.items():
-        face, (b1, b2) = flow.lattice.faces(), flow.lattice.compute_slot_weights()
-        strong = np.flatnonzero(flow.c * flow.c + flow.s * flow.s > _MIN_ARROW_STRENGTH * _MIN_ARROW_STRENGTH)
+        face, (b1, b2) = flow.lattice.get_face_by_slot(), flow.lattice.compute_slot_weights()
+        strong = np.flatnonzero(
+            flow.axis1_components * flow.axis1_components + flow.axis2_components * flow.axis2_components
+            > _MIN_ARROW_STRENGTH * _MIN_ARROW_STRENGTH
+        )
         face, b1, b2 = face[strong], b1[strong], b2[strong]
         place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
-        direction = meshes.to_world_vectors(face, flow.c[strong], flow.s[strong])
+        direction = meshes.to_world_vectors(face, flow.axis1_components[strong], flow.axis2_components[strong])
         cells = np.floor((place.T - meshes.low) / step).astype(np.int64)
         middle = (np.abs(place.T - meshes.low - (cells + 0.5) * step)).sum(axis=1)
         order = np.lexsort((middle, *cells.T))

@@ -221,7 +221,7 @@ class Gallery:
         return tuple(crowds), tuple(legend)
 
     def _species_crowds(self, number: int, frame: int, arrays: Arrays) -> tuple[Crowd, ...]:
-        """Return the agents of a species, one crowd for each of its bodies, posed by the clips, feet and appearance of the frame.
+        """Return the agents of a species, posed for the frame. There is one crowd per body.
 
         Agents without a clip play the idle clip."""
         species, rows = self.manifest.species[number], find_species_rows(arrays, number)
@@ -259,8 +259,7 @@ class Gallery:
     def _choose_colours(
         self, species: SpeciesEntry, arrays: Arrays, rows: NDArray[np.intp], body: PosedBody, driven_pose: DrivenPose
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the display colours (n, 3) of the agents in `rows`, and whether each is the colour of a state or of an edit
-        (n,).
+        """Return the display colours (n, 3) of agents, and whether each comes from a state or an edit (n,).
 
         Without `shows_states`, the colour is the natural colour of the body. A colour that differs from that of the agent's state
         was set by an edit and stays."""

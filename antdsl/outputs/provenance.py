@@ -63,7 +63,7 @@ def _make_command_words(scene: str, frames: FrameRange, seed: int, inputs: Mappi
 
 @cache
 def _find_package_versions() -> Mapping[str, str]:
-    """Return the versions of Python and of the numerical packages, and the platform, as fields of `Provenance`."""
+    """Return the versions of Python and of numerical packages, and the platform."""
     return {
         "python": platform.python_version(),
         "numpy": np.__version__,

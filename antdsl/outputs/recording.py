@@ -84,8 +84,7 @@ class Recording:
 
     @property
     def is_complete(self) -> bool:
-        """Return whether the last frame of the run was passed to the writer: that of the shot, or the first in which its `until`
-        holds."""
+        """Return whether the last frame was passed to the writer. A run also ends where its `until` holds."""
         return self.frame == self.shot.frames.last or (self.measures is not None and self.measures.is_over)
 
     def add_time(self, label: str, start_time: float) -> None:

@@ -36,7 +36,7 @@ def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs:
 
 
 def _build_product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
-    """Return the product of all factors of the operands as component * (scalars of the pair * (factors of the agent))."""
+    """Return the product of the operands' factors in the order component * (pair scalars * (agent factors))."""
     factors, negative = _collect_factors(args)
     agent = [n for n in factors if not _is_computed_per_pair(n)]
     pair = [n for n in factors if _is_computed_per_pair(n)]

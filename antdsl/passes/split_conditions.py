@@ -8,8 +8,8 @@ from antdsl.plan.traverse import collect_required_nodes
 
 
 def split_conditions(plan: Plan) -> Plan:
-    """Return a plan in which `where cheap and expensive:` is two nested regions. Only the conditions of the inner region need a
-    sense."""
+    """Replace each `where cheap and expensive:` by two nested regions. Return the new plan. Only the conditions of the inner
+    region need a sense."""
     return replace_blocks(plan, lambda species, block: _split_in_block(species, block))
 
 

@@ -116,7 +116,7 @@ class PlanBuilder:
         return self.true if x else self.false
 
     def add_row(self, index: int) -> PlanNode:
-        """Return the node of an I32 constant: the index of a state, or the row of an item."""
+        """Return a constant I32 node with a state index or an item row."""
         return self("const.i32", attrs=(int(index),))
 
     def add_agent_id(self, x: int) -> PlanNode:
@@ -132,7 +132,7 @@ class PlanBuilder:
         return self.add_row(int(value)) if kind is ValueKind.I32 else self.add_agent_id(int(value))
 
     def add_conjunction(self, *conditions: PlanNode) -> PlanNode:
-        """Return the node that is true where all conditions are true, joined in the given order."""
+        """Return a node that is true where all conditions are true."""
         result = self.true
         for condition in conditions:
             result = self("and", result, condition)

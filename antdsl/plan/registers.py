@@ -24,7 +24,7 @@ def find_written_register(statement: ir.PlanStatement) -> str | None:
 
 
 def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
-    """Return the loads that must be evaluated before their first use, by the place of the statement that they must precede.
+    """Return loads that must run before their first use, by the statement that they must precede.
 
     A place is the index of a statement in each block around it, outermost first."""
     read_paths: dict[ir.PlanNode, list[tuple[int, ...]]] = {}

@@ -100,7 +100,7 @@ def _check_names(plan: Plan) -> Iterator[str]:
 
 
 def collect_names_by_kind(plan: Plan) -> dict[str, Container[str]]:
-    """Return the names of the things of a plan, by the kinds that rows of senses and effects use."""
+    """Return the names of the plan's things by kind."""
     return {
         **{kind: plan.list_things_of_kind(kind) for kind in KIND_BY_WORD}, "items": plan.items, "species": plan.species,
         "field": plan.fields, "target": plan.list_things_of_kind(*list_replacements("obstacle")),

@@ -68,7 +68,7 @@ class _UnknownNames(dict[tuple[str, ...], list[Span]]):
 
 
 class CheckMemo:
-    """Cached results of the checks of parts of a program, by the inputs of each check.
+    """Cached check results for parts of a program, by the inputs of each check.
 
     After a complete check, entries that it did not use are removed."""
 

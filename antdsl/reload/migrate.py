@@ -23,7 +23,7 @@ from antdsl.runtime.feet import feet_step
 from antdsl.runtime.lifecycle import clear_dead_references
 from antdsl.runtime.line_tables import count_released, list_line_names, match_lines
 from antdsl.runtime.motion_measures import MotionMeasures
-from antdsl.runtime.moving.moving_geometry import pose_world
+from antdsl.runtime.moving.moving_geometry import pose_geometry
 from antdsl.runtime.world import World
 from antdsl.scene.crowds.line_ids import LineIds
 from antdsl.scene.setting import CrowdData, WorldSetting
@@ -67,7 +67,7 @@ def migrate_world(
         _migrate_items(old_world, world, migration)
         _migrate_solids(old_world, world, migration)
         _migrate_fields(old_world, world, migration)
-        pose_world(world, world.frame)
+        pose_geometry(world, world.frame)
         _migrate_flows(old_world, world)
         initialise_agents(world, place_new_agents(world, _migrate_agents(old_world, world, migration)))
         for population in world.populations.values():
@@ -206,7 +206,7 @@ def _migrate_fields(old_world: World, world: World, migration: Migration) -> Non
             continue
         if now.added_cells:
             now.restore_added_cells(old_field.added_cells["keys"], old_field.added_cells["places"])
-        now.values[:] = np.minimum(old_field.values, now.limit)
+        now.amounts[:] = np.minimum(old_field.amounts, now.limit)
 
 
 def _is_same_grid(old_world: World, world: World, name: str) -> bool:
@@ -224,11 +224,11 @@ def _is_same_grid(old_world: World, world: World, name: str) -> bool:
 def _migrate_flows(old_world: World, world: World) -> None:
     """Transfer the state of flows that are computed over time, if the flows are equal."""
     for name, flow in world.flows.items():
-        state = flow.state()
-        old_state = old_world.flows[name].state() if state and name in old_world.flows else {}
+        state = flow.get_state()
+        old_state = old_world.flows[name].get_state() if state and name in old_world.flows else {}
         same = state.keys() == old_state.keys() and all(old_state[key].shape == array.shape for key, array in state.items())
         if state and same and compute_digest(old_world.setting.flows[name]) == compute_digest(world.setting.flows[name]):
-            flow.restore({key: array.copy() for key, array in old_state.items()})
+            flow.restore_state({key: array.copy() for key, array in old_state.items()})
 
 
 def _migrate_feet(old_world: World, world: World) -> None:

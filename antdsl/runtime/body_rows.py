@@ -19,7 +19,7 @@ def find_body_numbers(population: Population, setting: WorldSetting) -> NDArray[
 
 
 def group_rows_by_body(population: Population, setting: WorldSetting) -> tuple[tuple[str, NDArray[np.intp] | None], ...]:
-    """Return the key of each body of a species, with the ascending rows of the agents that have it.
+    """Return the key of each body of a species, with the ascending rows of its agents.
 
     For a single body, the rows are None, which stands for all."""
     keys = setting.list_body_keys(population.name)

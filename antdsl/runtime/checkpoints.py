@@ -20,7 +20,7 @@ from antdsl.runtime.feet.feet_state import feet_from_arrays
 from antdsl.runtime.feet.wearers import find_sorted_ids
 from antdsl.runtime.line_tables import collect_line_arrays, restore_lines
 from antdsl.runtime.motion_measures import MotionMeasures
-from antdsl.runtime.moving.moving_geometry import pose_world
+from antdsl.runtime.moving.moving_geometry import pose_geometry
 from antdsl.runtime.world import Population, World, make_fixed_columns
 
 STATE_HASH_VERSION = 2  # version of the hash method; hashes of other versions are not comparable
@@ -45,8 +45,8 @@ def take_checkpoint(world: World) -> Arrays:
         arrays |= {f"items.{name}.{attribute}": amounts for attribute, amounts in items.amounts.items()}
     for name, field in world.fields.items():
         arrays |= {f"field.{name}.{key}": array for key, array in field.added_cells.items()}
-        arrays[f"field.{name}"] = field.values
-    arrays |= {f"flow.{name}.{key}": array for name, flow in world.flows.items() for key, array in flow.state().items()}
+        arrays[f"field.{name}"] = field.amounts
+    arrays |= {f"flow.{name}.{key}": array for name, flow in world.flows.items() for key, array in flow.get_state().items()}
     arrays |= {
         f"feet.{name}.{key}": array
         for name, feet in world.feet.items()
@@ -96,7 +96,7 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             field.restore_added_cells(
                 _read_array_of_shape(arrays, f"field.{name}.keys"), _read_array_of_shape(arrays, f"field.{name}.places")
             )
-        field.values[:] = _read_array_of_shape(arrays, f"field.{name}", field.values.shape)
+        field.amounts[:] = _read_array_of_shape(arrays, f"field.{name}", field.amounts.shape)
     for name, volume in world.solids.items():
         solid_state = {key: _read_array_of_shape(arrays, f"solid.{name}.{key}") for key in volume.state()}
         try:
@@ -104,9 +104,9 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         except ValueError as error:
             raise CheckpointError(f"`solid.{name}`: {error}") from None
     for name, flow in world.flows.items():
-        state = flow.state()
+        state = flow.get_state()
         if state:
-            flow.restore(
+            flow.restore_state(
                 {key: _read_array_of_shape(arrays, f"flow.{name}.{key}", like.shape).copy() for key, like in state.items()}
             )
     text = _read_array_of_shape(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
@@ -122,7 +122,7 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     world.trees.clear()
     world.clearances.clear()
     world.touching_agents = None
-    pose_world(world, world.frame)
+    pose_geometry(world, world.frame)
     _restore_feet(world, arrays)
 
 
@@ -203,12 +203,12 @@ def state_hash(world: World) -> str:
         for attribute, amounts in sorted(world.items[name].amounts.items()):
             digest.update(f"\0{name}\0{attribute}\0".encode() + amounts.tobytes())
     for name in sorted(world.fields):
-        values = world.fields[name].values
+        values = world.fields[name].amounts
         digest.update(f"\0{name}\0{len(values)}".encode() + world.fields[name].row_hasher.hash_rows(None, [values], threads))
     for name in sorted(world.solids):
         digest.update(f"\0{name}\0".encode() + world.solids[name].compute_digest())
     for name in sorted(world.flows):
-        for key, array in sorted(world.flows[name].state().items()):
+        for key, array in sorted(world.flows[name].get_state().items()):
             digest.update(f"\0{name}\0{key}\0".encode() + array.tobytes())
     for name, array in sorted(world.notes.memory.items()) if world.notes is not None else ():
         digest.update(f"\0{name}\0".encode() + array.tobytes())

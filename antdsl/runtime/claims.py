@@ -1,7 +1,7 @@
 """Claims on items and field cells, resolved between the phases decide and act, and gifts to items. Losses equal gains exactly.
 
 An agent's own register is float32; an item's amount and a field's cell are float64. They change by exactly the difference in the
-register. From a field, agents take whole multiples of `DEPOSIT_UNIT`, as with deposits. While registers contain only such
+register. From a field, agents take whole multiples of `DEPOSIT_QUANTUM`, as with deposits. While registers contain only such
 multiples, cells do, too."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.fields.pheromone import DEPOSIT_UNIT
+from antdsl.fields.pheromone import DEPOSIT_QUANTUM
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, inlined, kernel
 from antdsl.numerics import randomness
 from antdsl.runtime.requests import ClaimEntry, GiftEntry
@@ -44,11 +44,11 @@ def settle_claims(world: World) -> None:
         cells, which = np.unique(_join_arrays([e.item for _, e in entries]), return_inverse=True)
         somewhere = int(np.searchsorted(cells, 0))
         cells = cells[somewhere:]
-        rest = field.values[cells]
+        rest = field.amounts[cells]
         amount = _join_arrays([e.amount for _, e in entries]).astype(np.float64)
-        amount = np.where(np.isinf(amount), amount, np.rint(amount / DEPOSIT_UNIT) * DEPOSIT_UNIT).astype(np.float32)
-        _settle_amount(world, rest, which - somewhere, amount, DEPOSIT_UNIT, entries)
-        field.set_remaining(cells, rest)
+        amount = np.where(np.isinf(amount), amount, np.rint(amount / DEPOSIT_QUANTUM) * DEPOSIT_QUANTUM).astype(np.float32)
+        _settle_amount(world, rest, which - somewhere, amount, DEPOSIT_QUANTUM, entries)
+        field.set_remaining_amounts(cells, rest)
 
 
 def _merge_by_statement(entries: ClaimEntries) -> ClaimEntries:
@@ -67,7 +67,7 @@ def _merge_by_statement(entries: ClaimEntries) -> ClaimEntries:
 
 
 def _join_arrays(arrays: list[NDArray[Any]]) -> NDArray[Any]:
-    """Return the arrays concatenated."""
+    """Concatenate arrays. A single array is returned unchanged."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
@@ -239,7 +239,7 @@ def _draw_claim_order(world: World, population: Population, entry: ClaimEntry) -
 
 
 def _number_agent_claims(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the number of each claim among the claims of the same agent, in the order of the source text."""
+    """Return the position of each claim among its agent's claims, in text order."""
     order = np.lexsort((place, ids, species))
     fresh = np.ones(len(order), np.bool_)
     fresh[1:] = (ids[order][1:] != ids[order][:-1]) | (species[order][1:] != species[order][:-1])

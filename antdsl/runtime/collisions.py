@@ -24,7 +24,7 @@ _CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above t
 
 
 def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched_ids: Ids) -> tuple[Ids, Ids]:
-    """Return the new contact (n) of each of the given agents, and the ids (n, k) of all agents that it now touches.
+    """Return each agent's new contact (n), and the ids (n, k) that it now touches.
 
     The new contact is the id of the agent of `other_species` that it starts to touch, -1 for none. Of several, it is the one with
     the deepest overlap. `touched_ids` (n, k): the ids that it touched until now, -1 for none. If all k are in use, new contacts
@@ -64,9 +64,9 @@ def _find_touching_agents(crowd: CapsuleCrowd) -> dict[tuple[str, str], Touching
         return contacts
     pairs = find_near_pairs(crowd)
     gap = pairs.gap
-    radius_sum = pairs.radius.take(pairs.i) + pairs.radius.take(pairs.j)
+    radius_sum = pairs.radius.take(pairs.first_indices) + pairs.radius.take(pairs.second_indices)
     close_rows = np.flatnonzero(gap < _CONTACT_END_GAP * radius_sum)
-    i, j = pairs.rows.take(pairs.i.take(close_rows)), pairs.rows.take(pairs.j.take(close_rows))
+    i, j = pairs.rows.take(pairs.first_indices.take(close_rows)), pairs.rows.take(pairs.second_indices.take(close_rows))
     one, other, gap = np.concatenate([i, j]), np.concatenate([j, i]), np.tile(gap.take(close_rows), 2)
     near = gap < _CONTACT_BEGIN_GAP * np.tile(radius_sum.take(close_rows), 2)
     kinds: Any = [np.searchsorted(crowd.first, rows, "right") - 1 for rows in (one, other)]

@@ -88,7 +88,7 @@ def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, centres: F
         cells = sharing[0].cells
         assert isinstance(cells, GrowingCells)
         points, normals = sample_wall_points(volume, centres, radius, cells.cell)
-        new = cells.grow_surface(points, normals)
+        new = cells.add_cells_at_points(points, normals)
         if len(new):
             for field in sharing:
                 field.extend_arrays(new)
@@ -110,7 +110,7 @@ def sample_wall_points(volume: Volume, centres: Floats, radius: Floats, spacing:
 
 @cache
 def _make_sphere_directions(lines: int) -> Floats:
-    """Return unit vectors [6 lines², 3], spread over a sphere: the centres of a grid of squares on each side of a cube."""
+    """Return 6 lines² unit vectors spread over a sphere: the centres of square grids on the sides of a cube."""
     at = (np.arange(lines) + 0.5) / lines * 2 - 1
     u, v = (w.ravel() for w in np.meshgrid(at, at, indexing="ij"))
     sides = [np.roll(np.stack([np.full(u.size, s), u, v], axis=1), axis, axis=1) for axis in range(3) for s in (-1.0, 1.0)]

@@ -65,7 +65,7 @@ def settle_newborn(world: World) -> None:
     fields = {entry.request.target for p in laying for entry in p.effects.requests["deposit"]}
     apply_deposits(world)
     for name in fields:
-        world.fields[name].step(1.0, 0.0, world.dt)
+        world.fields[name].advance(1.0, 0.0, world.dt)
     for population in world.populations.values():
         population.effects.claims = []  # claims at birth are not possible: no decision could use the result
 

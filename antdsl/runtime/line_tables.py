@@ -24,7 +24,7 @@ def list_line_names(setting: WorldSetting) -> list[LineName]:
 
 
 def reserve_ids(setting: WorldSetting) -> tuple[LineIds, ...]:
-    """Return the ids of each crowd line of a scene: those of the lines above of its species come first."""
+    """Return the ids of each crowd line. Lines of one species get consecutive ids."""
     next_ids: dict[str, int] = {}
     lines = []
     for crowd in setting.crowds:

@@ -255,8 +255,8 @@ def _find_bins(angle: NDArray[np.float32]) -> Counts:
 
 @cache
 def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
-    """Return the least half chord of each bin of turns, and the bin of the least half chord of each of 4096 cells. They are
-    float32[bins + 2], the last beyond all half chords, and int64[cells + 1]. Bins are found by bisection."""
+    """Return the least half chord of each histogram bin, and a lookup table from half chords to bins. They are float32[bins +
+    2], the last beyond all half chords, and int64[cells + 1]. Bins are found by bisection."""
     bin_numbers = np.arange(1, _HISTOGRAM_BINS + 1)
     low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats have the same order as their bits

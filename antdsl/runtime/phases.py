@@ -42,10 +42,10 @@ def prepare_senses(world: World) -> None:
     for items in world.items.values():
         items.publish_amounts()
     for flow in world.flows.values():
-        flow.begin(world)
+        flow.update_for_step(world)
     for population in world.populations.values():
         lifecycle.find_own_cells(world, population)
-        tilting.level_headings(population, world.options.threads)
+        tilting.align_leaning_bodies_with_ground(population, world.options.threads)
         population.clear_temps(world.options.threads)
     if world.detail_levels is not None:
         world.detail_levels.count_step(world)
@@ -111,7 +111,7 @@ def advance_fields(world: World) -> None:
     """Advance the fields by one step: they diffuse, evaporate and receive deposits."""
     for name, field in world.fields.items():
         keep, diffusion = world.field_rates[name]
-        field.step(float(keep), diffusion, world.dt, world.options.threads)
+        field.advance(float(keep), diffusion, world.dt, world.options.threads)
 
 
 def move_all_agents(world: World) -> None:
@@ -120,7 +120,7 @@ def move_all_agents(world: World) -> None:
         if world.notes is not None:
             world.notes.begin_move(world)
         for population in world.populations.values():
-            tilting.restore_bodies(population)
+            tilting.restore_leaning_bodies(population)
             if PUSHED_REGISTER in population.now:
                 population.now[PUSHED_REGISTER].fill(0)
         for substep in range(world.setting.substeps):
@@ -129,7 +129,7 @@ def move_all_agents(world: World) -> None:
             if stances is not None:
                 clear_steps = [step for step in steps if step is not None]
                 for step in clear_steps:
-                    step.record()
+                    step.record_stances()
                 contact_solver.resolve_contacts(world, stances, world.dt / world.setting.substeps)
                 for step in clear_steps:
                     step.correct_moved_bodies()
@@ -212,7 +212,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("move", move_all_agents),
     ("motion", record_measures),  # before the ground moves: being carried is not a step
     ("strides", feet_step.record_ground_covered),  # before the ground moves: feet step over it, then move with it
-    ("carry", moving_geometry.move_world),  # after walking: agents move with the ground that they reached
+    ("carry", moving_geometry.move_geometry),  # after walking: agents move with the ground that they reached
     ("births", apply_births),  # after moving: a child starts at its parent's new position
     ("feet", feet_step.step_feet),  # last: all agents of the frame exist, and the ground is in its new position
     ("commit", commit_step),

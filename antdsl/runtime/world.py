@@ -177,7 +177,7 @@ class Population:
         return self._cached_rows[1], self._cached_rows[2]
 
     def find_rows(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Return the row of each id, or -1 for ids of dead agents and of no agent."""
+        """Return the row of each id, or -1 if the agent is dead or there is none."""
         known, order = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(ids), -1, np.intp)

@@ -32,7 +32,7 @@ _MAX_CELLS_PER_AXIS = 1 << 19  # three packed coordinates stay below 2**62
 _MAX_AGENTS_PER_COLUMN = 6
 _MAX_LAYERS_PER_COLUMN = 2
 _MIN_CHUNKED_AGENTS = 8_192  # fewer agents are not worth several threads
-RANGE_UNITS_PER_CHUNK = 16  # parts of a chunk; a thread processes at least one chunk
+WORK_UNITS_PER_CHUNK = 16  # parts of a chunk; a thread processes at least one chunk
 SPARE_TABLE_ENTRIES = 3  # additional entries in a table of cells
 NO_ORDER = np.empty(0, np.int64)
 
@@ -41,40 +41,41 @@ NO_ORDER = np.empty(0, np.int64)
 class GridShape:
     """A box divided into cells. Lists have values for the box's longest, second and shortest axis: the fast, middle and slow one.
 
-    `axes`: the axes as indices into x, y, z. `low`: the least corner of the box (mm). `extent`: the lengths of the box (mm).
-    `width`: the lengths of a cell (mm). `size`: the number of cells along each axis."""
+    `axes`: the axes as indices into x, y, z. `low_corner`: the least corner of the box (mm). `extent`: the lengths of the box
+    (mm). `cell_widths`: the lengths of a cell (mm). `cells_per_axis`: the number of cells along each axis."""
 
     axes: tuple[int, ...]
-    low: list[float]
+    low_corner: list[float]
     extent: list[float]
-    width: list[float]
-    size: list[int]
+    cell_widths: list[float]
+    cells_per_axis: list[int]
 
     @classmethod
-    def from_bounds(cls, low: list[float], high: list[float], cell: float) -> GridShape:
-        """Return the cells of the box between the corners `low` and `high` (mm), for queries with radius `cell` (mm)."""
-        x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+    def from_bounds(cls, low_corner: list[float], high_corner: list[float], cell_width: float) -> GridShape:
+        """Return the cells of the box between the corners `low_corner` and `high_corner` (mm), for queries with radius
+        `cell_width` (mm)."""
+        x, y, z = high_corner[0] - low_corner[0], high_corner[1] - low_corner[1], high_corner[2] - low_corner[2]
         axes: tuple[int, ...] = (0, 1, 2)
         extent = [x, y, z]
         if not x >= y >= z:
             axes = tuple(sorted(axes, key=lambda axis: -extent[axis]))
-            low, extent = ([values[axis] for axis in axes] for values in (low, extent))
-        cell = cell if 0 < cell < np.inf else max(extent[0], 1.0)
+            low_corner, extent = ([values[axis] for axis in axes] for values in (low_corner, extent))
+        cell_width = cell_width if 0 < cell_width < np.inf else max(extent[0], 1.0)
         # Wider cells only add candidates. The packed key of a widely scattered crowd must not overflow.
         min_width = max(extent[0] / (_MAX_CELLS_PER_AXIS - 4), 1e-30)
-        fine, width = max(cell / 4, min_width), max(cell, min_width)
+        fine, width = max(cell_width / 4, min_width), max(cell_width, min_width)
         size = [int(extent[0] / fine) + 1, int(extent[1] / width) + 1, int(extent[2] / width) + 1]
-        return cls(axes, low, extent, [fine, width, width], size)
+        return cls(axes, low_corner, extent, [fine, width, width], size)
 
     @property
     def cell_count(self) -> int:
         """Return the number of cells."""
-        return self.size[0] * self.size[1] * self.size[2]
+        return self.cells_per_axis[0] * self.cells_per_axis[1] * self.cells_per_axis[2]
 
     @property
     def cells_per_mm(self) -> tuple[float, float, float]:
         """Return the number of cells per millimetre along the fast, middle and slow axis."""
-        a, b, c = self.width
+        a, b, c = self.cell_widths
         return 1 / a, 1 / b, 1 / c
 
     def has_cell_table(self, agents: int) -> bool:
@@ -83,7 +84,8 @@ class GridShape:
 
     def flatten_to_one_layer(self) -> GridShape:
         """Return the same box with a single layer of cells along its shortest axis."""
-        return GridShape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
+        widths, counts = [*self.cell_widths[:2], 2 * self.extent[2]], [*self.cells_per_axis[:2], 1]
+        return GridShape(self.axes, self.low_corner, self.extent, widths, counts)
 
     def is_one_layer_enough(self, positions: Positions) -> bool:
         """Return whether a crowd at these positions (float32[n] mm) needs no separate cells along the shortest axis, because
@@ -92,7 +94,8 @@ class GridShape:
             return False  # there is already only one layer of cells
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
         axis_positions = reorder_axes(self.axes, positions)
-        return bool(_is_one_layer_enough(axis_positions, tuple(self.low), self.cells_per_mm, tuple(self.size), occupied))
+        low, counts = tuple(self.low_corner), tuple(self.cells_per_axis)
+        return bool(_is_one_layer_enough(axis_positions, low, self.cells_per_mm, counts, occupied))
 
 
 def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -154,13 +157,11 @@ class CellOrder:
         if shape is not self.shape:
             self._set_shape(shape)
         counts, keys = self._counts, self._keys
-        run_in_chunks(
-            partial(_count_cells, reorder_axes(shape.axes, positions), *self._cell_numbering, order, keys, counts),
-            self._chunks,
-            self.threads,
-        )
+        axis_positions = reorder_axes(shape.axes, positions)
+        count = partial(_count_cells, axis_positions, *self._cell_numbering, order, keys, counts)
+        run_in_chunks(count, self._chunks, self.threads)
         if counts.size:
-            accumulate_counts(counts, shape.cell_count)
+            convert_counts_to_starts(counts, shape.cell_count)
         else:
             by_cell = sort_stably(keys)
             order = order.take(by_cell) if order.size else by_cell
@@ -168,17 +169,15 @@ class CellOrder:
             self.tables = {**self.tables, "keys": self.keys}
         run_in_chunks(partial(_store_agents, positions, order, keys, counts, *self._store_targets), self._chunks, self.threads)
         parallel.run_in_parts(
-            partial(_store_columns, self.packed_positions, *self.columns),
-            self.count,
-            self.threads,
-            parallel.MIN_LIGHT_ITEMS_PER_THREAD,
-        )
+            partial(_store_columns, self.packed_positions, *self.columns), self.count, self.threads,
+            parallel.MIN_LIGHT_ITEMS_PER_THREAD
+        )  # fmt: skip
 
     def _set_shape(self, shape: GridShape) -> None:
         """Store a new shape, and allocate a table of its cells if they are few enough."""
-        self.shape, self._cell_numbering = shape, (tuple(shape.low), shape.cells_per_mm, tuple(shape.size), 0)
-        self._shape_floats[:] = *shape.low, *shape.width, *shape.cells_per_mm
-        self._shape_integers[:] = *shape.axes, *shape.size, self.count
+        self.shape, self._cell_numbering = shape, (tuple(shape.low_corner), shape.cells_per_mm, tuple(shape.cells_per_axis), 0)
+        self._shape_floats[:] = *shape.low_corner, *shape.cell_widths, *shape.cells_per_mm
+        self._shape_integers[:] = *shape.axes, *shape.cells_per_axis, self.count
         has_table, needed = shape.has_cell_table(self.count), shape.cell_count + SPARE_TABLE_ENTRIES
         if has_table and self._table.shape[1] < needed:
             self._table = np.empty((self._chunks, needed + (needed >> 3)), np.int32)
@@ -187,11 +186,11 @@ class CellOrder:
         self.tables = {**self.tables, "starts": self.cell_starts if has_table else None}
 
 
-def run_in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
-    """Call the kernel `work` for all `chunks` in parallel. A thread processes at least one chunk.
+def run_in_chunks(run_kernel: partial[Any], chunks: int, threads: int) -> None:
+    """Call the kernel `run_kernel` for all `chunks` in parallel. A thread processes at least one chunk.
 
-    The kernel's last arguments `begin` and `end` are a range of chunks in units of 1 / `RANGE_UNITS_PER_CHUNK`."""
-    parallel.run_in_parts(work, RANGE_UNITS_PER_CHUNK * chunks, threads, RANGE_UNITS_PER_CHUNK)
+    The kernel's last arguments `begin` and `end` are a range of chunks in units of 1 / `WORK_UNITS_PER_CHUNK`."""
+    parallel.run_in_parts(run_kernel, WORK_UNITS_PER_CHUNK * chunks, threads, WORK_UNITS_PER_CHUNK)
 
 
 @kernel
@@ -207,14 +206,14 @@ def _write_bounding_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: A
             a, b, c = x[first + lane], y[first + lane], z[first + lane]
             is_finite = np.isfinite(a) & np.isfinite(b) & np.isfinite(c)
             low_x, low_y, low_z = (
-                _min_if_valid(low_x, a, is_finite),
-                _min_if_valid(low_y, b, is_finite),
-                _min_if_valid(low_z, c, is_finite),
+                _take_minimum_if_valid(low_x, a, is_finite),
+                _take_minimum_if_valid(low_y, b, is_finite),
+                _take_minimum_if_valid(low_z, c, is_finite),
             )
             high_x, high_y, high_z = (
-                _max_if_valid(high_x, a, is_finite),
-                _max_if_valid(high_y, b, is_finite),
-                _max_if_valid(high_z, c, is_finite),
+                _take_maximum_if_valid(high_x, a, is_finite),
+                _take_maximum_if_valid(high_y, b, is_finite),
+                _take_maximum_if_valid(high_z, c, is_finite),
             )
         lanes[0, lane], lanes[1, lane], lanes[2, lane] = low_x, low_y, low_z
         lanes[3, lane], lanes[4, lane], lanes[5, lane] = high_x, high_y, high_z
@@ -225,18 +224,18 @@ def _write_bounding_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: A
         for k in range(even, x.size):
             place = x[k] if axis == 0 else (y[k] if axis == 1 else z[k])
             is_finite = np.isfinite(x[k]) & np.isfinite(y[k]) & np.isfinite(z[k])
-            low, high = _min_if_valid(low, place, is_finite), _max_if_valid(high, place, is_finite)
+            low, high = _take_minimum_if_valid(low, place, is_finite), _take_maximum_if_valid(high, place, is_finite)
         corners[0, axis], corners[1, axis] = (np.float64(low), np.float64(high)) if low <= high else (0.0, 0.0)
 
 
 @inlined
-def _min_if_valid(low: F32, place: F32, is_valid: BOOL) -> F32:
+def _take_minimum_if_valid(low: F32, place: F32, is_valid: BOOL) -> F32:
     """Return the lesser of `low` and `place` if `is_valid`, else `low`."""
     return place if is_valid & (place < low) else low
 
 
 @inlined
-def _max_if_valid(high: F32, place: F32, is_valid: BOOL) -> F32:
+def _take_maximum_if_valid(high: F32, place: F32, is_valid: BOOL) -> F32:
     """Return the greater of `high` and `place` if `is_valid`, else `high`."""
     return place if is_valid & (place > high) else high
 
@@ -254,10 +253,10 @@ def _is_one_layer_enough(
         if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(c)):
             continue
         agents += 1
-        column = round_to_int(_compute_cell_index(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
-            round_to_int(_compute_cell_index(a, low[0], inverse[0], size[0])) >> 2
+        column = round_to_int(_compute_axis_cell(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
+            round_to_int(_compute_axis_cell(a, low[0], inverse[0], size[0])) >> 2
         )
-        cell = column * size[2] + round_to_int(_compute_cell_index(c, low[2], inverse[2], size[2]))
+        cell = column * size[2] + round_to_int(_compute_axis_cell(c, low[2], inverse[2], size[2]))
         column, cell = column % occupied.shape[1], cell % occupied.shape[1]
         columns += not occupied[0, column]
         cells += not occupied[1, cell]
@@ -266,19 +265,18 @@ def _is_one_layer_enough(
 
 
 @inlined
-def _compute_cell_index(place: Any, low: F64, inverse: F64, size: I64) -> F64:
+def _compute_axis_cell(place: Any, low: F64, inverse: F64, size: I64) -> F64:
     """Return the index of the cell at a coordinate along an axis, as float64."""
     return np.floor(min(max((np.float64(place) - low) * inverse, 0.0), np.float64(size - 1)))
 
 
 @inlined
-def compute_cell_number(positions: AnyTypeColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: CellCounts) -> I64:
+def compute_cell_key(positions: AnyTypeColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: CellCounts) -> I64:
     """Return the number of the cell of the agent at row `row`. Agents without a finite position get the number of cells."""
     fast, middle, slow = positions[0][row], positions[1][row], positions[2][row]
-    line = _compute_cell_index(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _compute_cell_index(
-        middle, low[1], inverse[1], size[1]
-    )
-    key = round_to_int(line) * size[0] + round_to_int(_compute_cell_index(fast, low[0], inverse[0], size[0]))
+    layer = _compute_axis_cell(slow, low[2], inverse[2], size[2])
+    line = layer * np.float64(size[1]) + _compute_axis_cell(middle, low[1], inverse[1], size[1])
+    key = round_to_int(line) * size[0] + round_to_int(_compute_axis_cell(fast, low[0], inverse[0], size[0]))
     is_finite = np.isfinite(fast) & np.isfinite(middle) & np.isfinite(slow)
     return key if is_finite else size[0] * size[1] * size[2]
 
@@ -300,14 +298,14 @@ def count_cells(
     Returns how many ordered pairs of agents in the same chunk share a cell. Each agent also counts as a pair with itself.
     `order`: the agents' rows, empty for all. `counts` [chunks, cells + 3]: a cell's count has index cell + 2; may be empty."""
     shared_cell_pairs = 0
-    for chunk in range(begin // RANGE_UNITS_PER_CHUNK, end // RANGE_UNITS_PER_CHUNK):
+    for chunk in range(begin // WORK_UNITS_PER_CHUNK, end // WORK_UNITS_PER_CHUNK):
         first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
         if order.size > 0:
             for k in simd_range(first, last):
-                keys[k] = compute_cell_number(axis_positions, order[k], low, inverse, size) + shift
+                keys[k] = compute_cell_key(axis_positions, order[k], low, inverse, size) + shift
         else:
             for k in simd_range(first, last):
-                keys[k] = compute_cell_number(axis_positions, k, low, inverse, size) + shift
+                keys[k] = compute_cell_key(axis_positions, k, low, inverse, size) + shift
         if counts.shape[1] > 0:
             for k in range(size[0] * size[1] * size[2] + SPARE_TABLE_ENTRIES):
                 counts[chunk, k] = 0
@@ -328,10 +326,10 @@ def _count_cells(
 
 
 @kernel
-def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
+def convert_counts_to_starts(counts: Array2[I32], cells: I64) -> None:
     """Replace counts by the position in the order of each chunk's first agent of each cell, at index cell + 1.
 
-    After `take_next_position` was called for all agents, the last row of `counts` contains the first agent of each cell."""
+    After `take_next_sorted_index` was called for all agents, the last row of `counts` contains the first agent of each cell."""
     last, position = counts.shape[0] - 1, 0
     for chunk in range(last):
         for cell in range(cells + 2):
@@ -347,7 +345,7 @@ def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
 
 
 @inlined
-def take_next_position(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
+def take_next_sorted_index(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
     """Return the next position in the order of cell `key`, and advance it. If `counts` is empty, it is `k`, the agent's index."""
     position = k
     if counts.shape[1] > 0:
@@ -364,11 +362,11 @@ def _store_agents(
     """Write x, y, z and row of each agent at its position in the order, and that position to `position_by_row`.
 
     `ordered_agents` and `rows` are views of one array with four entries per agent."""
-    for chunk in range(begin // RANGE_UNITS_PER_CHUNK, end // RANGE_UNITS_PER_CHUNK):
+    for chunk in range(begin // WORK_UNITS_PER_CHUNK, end // WORK_UNITS_PER_CHUNK):
         first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
         for k in range(first, last):
             row = order[k] if order.size > 0 else k
-            position = take_next_position(counts, chunk, k, keys[k])
+            position = take_next_sorted_index(counts, chunk, k, keys[k])
             ordered_agents[4 * position], ordered_agents[4 * position + 1] = positions[0][row], positions[1][row]
             ordered_agents[4 * position + 2], rows[4 * position + 3] = positions[2][row], row
             position_by_row[row] = position
@@ -382,7 +380,9 @@ def _store_columns(ordered_agents: Array1[F32], x: Array1[F32], y: Array1[F32], 
 
 
 @kernel
-def pack_by_position(position_by_row: Array1[I32], registers: FourColumns, table: Array1[F32], begin: I64, end: I64) -> None:
+def pack_columns_by_position(
+    position_by_row: Array1[I32], registers: FourColumns, table: Array1[F32], begin: I64, end: I64
+) -> None:
     """Write four values of each agent to `table`: four entries per agent, in the order of cells. `registers`: values by row."""
     for row in range(begin, end):
         first = 4 * position_by_row[row]

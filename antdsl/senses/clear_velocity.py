@@ -36,7 +36,7 @@ from antdsl.machine_code.kernels import (
 from antdsl.numerics import elementary
 from antdsl.numerics.kernel_vectors import dot, replace_non_finite_vector
 from antdsl.senses import nearest_others as others
-from antdsl.senses.nearest_others import SEARCH_CAPACITY, CrowdTables, RelativeAgent, Requesters, SearchMemory
+from antdsl.senses.nearest_others import MAX_SEARCH_CANDIDATES, CandidateMemory, CrowdTables, NeighbourRequests, RelativeAgent
 
 _FULL_TURN = 2 * np.pi
 _EQUAL_GAP_TOLERANCE = 1e-4  # rad; gaps that differ by less count as equally wide
@@ -50,7 +50,7 @@ _MAX_HORIZON_SECONDS = 1e6  # s, upper limit of a horizon
 _MAX_SPEED = 1e9  # mm/s, upper limit of speeds
 
 
-class VelocityWishes(NamedTuple):
+class WishedVelocities(NamedTuple):
     """The velocities that the requesting agents wish for.
 
     `velocity`: x, y, z of each requester's wish (mm/s).
@@ -64,59 +64,66 @@ class VelocityWishes(NamedTuple):
 
 @kernel
 def fill_clear_velocities(
-    crowd: CrowdTables, requesters: Requesters, wishes: VelocityWishes, dt: F64, velocities: Array2[F32], begin: I64, end: I64
+    crowd: CrowdTables,
+    requesters: NeighbourRequests,
+    wishes: WishedVelocities,
+    dt: F64,
+    velocities: Array2[F32],
+    begin: I64,
+    end: I64,
 ) -> None:
     """Write the velocities that avoid collisions to `velocities` (3, n; mm/s), for requesters from `begin` to before `end`.
 
     Each velocity is along the ground and no faster than `max_speed`. It is the one nearest to the wish that avoids all
     collisions within the horizon, if the others make half of the change. Agents that overlap separate within `dt` s."""
-    memory = SearchMemory(
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
+    memory = CandidateMemory(
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
     )
     borders = (
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
     )
     line_buffers = (
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, F64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, F64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
     )
     others.reset_candidates(memory)
     for k in range(begin, end):
         plane, agent = others.compute_tangent_plane(crowd, requesters, k), requesters.positions[k]
         count = others.find_nearest_others(crowd, requesters, k, plane.up, memory)
-        velocity, (a, b, c) = others.load_vector(crowd.packed_motion, agent), wishes.velocity
+        velocity, (a, b, c) = others.load_packed_vector(crowd.packed_motion, agent), wishes.velocity
         wish, speed = replace_non_finite_vector(a[k], b[k], c[k]), np.float64(wishes.max_speed[requesters.rows[k]])
         own_x, own_y = dot(velocity, plane.ahead), dot(velocity, plane.left)
         horizon = min(wishes.horizon[k], _MAX_HORIZON_SECONDS) if wishes.horizon[k] > 0.0 else _MAX_HORIZON_SECONDS
         for n in simd_range(0, max(count, (count + 5) & -8)):  # a remainder of one or two is faster without SIMD
             q, key = memory.nearest_rows[n] if n < count else agent, memory.nearest_keys[n] if n < count else 0
-            other, side = others.compute_relative_agent(crowd, plane, agent, q), others.compare_names(crowd, agent, key)
-            set_velocity_border(other, side, n, own_x, own_y, horizon, dt, borders)
+            other, side = others.compute_relative_agent(crowd, plane, agent, q), others.compare_agent_names(crowd, agent, key)
+            write_velocity_border(other, side, n, own_x, own_y, horizon, dt, borders)
         fastest = min(speed if speed > 0.0 else 0.0, _MAX_SPEED)
-        x, y = find_nearest_velocity(borders, line_buffers, count, fastest, dot(wish, plane.ahead), dot(wish, plane.left))
+        x, y = find_nearest_allowed_velocity(borders, line_buffers, count, fastest, dot(wish, plane.ahead), dot(wish, plane.left))
         for axis in range(3):
             velocities[axis, k] = np.float32(plane.ahead[axis] * x + plane.left[axis] * y)
 
 
 @inlined
-def set_velocity_border(
-    other: RelativeAgent, side: F64, index: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: BorderColumns
+def write_velocity_border(
+    other: RelativeAgent, preferred_side: F64, index: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: BorderColumns
 ) -> None:
     """Write the half-plane of velocities that the neighbour `other` allows to entry `index` of `borders`.
 
     A half-plane that is not finite gets no direction and allows every velocity.
-    `side`: the direction to use if both agents have the same position and velocity. `own_x`, `own_y`: the agent's velocity.
+    `preferred_side`: the direction to use if both agents have the same position and velocity. `own_x`, `own_y`: the agent's
+    velocity.
     `horizon`, `dt`: the times (s) within which separate agents avoid a collision, and overlapping agents separate."""
     px, py, dx, dy, is_valid = borders
     x, y, r = other.x, other.y, other.radius_sum
@@ -134,7 +141,7 @@ def set_velocity_border(
     ahead = (wy if is_round else hand * (x * leg - hand * (y * r))) / divisor
     side_y = (-wx if is_round else hand * (hand * (x * r) + y * leg)) / divisor
     if is_round and not size > _MIN_LENGTH:
-        ahead, side_y = 0.0, side
+        ahead, side_y = 0.0, preferred_side
     change, reach = r / seconds - size, other.vx * ahead + other.vy * side_y
     border_x = own_x + 0.5 * (change * -side_y if is_round else reach * ahead - other.vx)
     border_y = own_y + 0.5 * (change * ahead if is_round else reach * side_y - other.vy)
@@ -144,42 +151,46 @@ def set_velocity_border(
 
 
 @kernel_helper
-def find_nearest_velocity(
-    borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, wx: F64, wy: F64
+def find_nearest_allowed_velocity(
+    borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, wished_x: F64, wished_y: F64
 ) -> tuple[F64, F64]:
-    """Return x and y of the velocity nearest to the wish (`wx`, `wy`) that the first `border_count` borders allow.
+    """Return x and y of the velocity nearest to the wish (`wished_x`, `wished_y`) that the first `border_count` borders allow.
 
     If the borders allow none, return the velocity that violates them least. `line_buffers`: work memory."""
-    size = math.sqrt(wx * wx + wy * wy)
+    size = math.sqrt(wished_x * wished_x + wished_y * wished_y)
     part = 1.0
     if size > max_speed:
         part = max_speed / (size if size > 0.0 else 1.0)
-    vx, vy, failed_border = _find_nearest_allowed(borders, border_count, max_speed, wx, wy, wx * part, wy * part, False)
+    vx, vy, failed_border = _find_point_on_borders(
+        borders, border_count, max_speed, wished_x, wished_y, wished_x * part, wished_y * part, False
+    )
     if failed_border < border_count:
         vx, vy = _find_least_violation(borders, line_buffers, border_count, max_speed, vx, vy, failed_border)
     return vx, vy
 
 
 @inlined
-def _compute_violation(borders: BorderColumns, k: I64, x: F64, y: F64) -> F64:
-    """Return by how much (mm/s) the velocity (`x`, `y`) violates border `k`; it is above 0 if the border forbids the velocity."""
+def _compute_border_violation(borders: BorderColumns, border_index: I64, x: F64, y: F64) -> F64:
+    """Return by how much (mm/s) the velocity (`x`, `y`) violates border `border_index`; it is above 0 if the border forbids the
+    velocity."""
     px, py, dx, dy, _ = borders
-    violation: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
+    violation: float = dx[border_index] * (py[border_index] - y) - dy[border_index] * (px[border_index] - x)
     return violation
 
 
 @kernel_helper
-def _find_nearest_allowed(
-    borders: BorderColumns, border_count: I64, max_speed: F64, wx: F64, wy: F64, x: F64, y: F64, seek_farthest: BOOL
+def _find_point_on_borders(
+    borders: BorderColumns, border_count: I64, max_speed: F64, wished_x: F64, wished_y: F64, x: F64, y: F64, seek_farthest: BOOL
 ) -> tuple[F64, F64, I64]:
-    """Return x and y of the allowed velocity nearest to the wish (`wx`, `wy`), and the index of the border that left no velocity.
+    """Return x and y of the allowed velocity nearest to the wish (`wished_x`, `wished_y`), and the index of the border that
+    left no velocity.
 
     The index is `border_count` if a velocity is allowed. The search starts from (`x`, `y`) in the circle of `max_speed`.
     With `seek_farthest`, return the allowed velocity that is farthest in the wish's direction."""
     px, py, dx, dy, _ = borders
     best_x, best_y = x, y
     for k in range(border_count):
-        if not _compute_violation(borders, k, best_x, best_y) > 0.0:
+        if not _compute_border_violation(borders, k, best_x, best_y) > 0.0:
             continue
         middle = px[k] * dx[k] + py[k] * dy[k]
         discriminant = middle * middle + max_speed * max_speed - (px[k] * px[k] + py[k] * py[k])
@@ -202,10 +213,10 @@ def _find_nearest_allowed(
             return best_x, best_y, k
         t = high
         if seek_farthest:
-            if not wx * dx[k] + wy * dy[k] > 0.0:
+            if not wished_x * dx[k] + wished_y * dy[k] > 0.0:
                 t = low
         else:
-            t = min(max(dx[k] * (wx - px[k]) + dy[k] * (wy - py[k]), low), high)
+            t = min(max(dx[k] * (wished_x - px[k]) + dy[k] * (wished_y - py[k]), low), high)
         best_x, best_y = px[k] + t * dx[k], py[k] + t * dy[k]
     return best_x, best_y, border_count
 
@@ -221,7 +232,7 @@ def _find_least_violation(
     qx, qy, ex, ey, _ = line_buffers
     best_x, best_y, deepest = x, y, 0.0
     for k in range(failed_border, border_count):
-        if is_valid[k] == 0 or not _compute_violation(borders, k, best_x, best_y) > deepest:
+        if is_valid[k] == 0 or not _compute_border_violation(borders, k, best_x, best_y) > deepest:
             continue
         for q in simd_range(0, (k + 7) & -8):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
@@ -235,12 +246,12 @@ def _find_least_violation(
             usable = is_valid[q] != 0 and size > _MIN_LENGTH and opposed
             divisor = size if size > _MIN_LENGTH else 1.0
             ex[q], ey[q] = wx / divisor if usable else 0.0, wy / divisor if usable else 0.0
-        nx, ny, failed_line = _find_nearest_allowed(
+        nx, ny, failed_line = _find_point_on_borders(
             line_buffers, k, max_speed, -dy[k], dx[k], -dy[k] * max_speed, dx[k] * max_speed, True
         )
         if failed_line == k:
             best_x, best_y = nx, ny
-        deepest = _compute_violation(borders, k, best_x, best_y)
+        deepest = _compute_border_violation(borders, k, best_x, best_y)
     return best_x, best_y
 
 

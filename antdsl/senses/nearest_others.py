@@ -48,9 +48,9 @@ from antdsl.senses.neighbours import (
     find_last_cell,
 )
 
-SEARCH_CAPACITY = 576  # entries in each array of a search
-_SPARE_CANDIDATES = 48  # candidates in addition to twice the requested others, before the list is reduced
-_ZERO_BITS_MASK = (1 << 29) - 1  # mask of the last bits of a float64, which are 0 for a float32 value
+MAX_SEARCH_CANDIDATES = 576  # entries in each array of a search
+_SPARE_CANDIDATE_COUNT = 48  # candidates in addition to twice the requested others, before the list is reduced
+_DISTANCE_ZERO_BITS_MASK = (1 << 29) - 1  # mask of the last bits of a float64, which are 0 for a float32 value
 
 
 class CrowdTables(NamedTuple):
@@ -67,7 +67,7 @@ class CrowdTables(NamedTuple):
     name_ranks: Array1[I32]
 
 
-class Requesters(NamedTuple):
+class NeighbourRequests(NamedTuple):
     """Agents of one species that search for others.
 
     `positions`: the position of each requester in the order of cells.
@@ -91,8 +91,8 @@ class TangentPlane(NamedTuple):
     left: Vec3
 
 
-class SearchMemory(NamedTuple):
-    """Scratch memory of a search. Each array has `SEARCH_CAPACITY` numbers.
+class CandidateMemory(NamedTuple):
+    """Scratch memory of a search. Each array has `MAX_SEARCH_CANDIDATES` numbers.
 
     `candidates`: agents within the radius, as positions in the order of cells.
     `candidate_keys`, `distance_ranks`: the sort key of each candidate, and its rank by distance.
@@ -120,35 +120,35 @@ class RelativeAgent(NamedTuple):
 
 
 @inlined
-def compute_tangent_plane(crowd: CrowdTables, requesters: Requesters, k: I64) -> TangentPlane:
+def compute_tangent_plane(crowd: CrowdTables, requesters: NeighbourRequests, k: I64) -> TangentPlane:
     """Return the tangent plane of the `k`-th requester's ground at the start of the step."""
     x, y, z = requesters.heading
-    row, up = requesters.rows[k], load_vector(crowd.packed_up, requesters.positions[k])
+    row, up = requesters.rows[k], load_packed_vector(crowd.packed_up, requesters.positions[k])
     ahead = normalise_or_perpendicular(project_to_plane(replace_non_finite_vector(x[row], y[row], z[row]), up), up)
     return TangentPlane(up, ahead, cross(up, ahead))
 
 
 @inlined
-def load_vector(packed_vectors: Array1[F32], position: I64) -> Vec3:
+def load_packed_vector(packed_vectors: Array1[F32], position: I64) -> Vec3:
     """Return the first three of the four entries that `packed_vectors` has for the agent at `position` in the order of cells."""
     x, y, z, _ = load_consecutive(packed_vectors, 4 * position, 4)
     return np.float64(x), np.float64(y), np.float64(z)
 
 
 @inlined
-def reset_candidates(memory: SearchMemory) -> None:
+def reset_candidates(memory: CandidateMemory) -> None:
     """Set all entries of `memory.candidates` to 0, so that each is a valid position of an agent."""
-    for p in range(SEARCH_CAPACITY):
+    for p in range(MAX_SEARCH_CANDIDATES):
         memory.candidates[p], memory.nearest_rows[p], memory.nearest_keys[p] = 0, 0, 0
 
 
 @kernel_helper
-def find_nearest_others(crowd: CrowdTables, requesters: Requesters, k: I64, up: Vec3, memory: SearchMemory) -> I64:
+def find_nearest_others(crowd: CrowdTables, requesters: NeighbourRequests, k: I64, up: Vec3, memory: CandidateMemory) -> I64:
     """Write the nearest others of the `k`-th requester to `memory.nearest_rows`. Return their number.
 
     They are sorted by distance, species and id. Only others on the side of the ground that `up` points to count."""
     grid, agent = crowd.grid, requesters.positions[k]
-    low, inverse, size = grid.low, grid.cells_per_mm, grid.size
+    low, inverse, size = grid.low_corner, grid.cells_per_mm, grid.cells_per_axis
     x, y, z = grid.positions[0][agent], grid.positions[1][agent], grid.positions[2][agent]
     radius, requested = requesters.radius[k], requesters.max_others[k]
     if not (radius > 0.0 and requested >= 1.0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
@@ -166,9 +166,13 @@ def find_nearest_others(crowd: CrowdTables, requesters: Requesters, k: I64, up: 
     a0, a1 = (find_first_cell(a - r, low[0], inverse[0], size[0]), find_last_cell(a + r, low[0], inverse[0], size[0]))
     b0, b1 = (find_first_cell(b - r, low[1], inverse[1], size[1]), find_last_cell(b + r, low[1], inverse[1], size[1]))
     c0, c1 = 0, 0
-    if not (size[2] == 1 and abs(c - low[2]) <= grid.width[2]):
+    if not (size[2] == 1 and abs(c - low[2]) <= grid.cell_widths[2]):
         c0, c1 = (find_first_cell(c - r, low[2], inverse[2], size[2]), find_last_cell(c + r, low[2], inverse[2], size[2]))
-    count, capacity, square_limit = 0, 2 * max_count + _SPARE_CANDIDATES, reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30)
+    count, capacity, square_limit = (
+        0,
+        2 * max_count + _SPARE_CANDIDATE_COUNT,
+        reach * reach * SQUARED_RADIUS_SLACK + np.float32(1e-30),
+    )
     for cz in range(c0, c1 + 1):
         for cy in range(b0, b1 + 1):
             line = (cz * size[1] + cy) * size[0]
@@ -186,14 +190,14 @@ def find_nearest_others(crowd: CrowdTables, requesters: Requesters, k: I64, up: 
                     for p in range(count):
                         memory.candidates[p] = memory.nearest_rows[p]
                     if count == max_count:
-                        farthest = np.float32(bits_to_float(memory.nearest_keys[max_count - 1] & ~_ZERO_BITS_MASK))
+                        farthest = np.float32(bits_to_float(memory.nearest_keys[max_count - 1] & ~_DISTANCE_ZERO_BITS_MASK))
                         square_limit = farthest * farthest * SQUARED_RADIUS_SLACK + np.float32(1e-30)
     return _select_nearest_others(crowd, agent, reach, up, count, max_count, memory)
 
 
 @kernel_helper
 def _select_nearest_others(
-    crowd: CrowdTables, position: I64, reach: F32, up: Vec3, count: I64, max_others: I64, memory: SearchMemory
+    crowd: CrowdTables, position: I64, reach: F32, up: Vec3, count: I64, max_others: I64, memory: CandidateMemory
 ) -> I64:
     """Write the nearest of the first `count` candidates to `memory.nearest_rows`, sorted. Return their number.
 
@@ -229,7 +233,9 @@ def compute_relative_agent(crowd: CrowdTables, plane: TangentPlane, own_position
     x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * own_position, 4)
     u, v, w, _ = load_consecutive(crowd.grid.packed_positions, 4 * other_position, 4)
     displacement = np.float64(u - x), np.float64(v - y), np.float64(w - z)
-    relative = minus(load_vector(crowd.packed_motion, own_position), load_vector(crowd.packed_motion, other_position))
+    relative = minus(
+        load_packed_vector(crowd.packed_motion, own_position), load_packed_vector(crowd.packed_motion, other_position)
+    )
     return RelativeAgent(
         dot(displacement, plane.ahead),
         dot(displacement, plane.left),
@@ -240,16 +246,16 @@ def compute_relative_agent(crowd: CrowdTables, plane: TangentPlane, own_position
 
 
 @inlined
-def compare_names(crowd: CrowdTables, position: I64, key: I64) -> F64:
+def compare_agent_names(crowd: CrowdTables, position: I64, key: I64) -> F64:
     """Return -1 if the agent at `position` comes before the agent with `key` in the order of species names and ids, else 1."""
-    own_name, other = np.int64(crowd.packed_up[4 * position + 3]), key & _ZERO_BITS_MASK
+    own_name, other = np.int64(crowd.packed_up[4 * position + 3]), key & _DISTANCE_ZERO_BITS_MASK
     if crowd.name_ranks.size > 0:
         own_name, other = crowd.name_ranks[own_name], crowd.name_ranks[other]
     return -1.0 if own_name < other else 1.0
 
 
 @kernel
-def store_up_and_motion(
+def pack_up_and_motion(
     position_by_row: Array1[I32], up: VectorColumns, velocity: VectorColumns, radius: Array1[F32], numbers: Array1[I32],
     table: Array1[F32], motion: Array1[F32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
@@ -267,19 +273,20 @@ def store_up_and_motion(
 
 @kernel
 def fill_nearest_offsets(
-    crowd: CrowdTables, requesters: Requesters, x: Array2[F64], y: Array2[F64], is_present: Array2[BOOL], axes: Array2[F64],
+    crowd: CrowdTables, requesters: NeighbourRequests, x: Array2[F64], y: Array2[F64], is_present: Array2[BOOL],
+    axes: Array2[F64],
     begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Write the relative positions of the nearest others of requesters from `begin` to before `end`.
 
     `x`, `y` (n, m): the distances ahead and to the left (mm). `is_present` (n, m): which entries of both are used.
     `axes` (6, n): the unit vectors ahead and left of each requester, x, y, z each; written too."""
-    memory = SearchMemory(
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
-        allocate_scratch(SEARCH_CAPACITY, I64),
+    memory = CandidateMemory(
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
+        allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
     )
     reset_candidates(memory)
     for k in range(begin, end):

@@ -30,7 +30,7 @@ from antdsl.senses.cell_order import (
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]  # an index of another type is converted at every use
 
-FieldOfView = tuple[Floats, Floats, Floats, Floats]  # heading x, y, z of each query, and the cosine of half its field of view
+ViewConeColumns = tuple[Floats, Floats, Floats, Floats]  # heading x, y, z of each query, and the cosine of half its field of view
 
 RADIUS_SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
 _DISTANCE_SLACK = 1.0 - 1e-6
@@ -50,7 +50,8 @@ class CellGridTables(NamedTuple):
     `positions`: x, y, z of each agent (mm). `axis_positions`: the same arrays in the order of the fast, middle and slow axis.
     `packed_positions`: x, y, z and row of each agent, four entries per agent.
     `rows`, `ids`, `keys`: row, id and cell of each agent. `cell_starts`: the first agent of each cell.
-    `low`, `cells_per_mm`, `width`, `size`: low corner (mm), cells per mm, cell width (mm) and number of cells along each axis."""
+    `low_corner`, `cells_per_mm`, `cell_widths`, `cells_per_axis`: low corner (mm), cells per mm, cell width (mm) and number of
+    cells along each axis."""
 
     positions: Columns
     axis_positions: Columns
@@ -59,10 +60,10 @@ class CellGridTables(NamedTuple):
     ids: Array1[I64]
     keys: Array1[I64]
     cell_starts: Array1[I32]
-    low: FloatTriple
+    low_corner: FloatTriple
     cells_per_mm: FloatTriple
-    width: FloatTriple
-    size: CellCounts
+    cell_widths: FloatTriple
+    cells_per_axis: CellCounts
 
 
 class SearchProgress(NamedTuple):
@@ -78,7 +79,7 @@ class SearchProgress(NamedTuple):
     needed_candidates: I64
 
 
-class TooManyNeighbours(Exception):
+class TooManyNeighboursError(Exception):
     """More agents are within the radius of one query than may be examined."""
 
 
@@ -115,18 +116,10 @@ class CellGrid:
         self.order.sort(self.shape, (x, y, z), NO_ORDER if (ids[1:] >= ids[:-1]).all() else sort_stably(ids))
 
     def find_pairs(
-        self,
-        rows: Rows | None,
-        radius: Floats | float,
-        *,
-        qx: Floats | None = None,
-        qy: Floats | None = None,
-        qz: Floats | None = None,
-        qid: NDArray[np.int64] | None = None,
-        view: FieldOfView | None = None,
-        threads: int = 1,
-        limit: int | None = None,
-    ) -> NeighbourPairs:
+        self, rows: Rows | None, radius: Floats | float, *, qx: Floats | None = None, qy: Floats | None = None,
+        qz: Floats | None = None, qid: NDArray[np.int64] | None = None, view: ViewConeColumns | None = None, threads: int = 1,
+        limit: int | None = None
+    ) -> NeighbourPairs:  # fmt: skip
         """Return the neighbours of the agents `rows` (None: all) within `radius` (mm; one number, or one for each row).
 
         Without `qx qy qz`, queries are for the grid's own agents, and no agent is its own neighbour.
@@ -144,27 +137,27 @@ class CellGrid:
         reach = np.asarray(radius, np.float32)
         if reach.shape != qx.shape:
             reach = np.broadcast_to(reach, qx.shape)
-        return self._search((qx, qy, qz), reach, qid, view, threads, 1 << 62 if limit is None else limit)
+        return self._search_pairs((qx, qy, qz), reach, qid, view, threads, 1 << 62 if limit is None else limit)
 
-    def table(self) -> CellGridTables:
+    def make_tables(self) -> CellGridTables:
         """Return the grid in the form that kernels read."""
         order, shape, rows = self.order, self.shape, np.ascontiguousarray(self.order.rows)
         columns: Any = order.columns
-        cells: Any = tuple(shape.low), shape.cells_per_mm, tuple(shape.width), tuple(shape.size)
+        cells: Any = tuple(shape.low_corner), shape.cells_per_mm, tuple(shape.cell_widths), tuple(shape.cells_per_axis)
         agents = order.packed_positions, rows, self.ids.take(rows), order.keys, order.cell_starts
         return CellGridTables(columns, reorder_axes(shape.axes, columns), *agents, *cells)
 
-    def _search(
+    def _search_pairs(
         self,
         query: tuple[Floats, Floats, Floats],
         reach: Floats,
         qid: NDArray[np.int64] | None,
-        view: FieldOfView | None,
+        view: ViewConeColumns | None,
         threads: int,
         limit: int,
     ) -> NeighbourPairs:
         """Return the pairs of queries at `query` (x, y, z) with radii `reach` (mm). Other arguments as for `find_pairs`."""
-        none, grid, axes = np.empty(0, np.float32), self.table(), self.shape.axes
+        none, grid, axes = np.empty(0, np.float32), self.make_tables(), self.shape.axes
         ids = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, ids, reach, *(view or (none,) * 4))
 
@@ -177,7 +170,7 @@ class CellGrid:
         pair_columns = parallel.run_in_parts(search_part, query[0].size, threads)
         filled = [columns for columns in pair_columns if columns is not None]
         if len(filled) < len(pair_columns):
-            raise TooManyNeighbours
+            raise TooManyNeighboursError
         return (
             NeighbourPairs(*filled[0])
             if len(filled) == 1
@@ -210,17 +203,17 @@ def _find_pairs(
 
 
 @inlined
-def find_first_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the first cell of a range along an axis that begins at coordinate `q` (mm): from 0 to `size`.
+def find_first_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
+    """Return the first cell of a range along an axis that begins at coordinate `coordinate` (mm): from 0 to `size`.
 
     `low`: the lowest coordinate of the grid (mm). `inverse`: cells per mm. `size`: the number of cells."""
-    return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
+    return math.floor(min(max((coordinate - low) * inverse, 0.0), float(size)))
 
 
 @inlined
-def find_last_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the last cell of a range along an axis that ends at coordinate `q` (mm): from -1 to `size` - 1."""
-    return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
+def find_last_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
+    """Return the last cell of a range along an axis that ends at coordinate `coordinate` (mm): from -1 to `size` - 1."""
+    return math.floor(min(max((coordinate - low) * inverse, -1.0), size - 1.0))
 
 
 @inlined

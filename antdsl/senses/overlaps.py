@@ -14,7 +14,7 @@ Floats = NDArray[np.float32]
 
 _REACH_SLACK, _MIN_REACH_MM = 1 + 1e-6, 1e-9  # factor for rounded distances; mm, reach of bodies without a radius
 _MAX_PAIRS_PER_AGENT = 640  # mean number of pairs per agent; above it, a nearest-neighbour tree is faster
-_FIRST_QUERY_COUNT = 8  # neighbours of the first query; each further query doubles the number until the result is certain
+_FIRST_QUERY_NEIGHBOURS = 8  # neighbours of the first query; each further query doubles the number until the result is certain
 
 
 def measure_worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
@@ -61,7 +61,7 @@ def _measure_overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
     for size in np.unique(classes)[::-1]:  # a large agent has many small neighbours, of which only near ones matter
         others = single[classes == size]
         tree, widest = cKDTree(place[others].astype(np.float64)), float(radius[others].max())
-        pending_rows, count = np.flatnonzero(is_single), _FIRST_QUERY_COUNT
+        pending_rows, count = np.flatnonzero(is_single), _FIRST_QUERY_NEIGHBOURS
         while len(pending_rows):
             count = min(count, len(others))
             rows = single[pending_rows]
@@ -81,25 +81,26 @@ def _measure_overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
 
 @kernel
 def fill_worst_overlaps(
-    searching_agents: Agents, agents: Agents, cell_starts: Array1[I32], cells: I64, shifts: Array1[I64], is_self_search: BOOL,
-    position: Columns, radius: Array1[F32], budget: I64, overlap: Array1[F32],
+    searching_agents: Agents, agents: Agents, cell_starts: Array1[I32], cells: I64, span_offsets: Array1[I64],
+    is_self_search: BOOL,
+    position: Columns, radius: Array1[F32], max_pairs: I64, overlap: Array1[F32],
 ) -> I64:  # fmt: skip
     """Raise each agent's entry of `overlap` to its greatest overlap in the pairs of a search.
 
-    Returns `budget` minus the number of pairs. If it is negative, the measurement stopped before the last pair.
+    Returns `max_pairs` minus the number of pairs. If it is negative, the measurement stopped before the last pair.
     The arguments before `position` are the fields of a `PairSearch`."""
     (query_positions, query_rows, query_keys), (ordered, rows, _) = searching_agents, agents
     for agent in range(query_rows.size):
         (x, y, z, wide), a = load_consecutive(query_positions, 4 * agent, 4), query_rows[agent]
-        for span in range(shifts.size):
-            key = query_keys[agent] + shifts[span]
+        for span in range(span_offsets.size):
+            key = query_keys[agent] + span_offsets[span]
             first, last = (
                 find_span_start(agents, cell_starts, cells, is_self_search, agent, span, key),
                 find_span_end(agents, cell_starts, cells, key),
             )
-            budget -= max(last - first, 0)
-            if budget < 0:
-                return budget
+            max_pairs -= max(last - first, 0)
+            if max_pairs < 0:
+                return max_pairs
             for n in range(first, last):
                 (u, v, w, far) = load_consecutive(ordered, 4 * n, 4)
                 u, v, w, reach = u - x, v - y, w - z, wide + far
@@ -115,4 +116,4 @@ def fill_worst_overlaps(
                     if distance < radius_sum:
                         part = np.float32(1.0) - distance / radius_sum
                         overlap[a], overlap[b] = max(overlap[a], part), max(overlap[b], part)
-    return budget
+    return max_pairs

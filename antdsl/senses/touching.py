@@ -20,14 +20,14 @@ from antdsl.numerics.parallel import make_contiguous
 from antdsl.numerics.sorting import compact_indices, sort_stably
 from antdsl.senses.cell_order import (
     NO_ORDER,
-    RANGE_UNITS_PER_CHUNK,
     SPARE_TABLE_ENTRIES,
+    WORK_UNITS_PER_CHUNK,
     CellCounts,
-    accumulate_counts,
+    convert_counts_to_starts,
     count_agents_before,
     count_cells,
     reorder_axes,
-    take_next_position,
+    take_next_sorted_index,
 )
 from antdsl.senses.cell_order import FloatTriple as Corner
 
@@ -74,13 +74,15 @@ class TouchingAgents:
     can_start_contact: NDArray[np.bool_]
 
 
-def find_touching(place: PositionColumns, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None) -> TouchingPairs:
-    """Return the pairs of agents at a distance of at most the sum of their reaches (float64[n], mm).
+def find_touching_pairs(
+    positions: PositionColumns, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None
+) -> TouchingPairs:
+    """Return the pairs of agents that are closer than the sum of their reaches (float64[n], mm).
 
-    `place`: x, y and z float64[n], mm. Agents without a finite position and reach are in no pair.
+    `positions`: x, y and z float64[n], mm. Agents without a finite position and reach are in no pair.
     `order` int64[n], all different: decides which pairs are omitted in a dense cluster, so that rows do not.
     `bounds`: the least and the greatest x, y, z and reach, if known. They are not finite if any value is not finite."""
-    x, y, z, reach = make_contiguous(*place, reach)
+    x, y, z, reach = make_contiguous(*positions, reach)
     rows, bounds = _find_usable_rows((x, y, z), reach, bounds)
     if bounds is None:
         return TouchingPairs(rows, rows, True)
@@ -95,7 +97,7 @@ def find_touching(place: PositionColumns, reach: Floats, order: NDArray[np.int64
 def iterate_neighbour_searches(place: PositionColumns, reach: Floats) -> Iterator[PairSearch]:
     """Yield searches that together visit each pair of agents within the sum of both reaches exactly once.
 
-    The arguments are those of `find_touching`.
+    The arguments are those of `find_touching_pairs`.
     Sparse crowds get wider cells, so that a table of all cells stays small."""
     x, y, z, reach = make_contiguous(*place, reach)
     rows, bounds = _find_usable_rows((x, y, z), reach, None)
@@ -129,13 +131,13 @@ def _iterate_searches(
     `bounds`: the bounds of the values of these rows. `widen_cells`: whether sparse grids get wider cells."""
     low, high = bounds[3]
     if 2 * low >= high:
-        yield _TouchGrid.build(place, reach, rows, bounds, widen_cells).build_own_search()
+        yield _ContactGrid.build(place, reach, rows, bounds, widen_cells).build_own_search()
         return
     rows = rows if rows.size else np.arange(len(reach))
     sizes = np.frexp(reach[rows])[1]
     for size in np.unique(sizes):
         members, smaller = rows[sizes == size], rows[sizes < size]
-        grid = _TouchGrid.build(place, reach, members, _find_bounds((*place, reach), members), widen_cells)
+        grid = _ContactGrid.build(place, reach, members, _find_bounds((*place, reach), members), widen_cells)
         yield grid.build_own_search()
         if smaller.size:
             yield grid.build_query_search(place, reach, smaller)
@@ -159,35 +161,36 @@ class PairSearch(NamedTuple):
     """The input of a kernel that visits pairs of neighbours.
 
     `searching_agents`, `agents`: the agents that search, and the agents that can be found, each sorted by cell.
-    `cell_starts`: the first of `agents` in each cell. `cells`: the number of cells.
+    `cell_starts`: the first of `agents` in each cell. `cell_count`: the number of cells.
     `span_offsets`: from the cell of a searching agent to the middle cell of each span. A span is three consecutive cells.
     `is_self_search`: whether the agents search among themselves; then each pair is visited once."""
 
     searching_agents: Agents
     agents: Agents
     cell_starts: Array1[I32]
-    cells: I64
+    cell_count: I64
     span_offsets: Array1[I64]
     is_self_search: BOOL
 
 
-class _TouchGrid(NamedTuple):
+class _ContactGrid(NamedTuple):
     """Agents of similar size in the order of their cells. At either end of each axis, one row of cells is free.
 
-    `axes`: the axes from the longest to the shortest. `low` and `size` are in this order.
-    `low`: low corner (mm). `cells_per_mm`: cells per mm. `size`: numbers of cells, 1 if layers are not separated.
+    `axes`: the axes from the longest to the shortest. `low_corner` and `cells_per_axis` are in this order.
+    `low_corner`: low corner (mm). `cells_per_mm`: cells per mm. `cells_per_axis`: numbers of cells, 1 if layers are not
+    separated.
     `agents`: position and reach (four entries per agent), row, and cell of each agent.
     `cell_starts`: the first agent of each cell, empty if there are too many cells for a table."""
 
     axes: tuple[int, ...]
-    low: tuple[float, ...]
+    low_corner: tuple[float, ...]
     cells_per_mm: float
-    size: tuple[int, int, int]
+    cells_per_axis: tuple[int, int, int]
     agents: tuple[Floats, NDArray[np.int32], NDArray[np.int64]]
     cell_starts: NDArray[np.int32]
 
     @staticmethod
-    def build(place: PositionColumns, reach: Floats, rows: Rows, bounds: Bounds, widen_cells: bool) -> _TouchGrid:
+    def build(place: PositionColumns, reach: Floats, rows: Rows, bounds: Bounds, widen_cells: bool) -> _ContactGrid:
         """Return the grid of agents `rows` (empty: all rows), with positions and reaches within `bounds`.
 
         `widen_cells`: whether cells become wider until a table can hold all of them."""
@@ -200,14 +203,14 @@ class _TouchGrid(NamedTuple):
         width, broad, depth = (int(extent[axis] / cell) + 3 for axis in axes)
         agents = np.empty(4 * count), np.empty(count, np.int32), np.empty(count, np.int64)
         start = tuple(low[axis] for axis in axes)
-        grid = _TouchGrid(axes, start, 1 / cell, (width, broad, 1), agents, np.empty(0, np.int32))
+        grid = _ContactGrid(axes, start, 1 / cell, (width, broad, 1), agents, np.empty(0, np.int32))
         max_cells, flat, keys = max(1 << 16, 16 * count), depth == _PADDED_LAYER_CELLS, np.empty(count, np.int64)
         counts, shared_cell_pairs = grid._count_agents(place, rows, keys, max_cells)
         if not (flat or (counts.size and shared_cell_pairs <= _MAX_SHARED_CELL_PAIRS_PER_AGENT * count)):
-            grid = grid._replace(size=(width, broad, depth))
+            grid = grid._replace(cells_per_axis=(width, broad, depth))
             counts, _ = grid._count_agents(place, rows, keys, max_cells)
         if counts.size:
-            accumulate_counts(counts, grid.cell_count)
+            convert_counts_to_starts(counts, grid.cell_count)
         else:
             order = sort_stably(keys)
             keys, rows = keys.take(order), rows.take(order) if rows.size else order
@@ -217,15 +220,15 @@ class _TouchGrid(NamedTuple):
     @property
     def cell_count(self) -> int:
         """Return the number of cells."""
-        return self.size[0] * self.size[1] * self.size[2]
+        return self.cells_per_axis[0] * self.cells_per_axis[1] * self.cells_per_axis[2]
 
-    def _get_cell_numbering(self) -> tuple[Any, ...]:
+    def _make_cell_parameters(self) -> tuple[Any, ...]:
         """Return the arguments `low`, `inverse`, `size` and `shift` of kernels that number cells.
 
         They are the low corner (mm), cells per mm, numbers of cells, and the number of the first cell that can have agents."""
-        width, broad, depth = self.size
+        width, broad, depth = self.cells_per_axis
         first, rate = (broad + 1) * width + 1 if depth > 1 else width + 1, self.cells_per_mm
-        return self.low, (rate, rate, rate if depth > 1 else 0.0), self.size, first
+        return self.low_corner, (rate, rate, rate if depth > 1 else 0.0), self.cells_per_axis, first
 
     def _count_agents(
         self, place: PositionColumns, rows: Rows, keys: NDArray[np.int64], max_cells: int
@@ -235,28 +238,28 @@ class _TouchGrid(NamedTuple):
         The counts are a table as `cell_order.count_cells` writes it, empty if there are more than `max_cells` cells."""
         counts = np.empty((1, self.cell_count + SPARE_TABLE_ENTRIES if self.cell_count <= max_cells else 0), np.int32)
         return counts, _count_cells(
-            reorder_axes(self.axes, place), *self._get_cell_numbering(), rows, keys, counts, 0, RANGE_UNITS_PER_CHUNK
+            reorder_axes(self.axes, place), *self._make_cell_parameters(), rows, keys, counts, 0, WORK_UNITS_PER_CHUNK
         )
 
     def build_own_search(self) -> PairSearch:
         """Return the search for pairs among the grid's agents.
 
         Each agent is paired with later agents of its cell, and with all agents in the later half of the neighbour cells."""
-        width, layer = self.size[0], self.size[0] * self.size[1]
-        shifts = [0, width, layer - width, layer, layer + width][: 2 if self.size[2] == 1 else 5]
+        width, layer = self.cells_per_axis[0], self.cells_per_axis[0] * self.cells_per_axis[1]
+        shifts = [0, width, layer - width, layer, layer + width][: 2 if self.cells_per_axis[2] == 1 else 5]
         return PairSearch(self.agents, self.agents, self.cell_starts, self.cell_count, np.array(shifts), True)
 
     def build_query_search(self, place: PositionColumns, reach: Floats, rows: Rows) -> PairSearch:
         """Return the search for pairs of the agents `rows`, which are not in the grid, with the grid's agents.
 
         Each row is paired with all agents in its cell and in the neighbour cells."""
-        width, layer = self.size[0], self.size[0] * self.size[1]
+        width, layer = self.cells_per_axis[0], self.cells_per_axis[0] * self.cells_per_axis[1]
         shifts = [depth * layer + row_offset * width for depth in (0, -1, 1) for row_offset in (-1, 0, 1)][
-            : 3 if self.size[2] == 1 else 9
+            : 3 if self.cells_per_axis[2] == 1 else 9
         ]
         positions, query_rows, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
         query_count = _store_queries(
-            place, reorder_axes(self.axes, place), reach, *self._get_cell_numbering(), rows, positions, query_rows, keys
+            place, reorder_axes(self.axes, place), reach, *self._make_cell_parameters(), rows, positions, query_rows, keys
         )
         return PairSearch(
             (positions, query_rows[:query_count], keys), self.agents, self.cell_starts, self.cell_count, np.array(shifts), False
@@ -279,12 +282,12 @@ def _store_agents(
 ) -> None:  # fmt: skip
     """Write each agent at its position in the order: x, y, z and reach to `ordered_agents`, its row and its cell.
 
-    `order`: the agents' rows, empty for all rows. `keys`: the cell of each agent. `counts`: see `accumulate_counts`."""
+    `order`: the agents' rows, empty for all rows. `keys`: the cell of each agent. `counts`: see `convert_counts_to_starts`."""
     for k in range(keys.size):
         if counts.shape[1] > 0:
             prefetch(ordered_agents, 4 * counts[0, keys[min(k + _PREFETCH_DISTANCE, keys.size - 1)] + 1])
         row = order[k] if order.size > 0 else k
-        position = take_next_position(counts, 0, k, keys[k])
+        position = take_next_sorted_index(counts, 0, k, keys[k])
         ordered_agents[4 * position], ordered_agents[4 * position + 1] = positions[0][row], positions[1][row]
         ordered_agents[4 * position + 2], ordered_agents[4 * position + 3] = positions[2][row], reach[row]
         rows[position], cells[position] = row, keys[k]
@@ -337,23 +340,24 @@ def find_span_end(agents: Agents, cell_starts: Array1[I32], cells: I64, key: I64
 
 @kernel
 def _fill_pairs(
-    searching_agents: Agents, agents: Agents, cell_starts: Array1[I32], cells: I64, shifts: Array1[I64], is_self_search: BOOL,
+    searching_agents: Agents, agents: Agents, cell_starts: Array1[I32], cell_count: I64, span_offsets: Array1[I64],
+    is_self_search: BOOL,
     max_partners: I64, buffers: CandidateBuffers, i: Array1[I64], j: Array1[I64],
 ) -> tuple[I64, I64]:  # fmt: skip
     """Write the rows of pairs to `i` and `j`. Return the number of pairs, and the number of spans of which pairs were omitted.
 
     The number of pairs is -1 if the arrays are too short. A span is three consecutive cells near an agent. The agent is paired
-    with at most `max_partners` agents of each span. `shifts`: from the agent's cell to the middle cell of each span.
+    with at most `max_partners` agents of each span. `span_offsets`: from the agent's cell to the middle cell of each span.
     `buffers`: work memory."""
     (query_positions, query_rows, query_keys), (ordered, rows, _), (one, other, near) = searching_agents, agents, buffers
     pair_count, count, left_out = 0, query_rows.size, 0
     for begin in range(0, count, _AGENTS_PER_BATCH):
         candidates = 0
         for agent in range(begin, min(begin + _AGENTS_PER_BATCH, count)):
-            for span in range(shifts.size):
-                key = query_keys[agent] + shifts[span]
-                last = find_span_end(agents, cell_starts, cells, key)
-                first = find_span_start(agents, cell_starts, cells, is_self_search, agent, span, key)
+            for span in range(span_offsets.size):
+                key = query_keys[agent] + span_offsets[span]
+                last = find_span_end(agents, cell_starts, cell_count, key)
+                first = find_span_start(agents, cell_starts, cell_count, is_self_search, agent, span, key)
                 if last - first > max_partners:
                     left_out += 1
                     rotation = (agent * max_partners) % (last - first)

@@ -221,7 +221,7 @@ class CaseFinder:
         return self.shots[key]
 
     def _find_plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
-        """Return the plan of a spec in the program of the scene, which may have more species than the file of the spec."""
+        """Return the plan of a spec for the program of a scene."""
         same_spec = _find_same_spec(shot.program, spec)
         if same_spec is None:
             message = f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`"

@@ -137,7 +137,7 @@ def collect_runs(results: Sequence[RunResult], units: Mapping[str, str] | None =
 
 
 def collect_run_series(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> dict[str, list[Any]]:
-    """Return the columns of the table of frames: label, scene, seed, varied values, frame and measures of the program."""
+    """Return the columns of the frame table: label, scene, seed, varied values, frame and measures."""
     return collect_series([(identify_run(job, units or {}), measures) for job, measures in results])
 
 

@@ -23,7 +23,7 @@ def count_sizes(scan: TokenScan, lines: list[SourceLine]) -> FileSizes:
 
 
 def add_sizes(first: FileSizes, second: FileSizes) -> FileSizes:
-    """Return the sums of the sizes of two parts of a file."""
+    """Return the sum of two file sizes."""
     return first[0] + second[0], first[1] + second[1], first[2] + second[2]
 
 

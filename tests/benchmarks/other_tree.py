@@ -81,8 +81,8 @@ def rays_timed() -> list[float]:
     with suppress(ImportError):  # an older tree has NumPy only
         from antdsl.runtime.backends.native import address_tables
 
-        address_tables.get_clearance = timed(
-            address_tables.get_clearance
+        address_tables.get_obstacle_clearance = timed(
+            address_tables.get_obstacle_clearance
         )  # possible hits are computed before, not in the sense itself
     return spent
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from antdsl.fields import growing, threshold_cells
-from antdsl.fields.cell_lookup import CellIndex, locate_cells
-from antdsl.fields.pheromone import compute_cell_inflow, find_strongest, step_cells
+from antdsl.fields.cell_lookup import VoxelCellIndex, update_cell_lookups
+from antdsl.fields.pheromone import advance_cells, compute_cell_inflow, find_strongest_nearby_cells
 
 SIZE = 6, 5, 7  # voxels of a box
 VOXEL = 2.5  # mm
@@ -41,7 +41,7 @@ def test_cells_spread_fade_and_receive_deposits(spreads: bool, lands: int) -> No
     amount = np.minimum([amount, amount + deposit, np.maximum(amount, deposit)][lands], limit)
     expected, left = np.where(amount < least, 0, amount), pending.copy() if lands == 0 else 0 * pending
     for part in ((0, 101), (101, n)):
-        step_cells(held, change, pending, spread, keep, unit, limit, least, lands, *part)
+        advance_cells(held, change, pending, spread, keep, unit, limit, least, lands, *part)
     np.testing.assert_allclose(held, expected, rtol=1e-14, atol=1e-15)
     assert np.array_equal(pending, left) and (held == limit).any() and (held == 0).any()
 
@@ -55,7 +55,7 @@ def test_the_strongest_cell_of_a_block_is_its_first_greatest() -> None:
     own = rng.integers(-1, cells, count).astype(np.int32)
     own[:3] = -1
     best, value = np.full(count, 77), np.full(count, 77.0)
-    find_strongest(own, block, held, best, value)
+    find_strongest_nearby_cells(own, block, held, best, value)
     for n in range(count):
         amounts = [] if own[n] < 0 else [float(held[cell]) for cell in block[own[n]]]
         most = max(amounts, default=0.0)
@@ -118,7 +118,7 @@ def test_points_are_located_by_voxel_and_side(listed: bool) -> None:
     empty = np.empty(0, np.int32)
     tables = (box.direct, keys[:0], 0, empty) if listed else (empty, keys, shift, start)
     cell_by_key = {int(key): cell for cell, key in enumerate(box.keys if listed else keys)}
-    index = CellIndex(VOXEL, low, box.size, *tables)
+    index = VoxelCellIndex(VOXEL, low, box.size, *tables)
     known, known_cells = np.full(count, -1), np.full(count, -1, np.int32)
     voxel = rng.integers(-1, box.size + 1, (count, 3))
     for turn in range(2):
@@ -127,14 +127,14 @@ def test_points_are_located_by_voxel_and_side(listed: bool) -> None:
         points = tuple((voxel + low + rng.uniform(-0.49, 0.49, (count, 3))).T * VOXEL)
         points = tuple(np.ascontiguousarray(each) for each in points)
         side, cells = rng.integers(0, 6, count).astype(np.int8), np.full(count, -7, np.int32)
-        missed = [locate_cells(points, side, index, known, known_cells, cells, *part) for part in ((0, 203), (203, count))]
+        missed = [update_cell_lookups(points, side, index, known, known_cells, cells, *part) for part in ((0, 203), (203, count))]
         inside = ((voxel >= 0) & (voxel < box.size)).all(axis=1)
         key = np.where(inside, np.ravel_multi_index(np.clip(voxel, 0, box.size - 1).T, SIZE) * 6 + side, -1)
         expected = [cell_by_key.get(int(each), -1) for each in key]
         assert cells.tolist() == expected and np.array_equal(known, key) and known_cells.tolist() == expected
         assert sum(missed) == expected.count(-1) and 50 < sum(missed) < count
     known_cells[expected.index(max(expected))] = 3  # an answer that is stored is used
-    locate_cells(points, side, index, known, known_cells, cells, 0, count)
+    update_cell_lookups(points, side, index, known, known_cells, cells, 0, count)
     assert cells[expected.index(max(expected))] == 3
 
 

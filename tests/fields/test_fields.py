@@ -7,8 +7,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from antdsl.fields.cells import FieldTooFine, SurfaceCells, are_sides_compatible, find_facing_sides
-from antdsl.fields.pheromone import DEPOSIT_UNIT, MAX_DEPOSIT, PheromoneField
+from antdsl.fields.cells import FieldTooFineError, SurfaceCells, are_sides_compatible, find_facing_sides
+from antdsl.fields.pheromone import DEPOSIT_QUANTUM, MAX_DEPOSIT, PheromoneField
 from antdsl.scene.field_settings import compute_max_diffusion
 from tests.meshes import Mesh, ball, box, grid, terrain
 
@@ -39,7 +39,7 @@ def test_every_surface_point_has_a_cell_of_its_side(mesh, cell):
     points, normals = on_surface(mesh, 5000)
     cell_numbers = cells.find_cells(points, normals)
     assert (cell_numbers >= 0).all()
-    assert np.array_equal(cells.sides[cell_numbers], find_facing_sides(normals))
+    assert np.array_equal(cells.side_by_cell[cell_numbers], find_facing_sides(normals))
     assert np.abs(cells.position[cell_numbers] - points).max() < 1.6 * cell
     assert len(np.unique(cell_numbers)) <= len(cells) <= 3.2 * np.abs(points.max() - points.min() + cell) ** 2 * 6 / cell**2
 
@@ -63,9 +63,9 @@ def test_both_sides_of_a_thin_plate_have_separate_cells():
     top, bottom = field.cells.find_cells(place, np.array([[0, 1.0, 0], [0, -1.0, 0]]))
     assert top != bottom
     field.deposit(np.array([top]), np.array([5.0], np.float32))
-    field.step(1.0, 10.0, 1 / 24)
+    field.advance(1.0, 10.0, 1 / 24)
     for _ in range(3):
-        field.step(1.0, 10.0, 1 / 24)
+        field.advance(1.0, 10.0, 1 / 24)
     assert field.sample_strongest(np.array([top]))[0] > 1 and field.sample_strongest(np.array([bottom]))[0] == 0
 
 
@@ -74,7 +74,7 @@ def test_several_surfaces_share_a_field_and_the_order_of_faces_is_not_observable
     cells = SurfaceCells([ground, stone], 5.0)
     mixed = (ground[0], ground[1][np.random.default_rng(1).permutation(len(ground[1]))])
     again = SurfaceCells([stone, mixed], 5.0)
-    assert len(cells) == len(again) and np.array_equal(cells.sides, again.sides)
+    assert len(cells) == len(again) and np.array_equal(cells.side_by_cell, again.side_by_cell)
     assert np.allclose(cells.position, again.position)
     assert np.array_equal(cells.links.linked_cells, again.links.linked_cells)
     for mesh in (ground, stone):
@@ -123,7 +123,7 @@ def test_nearest_cells_equal_a_plain_search():
     voxel = np.stack(np.unravel_index(cells._voxel_numbers, tuple(cells._size)), axis=1)
     crowded, most = 0, len(cells)
     for a in range(most):
-        near = np.flatnonzero((np.abs(voxel - voxel[a]).max(axis=1) <= 1) & ((cells.sides ^ 1) != cells.sides[a]))
+        near = np.flatnonzero((np.abs(voxel - voxel[a]).max(axis=1) <= 1) & ((cells.side_by_cell ^ 1) != cells.side_by_cell[a]))
         gap = ((cells.position[near] - cells.position[a]) ** 2).sum(axis=1)
         expected = np.sort(near[np.lexsort((near, gap))][:16])
         crowded += len(near) > 16
@@ -146,20 +146,20 @@ def test_points_without_a_cell_get_a_nearby_compatible_cell():
 def test_too_many_cells_are_rejected_before_allocation():
     tracemalloc.start()
     for cell in (0.02, 1e-9):
-        with pytest.raises(FieldTooFine, match="cells are needed") as error_info:
+        with pytest.raises(FieldTooFineError, match="cells are needed") as error_info:
             SurfaceCells([grid(1000, 4)], cell)
         assert error_info.value.needed > error_info.value.cap
     assert tracemalloc.get_traced_memory()[1] < 1e6
     tracemalloc.stop()
-    with pytest.raises(FieldTooFine):
+    with pytest.raises(FieldTooFineError):
         SurfaceCells([grid(100, 4)], 1.0, cap=9_000)
     ribbon = (np.array([[0, 0, 0], [0, 0, 0.5], [1e5, 0, 0]]), np.array([[0, 1, 2]], np.int32))
-    with pytest.raises(FieldTooFine) as error_info:
+    with pytest.raises(FieldTooFineError) as error_info:
         SurfaceCells([ribbon], 0.1)
     assert error_info.value.is_axis_limit and error_info.value.needed > error_info.value.cap
     slivers = np.array([[[0, 0, 9 * k], [0, 0, 9 * k + 1e-3], [1e5, 0, 9 * k]] for k in range(600)], float).reshape(-1, 3)
     tracemalloc.start()
-    with pytest.raises(FieldTooFine) as error_info:
+    with pytest.raises(FieldTooFineError) as error_info:
         SurfaceCells([(slivers, np.arange(1800, dtype=np.int32).reshape(-1, 3))], 1.0)
     assert not error_info.value.is_axis_limit and error_info.value.needed == 60_000_000
     assert tracemalloc.get_traced_memory()[1] < 1e6
@@ -180,7 +180,9 @@ def test_links_are_symmetric_adjacent_and_connect_the_surface(mesh):
     assert {*zip(own.tolist(), links.linked_cells.tolist(), strict=True)} == {
         *zip(links.linked_cells.tolist(), own.tolist(), strict=True)
     }
-    assert (own != links.linked_cells).all() and are_sides_compatible(cells.sides[own], cells.sides[links.linked_cells]).all()
+    assert (own != links.linked_cells).all() and are_sides_compatible(
+        cells.side_by_cell[own], cells.side_by_cell[links.linked_cells]
+    ).all()
     gap = np.linalg.norm(cells.position[own] - cells.position[links.linked_cells], axis=1)
     assert gap.max() < 2.5 * 4.0
     graph = csr_array((np.ones(own.size), links.linked_cells, links.link_starts), shape=(len(cells), len(cells)))
@@ -196,49 +198,49 @@ def test_deposits_add_exactly_in_any_order_and_any_parts():
     order = rng.permutation(20_000)
     for part in np.array_split(order, 17):
         two.deposit(cells[part], amounts[part])
-    assert not one.values.any()  # lands at the end of the step
-    one.step(0.9, 0.0, 1 / 24)
-    two.step(0.9, 0.0, 1 / 24)
-    assert one.values.tobytes() == two.values.tobytes()
+    assert not one.amounts.any()  # lands at the end of the step
+    one.advance(0.9, 0.0, 1 / 24)
+    two.advance(0.9, 0.0, 1 / 24)
+    assert one.amounts.tobytes() == two.amounts.tobytes()
     expected = np.bincount(cells, amounts.astype(np.float64), len(one.cells))
-    assert np.abs(one.values - expected).max() < DEPOSIT_UNIT * 1000
-    one.step(0.9, 0.0, 1 / 24)
-    assert np.allclose(one.values, np.float64(np.float32(0.9)) * two.values, rtol=1e-15)
+    assert np.abs(one.amounts - expected).max() < DEPOSIT_QUANTUM * 1000
+    one.advance(0.9, 0.0, 1 / 24)
+    assert np.allclose(one.amounts, np.float64(np.float32(0.9)) * two.amounts, rtol=1e-15)
 
 
 def test_combine_max_stores_the_greatest_deposit():
     field = flat_field(combine="max")
     field.deposit(np.array([4, 4, 9]), np.array([2.0, 5.0, 1.0], np.float32))
-    field.step(0.5, 0.0, 1.0)
+    field.advance(0.5, 0.0, 1.0)
     field.deposit(np.array([4, 9]), np.array([1.0, 3.0], np.float32))
-    field.step(0.5, 0.0, 1.0)
-    assert field.values[4] == 2.5 and field.values[9] == 3.0
+    field.advance(0.5, 0.0, 1.0)
+    assert field.amounts[4] == 2.5 and field.amounts[9] == 3.0
 
 
 def test_invalid_deposits_are_counted_and_ignored():
     field = flat_field(limit=3.0)
     amounts = np.array([np.nan, np.inf, 1e30, 2.0, 2.0, 2.0, -9.0], np.float32)
     assert field.deposit(np.array([1, 1, 2, -1, 3, 3, 5]), amounts) == 3
-    field.step(1.0, 0.0, 1.0)
-    assert field.values[1] == 0 and field.values[2] == 3.0 and field.values[3] == 3.0 and field.values[5] == 0
-    assert field.values.sum() == 6.0
+    field.advance(1.0, 0.0, 1.0)
+    assert field.amounts[1] == 0 and field.amounts[2] == 3.0 and field.amounts[3] == 3.0 and field.amounts[5] == 0
+    assert field.amounts.sum() == 6.0
     crowd = flat_field()
     crowd.deposit(np.zeros(5000, np.int32), np.full(5000, 1e9, np.float32))
-    crowd.step(1.0, 0.0, 1.0)
-    assert crowd.values[0] == 5000 * MAX_DEPOSIT
+    crowd.advance(1.0, 0.0, 1.0)
+    assert crowd.amounts[0] == 5000 * MAX_DEPOSIT
 
 
 def test_amounts_halve_by_half_life_and_become_zero():
     field = flat_field()
     field.deposit(np.array([7]), np.array([8.0], np.float32))
-    field.step(1.0, 0.0, 1 / 24)
+    field.advance(1.0, 0.0, 1 / 24)
     keep = 0.5 ** (1 / 24 / 2.0)
     for _ in range(48):
-        field.step(keep, 0.0, 1 / 24)
-    assert field.values[7] == pytest.approx(4.0, rel=1e-5)
+        field.advance(keep, 0.0, 1 / 24)
+    assert field.amounts[7] == pytest.approx(4.0, rel=1e-5)
     for _ in range(50 * 48):
-        field.step(keep, 0.0, 1 / 24)
-    assert field.values[7] == 0.0
+        field.advance(keep, 0.0, 1 / 24)
+    assert field.amounts[7] == 0.0
 
 
 def test_diffusion_solves_the_heat_equation_and_conserves_the_sum():
@@ -246,12 +248,12 @@ def test_diffusion_solves_the_heat_equation_and_conserves_the_sum():
     field = PheromoneField(cells)
     dt, rate = 1 / 24, 6.0
     field.deposit(cells.find_cells(np.zeros((1, 3)), np.array([[0, 1.0, 0]])), np.array([1000.0], np.float32))
-    field.step(1.0, 0.0, dt)
+    field.advance(1.0, 0.0, dt)
     for _ in range(240):
-        field.step(1.0, rate, dt)
-        assert field.values.min() >= 0
-    assert field.values.sum() == pytest.approx(1000.0, rel=1e-9)
-    variance = (field.values * cells.position[:, 0] ** 2).sum() / 1000.0
+        field.advance(1.0, rate, dt)
+        assert field.amounts.min() >= 0
+    assert field.amounts.sum() == pytest.approx(1000.0, rel=1e-9)
+    variance = (field.amounts * cells.position[:, 0] ** 2).sum() / 1000.0
     assert variance == pytest.approx(2 * rate * 10.0, rel=0.02)
 
 
@@ -261,14 +263,14 @@ def test_a_stencil_of_eight_is_isotropic():
     dt, rate, ratio = 1 / 24, 20.0, {}
     for stencil in (4, 8):
         field = PheromoneField(cells, stencil=stencil)
-        field.values[cells.find_cells(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))] = 1000.0
+        field.amounts[cells.find_cells(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))] = 1000.0
         for _ in range(12):
-            field.step(1.0, rate, dt)
-        assert field.values.sum() == pytest.approx(1000.0, rel=1e-12) and field.values.min() >= 0
-        variance = (field.values * cells.position[:, 0] ** 2).sum() / 1000.0
+            field.advance(1.0, rate, dt)
+        assert field.amounts.sum() == pytest.approx(1000.0, rel=1e-12) and field.amounts.min() >= 0
+        variance = (field.amounts * cells.position[:, 0] ** 2).sum() / 1000.0
         assert variance == pytest.approx(2 * rate * 12 * dt, rel=0.02)  # as the heat equation says
         along, across = (
-            float(field.values[cells.find_cells(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]])
+            float(field.amounts[cells.find_cells(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]])
             for x, z in ((10.0, 0.0), (6.0, 8.0))
         )
         ratio[stencil] = across / along
@@ -280,10 +282,10 @@ def test_a_step_with_a_stencil_of_eight_by_hand():
     cells = SurfaceCells([grid(40, 4)], 2.0)
     at = {(x, z): int(cells.find_cells(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]) for x in (0, 2, 4) for z in (0, 2)}
     field = PheromoneField(cells, stencil=8)
-    field.values[at[0, 0]] = 60.0
-    field.step(1.0, 2.0, 0.2)
-    assert field.values[at[2, 0]] == pytest.approx(4.0) and field.values[at[2, 2]] == pytest.approx(1.0)
-    assert field.values[at[0, 0]] == pytest.approx(40.0) and field.values[at[4, 0]] == 0
+    field.amounts[at[0, 0]] = 60.0
+    field.advance(1.0, 2.0, 0.2)
+    assert field.amounts[at[2, 0]] == pytest.approx(4.0) and field.amounts[at[2, 2]] == pytest.approx(1.0)
+    assert field.amounts[at[0, 0]] == pytest.approx(40.0) and field.amounts[at[4, 0]] == 0
 
 
 @pytest.mark.parametrize("combine", ["add", "max"])
@@ -294,8 +296,8 @@ def test_deposits_first_spread_and_evaporate_in_the_same_step(combine):
     for first in (False, True):
         field = PheromoneField(cells, combine, limit=50.0, deposits_first=first)
         field.deposit(own, np.array([60.0], np.float32))
-        field.step(0.5, 2.0, 0.2)
-        left[first] = field.values[own[0]], field.values.sum()
+        field.advance(0.5, 2.0, 0.2)
+        left[first] = field.amounts[own[0]], field.amounts.sum()
     assert left[False] == (50.0, 50.0)
     assert left[True] == pytest.approx((50 * 0.6 * 0.5, 25.0))
 
@@ -307,14 +309,14 @@ def test_the_stability_limit_depends_only_on_the_cell_size(mesh, stencil):
     most = compute_max_diffusion(4.0, 1 / 24)
     assert most == pytest.approx(96.0)
     with pytest.raises(ValueError, match="the largest that is stable is 96 mm²/s"):
-        field.step(1.0, 96.1, 1 / 24)
-    field.values[:] = np.random.default_rng(4).uniform(0, 1, len(field.cells)) * (np.arange(len(field.cells)) % 7 == 0)
-    total, high = field.values.sum(), field.values.max()
+        field.advance(1.0, 96.1, 1 / 24)
+    field.amounts[:] = np.random.default_rng(4).uniform(0, 1, len(field.cells)) * (np.arange(len(field.cells)) % 7 == 0)
+    total, high = field.amounts.sum(), field.amounts.max()
     for _ in range(30):
-        field.step(1.0, most, 1 / 24)
-        assert field.values.min() >= 0 and field.values.max() <= high + 1e-12
-        high = field.values.max()
-    assert field.values.sum() == pytest.approx(total, rel=1e-9)
+        field.advance(1.0, most, 1 / 24)
+        assert field.amounts.min() >= 0 and field.amounts.max() <= high + 1e-12
+        high = field.amounts.max()
+    assert field.amounts.sum() == pytest.approx(total, rel=1e-9)
 
 
 def test_strongest_of_the_nearest_sixteen_against_plain_search():
@@ -322,18 +324,19 @@ def test_strongest_of_the_nearest_sixteen_against_plain_search():
     cells = SurfaceCells([mesh], 4.0)
     field = PheromoneField(cells)
     rng = np.random.default_rng(5)
-    field.values[:] = rng.choice([0.0, 1.0, 2.0, 3.0], len(cells))
+    field.amounts[:] = rng.choice([0.0, 1.0, 2.0, 3.0], len(cells))
     own = cells.find_cells(*on_surface(mesh, 300))
     value, x, y, z = field.sample_strongest(own)
     lattice = np.column_stack(np.unravel_index(cells._voxel_numbers, cells._size))
     for k, cell in enumerate(own):
         near = np.flatnonzero(
-            (np.abs(lattice - lattice[cell]).max(axis=1) <= 1) & are_sides_compatible(cells.sides, cells.sides[cell])
+            (np.abs(lattice - lattice[cell]).max(axis=1) <= 1)
+            & are_sides_compatible(cells.side_by_cell, cells.side_by_cell[cell])
         )
         gap = ((cells.position[near] - cells.position[cell]) ** 2).sum(axis=1)
         near = np.sort(near[np.lexsort((near, gap))[:16]])
-        best = near[np.argmax(field.values[near])]
-        assert value[k] == field.values[best]
+        best = near[np.argmax(field.amounts[near])]
+        assert value[k] == field.amounts[best]
         assert np.array_equal([x[k], y[k], z[k]], cells.position[best].astype(np.float32))
 
 
@@ -344,7 +347,7 @@ def test_empty_fields_have_no_smell():
     assert not value.any() and np.allclose([x[0], y[0], z[0]], field.cells.position[5]) and x[1] == y[1] == z[1] == 0
     assert not field.sample(own).any() and not np.any(field.sample_gradient(own))
     nothing = PheromoneField(SurfaceCells([], 4.0))
-    nothing.step(0.9, 1.0, 1 / 24)
+    nothing.advance(0.9, 1.0, 1 / 24)
     assert nothing.sample_strongest(np.array([-1]))[0] == 0 and nothing.sample_gradient(np.array([-1]))[0] == 0
     assert nothing.sample(np.array([-1, -1])).tolist() == [0, 0]
 
@@ -355,7 +358,7 @@ def test_gradients_are_tangential_to_the_surface(tilt):
     turn = np.array([[np.cos(tilt), np.sin(tilt), 0], [-np.sin(tilt), np.cos(tilt), 0], [0, 0, 1]])
     field = PheromoneField(SurfaceCells([(vertices @ turn, faces)], 3.0))
     along = np.array([0.6, 0, 0.8]) @ turn
-    field.values[:] = 5.0 + 0.01 * (field.cells.position @ along)
+    field.amounts[:] = 5.0 + 0.01 * (field.cells.position @ along)
     inner = np.flatnonzero(np.linalg.norm(field.cells.position, axis=1) < 30)
     slope = np.stack(field.sample_gradient(inner), axis=1)
     assert np.allclose(slope, 0.01 * along, atol=4e-4)
@@ -365,7 +368,7 @@ def test_gradients_are_tangential_to_the_surface(tilt):
 def test_answers_do_not_depend_on_the_batch():
     mesh = terrain(150, 30)
     field = PheromoneField(SurfaceCells([mesh], 4.0))
-    field.values[:] = np.random.default_rng(6).random(len(field.cells))
+    field.amounts[:] = np.random.default_rng(6).random(len(field.cells))
     points, normals = on_surface(mesh, 400)
     own = field.cells.find_cells(points, normals)
     together = (*field.sample_strongest(own), *field.sample_gradient(own), field.sample(own))
@@ -381,8 +384,8 @@ def test_strongest_is_the_first_of_the_greatest_around() -> None:
     rng = np.random.default_rng(8)
     own = np.concatenate([field.cells.find_cells(*on_surface(mesh, 2500)), np.full(10, -1, np.int32)])
     for share in (0.0, 0.01, 0.6):
-        field.values[:] = np.where(rng.random(len(field.cells)) < share, rng.integers(0, 5, len(field.cells)), 0)
-        held, place = np.append(field.values, 0.0), np.append(field.cells.position, np.zeros((1, 3)), axis=0)
+        field.amounts[:] = np.where(rng.random(len(field.cells)) < share, rng.integers(0, 5, len(field.cells)), 0)
+        held, place = np.append(field.amounts, 0.0), np.append(field.cells.position, np.zeros((1, 3)), axis=0)
         for k in (1, 9, 16):
             around = np.append(field.cells.get_nearest_cells(k), [[len(field.cells)] * k], axis=0)[own]
             best = around[np.arange(len(own)), held[around].argmax(axis=1)]

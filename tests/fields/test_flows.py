@@ -10,7 +10,7 @@ import pytest
 from test_program import checked, complaints
 
 from antdsl import passes, plan
-from antdsl.fields.face_points import FaceLattice, count_cuts, weld_points
+from antdsl.fields.face_points import FaceLattice, count_edge_pieces_by_length, weld_points
 from antdsl.plan.ir import Plan
 from antdsl.runtime import BindError, Options, bind, restore_checkpoint, set_flow, state_hash, step, take_checkpoint
 from antdsl.runtime.world import World
@@ -104,15 +104,15 @@ def run(built: World, steps: int) -> np.ndarray:
 def test_linear_values_are_interpolated_exactly() -> None:
     rng = np.random.default_rng(1)
     cuts = np.array([1, 2, 8, 64, 1])
-    lattice = FaceLattice.from_cuts(cuts)
+    lattice = FaceLattice.from_edge_pieces(cuts)
     b1, b2 = lattice.compute_slot_weights()
-    face = lattice.faces()
+    face = lattice.get_face_by_slot()
     value = 3 * b1 - 7 * b2 + face
     requested = rng.integers(0, 5, 2000)
     u, v = rng.random(2000), rng.random(2000)
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     u[:10], v[:10] = [0, 1, 0, 0.5, 0.5, 1, 0, 0, 0.25, 0.75], [0, 0, 1, 0.5, 0, 0, 1, 0, 0.75, 0.25]
-    slots, weights = lattice.locate(requested, u, v)
+    slots, weights = lattice.find_slots(requested, u, v)
     assert np.abs(weights.sum(axis=0) - 1).max() < 1e-12 and weights.min() > -1e-9
     assert (face[slots] == requested).all()
     assert np.abs((value[slots] * weights).sum(axis=0) - (3 * u - 7 * v + requested)).max() < 1e-12
@@ -125,7 +125,7 @@ def test_linear_values_are_interpolated_exactly() -> None:
 
 
 def test_edges_are_cut_as_small_as_requested_and_points_at_one_place_are_one() -> None:
-    assert count_cuts(np.array([0.0, 1.0, 10.0, 33.0]), 8.0).tolist() == [1, 1, 2, 8]
+    assert count_edge_pieces_by_length(np.array([0.0, 1.0, 10.0, 33.0]), 8.0).tolist() == [1, 1, 2, 8]
     point, count = weld_points(np.array([[0, 0, 0], [1, 0, 0], [1 + 1e-12, 0, 0], [1, 0, 0]], float), np.array([0, 0, 0, 1]))
     assert count == 3 and point[1] == point[2] != point[3]
 
@@ -227,9 +227,9 @@ def test_solved_flows_avoid_solids_until_they_are_dug() -> None:
         return float(read(built, (-60, 0))[0, 0])
 
     built = start_world()
-    solved = built.flows["drift"].c
+    solved = built.flows["drift"].axis1_components
     run(built, 7)
-    assert built.flows["drift"].c is solved, "nothing was dug, so nothing is solved anew"
+    assert built.flows["drift"].axis1_components is solved, "nothing was dug, so nothing is solved anew"
     assert ahead(built) < 0.6 and np.abs(read(built, (0, 0))).max() == 0, "round it; under it leads no way"
     x = np.linspace(-44, 44, 40)
     built.solids["hill"].carve_balls(np.stack([x, 0 * x, 0 * x], axis=1), np.full(40, 30.0), np.arange(40))
@@ -239,7 +239,9 @@ def test_solved_flows_avoid_solids_until_they_are_dug() -> None:
     assert ahead(built) > 0.95 and read(built, (0, 0))[0, 0] > 0.9
     again = start_world()
     restore_checkpoint(again, cached)
-    assert np.array_equal(run(again, 6), positions) and np.array_equal(again.flows["drift"].c, built.flows["drift"].c)
+    assert np.array_equal(run(again, 6), positions) and np.array_equal(
+        again.flows["drift"].axis1_components, built.flows["drift"].axis1_components
+    )
     assert (away(again, 150, 0) > 100).all()
     run(again, 260)
     assert (away(again, 150, 0) < 20).all(), "through it: the way round is too long for that time"

@@ -10,7 +10,7 @@ from plan_text import plan_of
 
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.pheromone import PheromoneField
-from antdsl.fields.threshold_cells import CellsAboveThreshold
+from antdsl.fields.threshold_cells import CellsNearThreshold
 from antdsl.machine_code import llvm_compiler
 from antdsl.numerics import parallel
 from antdsl.passes import optimise
@@ -27,31 +27,31 @@ def test_counts_equal_a_search_for_strong_cells(k: int, monkeypatch: pytest.Monk
     monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", 100)  # so that it goes in parts
     field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))
     rng, every, least = np.random.default_rng(k), np.arange(len(field.cells)), np.float32(0.1)
-    reached = CellsAboveThreshold(field, least, k)
+    reached = CellsNearThreshold(field, least, k)
     for share in (0.0, 0.01, 0.012, 0.5, 1.0, 0.02, 0.0):
         held = rng.choice([0.1 - 1e-12, float(least), 3.0, np.inf], len(every))  # the first is 0.1 in float32
-        field.values[:] = np.where(rng.random(len(every)) < share, held, rng.choice([0.0, 0.0999, np.nan], len(every)))
-        is_reached = reached.get_current_counts(3)
+        field.amounts[:] = np.where(rng.random(len(every)) < share, held, rng.choice([0.0, 0.0999, np.nan], len(every)))
+        is_reached = reached.update_counts(3)
         assert np.array_equal(is_reached[:-1] > 0, field.sample_strongest(every, k)[0] >= least) and is_reached[-1] == 0
-        assert np.array_equal(reached.get_current_counts(), is_reached)
+        assert np.array_equal(reached.update_counts(), is_reached)
 
 
 @pytest.mark.parametrize("least", [0.0, -1.0, np.nan])
 def test_a_threshold_of_zero_holds_everywhere(least: float) -> None:
     field = PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0))
-    assert CellsAboveThreshold(field, np.float32(least), 16).get_current_counts().all()
+    assert CellsNearThreshold(field, np.float32(least), 16).update_counts().all()
 
 
 def test_matches_only_its_field_and_threshold() -> None:
     field, other = (PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0)) for _ in range(2))
-    reached = CellsAboveThreshold(field, np.float32(1), 9)
+    reached = CellsNearThreshold(field, np.float32(1), 9)
     assert (
-        reached.matches(field, np.float32(1))
-        and not reached.matches(field, np.float32(2))
-        and not reached.matches(other, np.float32(1))
+        reached.has_same_settings(field, np.float32(1))
+        and not reached.has_same_settings(field, np.float32(2))
+        and not reached.has_same_settings(other, np.float32(1))
     )
     field.extend_arrays(np.empty(0, np.int64))
-    assert not reached.matches(field, np.float32(1))
+    assert not reached.has_same_settings(field, np.float32(1))
 
 
 def program(asks: str) -> str:

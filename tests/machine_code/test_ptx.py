@@ -7,7 +7,7 @@ import re
 import pytest
 from compilers import need_llvmlite
 
-from antdsl.fields.pheromone import step_cells
+from antdsl.fields.pheromone import advance_cells
 from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.numerics.elementary_loops import write_cosines
@@ -35,6 +35,6 @@ def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
 
 def test_numbers_are_read_and_stored_whole() -> None:
     # byte by byte they are where nothing is known of how arrays lie, and an H100 was seen to lose lowest bytes then
-    moved = set(re.findall(r"\b(?:ld|st)\.(?:v\d\.)?[a-z]\d+", ptx_of(step_cells)))
+    moved = set(re.findall(r"\b(?:ld|st)\.(?:v\d\.)?[a-z]\d+", ptx_of(advance_cells)))
     assert {"ld.b64", "st.b64"} <= moved
     assert not any(each.endswith(("8", "16")) for each in moved)

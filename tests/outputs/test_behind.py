@@ -267,7 +267,7 @@ def held(world: World) -> Iterator[NDArray[Any]]:
         tables.append({"ids": population.ids, "born": population.born, "position": population.position})
     tables += [items.amounts for items in world.items.values()]
     tables += [feet.stored_arrays() for feet in world.feet.values()]
-    tables.append({name: field.values for name, field in world.fields.items()})
-    tables += [flow.state() for flow in world.flows.values()]
+    tables.append({name: field.amounts for name, field in world.fields.items()})
+    tables += [flow.get_state() for flow in world.flows.values()]
     for table in tables:
         yield from table.values()

@@ -56,14 +56,16 @@ def test_each_pair_is_found_once(tmp_path: Path) -> None:
     points = np.random.default_rng(8).uniform(-HALF, HALF, (60, 3)) * (1, 0, 1)
     world = run(open_balls(tmp_path, write_points(tmp_path, points), "off"), 0)  # type: ignore[arg-type]
     near = find_near_pairs(CapsuleCrowd(world))
-    pairs = {frozenset(pair) for pair in np.stack([near.rows[near.i], near.rows[near.j]], axis=1).tolist()}
-    assert len(pairs) == len(near.i)
+    pairs = {
+        frozenset(pair) for pair in np.stack([near.rows[near.first_indices], near.rows[near.second_indices]], axis=1).tolist()
+    }
+    assert len(pairs) == len(near.first_indices)
     (population,) = world.populations.values()
     gap = distances(world) - 2 * near.radius.max()
     ids = {frozenset(population.ids[list(pair)].tolist()) for pair in pairs}
     expected = {frozenset(pair) for pair in np.argwhere(gap < 0.5 * near.radius.max()).tolist()}
     assert expected <= ids
-    i, j = population.ids[near.rows[near.i]], population.ids[near.rows[near.j]]
+    i, j = population.ids[near.rows[near.first_indices]], population.ids[near.rows[near.second_indices]]
     np.testing.assert_allclose(near.gap, gap[i, j], atol=1e-5)
 
 

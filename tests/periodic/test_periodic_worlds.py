@@ -110,7 +110,7 @@ def test_a_shifted_world_gives_the_shifted_run(tmp_path: Path, wrap: str) -> Non
         key = at - (2 * by).astype(int)
         for axis in (0, 2):
             key[:, axis] = key[:, axis] % 32 if shift[axis] else key[:, axis]
-        amounts.append({tuple(k): v for k, v in zip(key.tolist(), each.values.tolist(), strict=True) if v > 1e-3})
+        amounts.append({tuple(k): v for k, v in zip(key.tolist(), each.amounts.tolist(), strict=True) if v > 1e-3})
     assert amounts[0].keys() == amounts[1].keys()
     assert all(abs(amounts[0][key] - amounts[1][key]) < 1e-2 for key in amounts[0])
 
@@ -174,17 +174,17 @@ def test_fields_spread_as_on_a_torus(stencil: int, low: float) -> None:
     np.testing.assert_array_equal(cells.position, np.round(cells.position))
     field = PheromoneField(cells, stencil=stencil)
     start = np.random.default_rng(2).uniform(0, 9, 256)
-    field.values[:] = start
+    field.amounts[:] = start
     at = np.round(cells.position[:, [0, 2]]).astype(int) % 16
     grid = np.zeros((16, 16))
     grid[at[:, 0], at[:, 1]] = start
     for _ in range(5):
-        field.step(1.0, 0.2, 1.0)
+        field.advance(1.0, 0.2, 1.0)
         flat = sum(np.roll(grid, by, axis) for axis in (0, 1) for by in (1, -1)) - 4 * grid
         corners = sum(np.roll(np.roll(grid, a, 0), b, 1) for a in (1, -1) for b in (1, -1)) - 4 * grid
         grid = grid + 0.2 * (flat if stencil == 4 else (4 * flat + corners) / 6)
-    np.testing.assert_allclose(field.values, grid[at[:, 0], at[:, 1]], rtol=1e-12)
-    assert field.values.sum() == pytest.approx(start.sum(), rel=1e-12)
+    np.testing.assert_allclose(field.amounts, grid[at[:, 0], at[:, 1]], rtol=1e-12)
+    assert field.amounts.sum() == pytest.approx(start.sum(), rel=1e-12)
 
 
 def test_cells_are_found_and_ranked_across_the_seam() -> None:
@@ -203,7 +203,7 @@ def test_cells_are_found_and_ranked_across_the_seam() -> None:
 def test_a_field_slopes_evenly_across_the_seam() -> None:
     cells = make_cells(HALF, 1.0)
     field = PheromoneField(cells)
-    field.values[:] = 5 + np.sin(cells.position[:, 0] * np.pi / HALF)
+    field.amounts[:] = 5 + np.sin(cells.position[:, 0] * np.pi / HALF)
     slope = field.sample_gradient(np.arange(256))
     np.testing.assert_allclose(slope[0], np.cos(cells.position[:, 0] * np.pi / HALF) * np.sin(np.pi / HALF), atol=1e-5)
 

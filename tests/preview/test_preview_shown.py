@@ -155,7 +155,7 @@ def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     _, mesh = unpack_arrays(page.make_packets["fieldmesh:trail"])
     header, field_arrays = unpack_arrays(page.make_packets["field:trail"])
     world = live.session.world  # it stands still
-    cells, values = world.fields["trail"].cells.position, world.fields["trail"].values
+    cells, values = world.fields["trail"].cells.position, world.fields["trail"].amounts
     positions = mesh["position"].reshape(-1, 3)
     assert len(field_arrays["value"]) == len(positions) and mesh["face"].max() < len(positions)
     assert "full" not in header  # one scale for all frames

@@ -257,7 +257,7 @@ def test_the_suggested_text_has_the_same_lasting_effect(shot: Path) -> None:
     assert suggested_text == "set: {trail.limit: 0.000001, trail.keeps: 0 %/step}"
     session.restart()
     go(session, 12)
-    assert session.world.fields["trail"].values.max() <= 1e-6
+    assert session.world.fields["trail"].amounts.max() <= 1e-6
     edit(shot, layer, f"# {layer}")
     shot.write_text(shot.read_text() + suggested_text + "\n")
     written = opened(shot)

@@ -27,7 +27,7 @@ def run(frames: int, **params: str) -> tuple[np.ndarray, np.ndarray, list[float]
         ants = world.populations["ant"]
         rows = ants.rows_by_id()
         states.append(ants.now["main.state"][rows].copy())
-        scent.append(float(world.fields["alarm"].values.sum()))
+        scent.append(float(world.fields["alarm"].amounts.sum()))
         place = ants.position[rows, 0].copy() if k == STAB else place
     return np.array(states), place, scent
 

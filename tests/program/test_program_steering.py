@@ -150,7 +150,7 @@ def test_climb_keeps_to_a_winding_trail() -> None:
         world = scene(steer, crowd("ant", *[(-90.0, 105.0 + offset) for offset in range(-8, 9, 4)]))
         trail = world.fields["trail"]
         x, _, z = (trail.cells.position + world.origin).T
-        trail.values[:] = np.where(np.abs(z - _trail_z(x)) < 10, 1 + (x + 200) / 400, 0.0)
+        trail.amounts[:] = np.where(np.abs(z - _trail_z(x)) < 10, 1 + (x + 200) / 400, 0.0)
         positions, _ = run(world, 144)
         assert (positions[-1, :, 0] > 20).all()  # not round and round on it
         return np.abs(positions[..., 2] - _trail_z(positions[..., 0]))
@@ -164,7 +164,7 @@ def test_antennae_keep_to_a_trail_however_faint_it_is() -> None:
         world = scene(steer, crowd("ant", *[(-90.0, 100.0 + offset) for offset in (-12, -7, 1, 6, 11)]))
         trail = world.fields["trail"]
         x, _, z = (trail.cells.position + world.origin).T
-        trail.values[:] = strength * np.exp(-(((z - _trail_z(x)) / 10) ** 2))
+        trail.amounts[:] = strength * np.exp(-(((z - _trail_z(x)) / 10) ** 2))
         positions, _ = run(world, 144)
         return np.abs(positions[48:, :, 2] - _trail_z(positions[48:, :, 0])).max(axis=0)
 
@@ -178,7 +178,7 @@ def test_antennae_turn_by_the_relative_difference_to_the_stronger_side() -> None
     world = scene("antennae(trail, reach: 8 mm, spread: 40 deg)", crowd("ant", (0.0, 0.0)), members="response 1 step\n")
     trail = world.fields["trail"]
     _, _, z = (trail.cells.position + world.origin).T
-    trail.values[:] = np.where(z < 0, 6.0, 2.0)  # left of x is -z
+    trail.amounts[:] = np.where(z < 0, 6.0, 2.0)  # left of x is -z
     _, speeds = run(world, 1)
     assert np.degrees(np.arctan2(-speeds[0, 0, 2], speeds[0, 0, 0])) == pytest.approx(20, abs=0.01)  # 40 * (6 - 2) / (6 + 2)
 

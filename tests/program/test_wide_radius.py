@@ -14,7 +14,7 @@ from antdsl import limits
 from antdsl.pipeline import open_scene
 from antdsl.preview.session import Session
 from antdsl.runtime import LimitStop, Options, World, bind, state_hash, step
-from antdsl.senses.neighbours import CellGrid, TooManyNeighbours
+from antdsl.senses.neighbours import CellGrid, TooManyNeighboursError
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 CROWD = limits.MAX_CANDIDATES_IN_RADIUS + 2
@@ -71,7 +71,7 @@ def test_neighbours_are_counted_within_the_radius_and_not_in_its_cells() -> None
     many = CellGrid(*(np.tile(a, 10) for a in (x, x * 0, x * 0)), np.arange(10 * x.size), 300.0)
     assert grid.find_pairs(None, 1.0, limit=10).i.size == 30 * 29 + 50 * 49
     assert many.find_pairs(None, 1.0, limit=499).i.size == 800 * limits.MAX_QUERY_NEIGHBOURS
-    with pytest.raises(TooManyNeighbours):
+    with pytest.raises(TooManyNeighboursError):
         many.find_pairs(None, 1.0, limit=498)
     assert many.find_pairs(np.arange(30), 1.0, limit=299).i.size == 30 * limits.MAX_QUERY_NEIGHBOURS
 

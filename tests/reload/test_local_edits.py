@@ -83,4 +83,4 @@ def test_a_species_that_no_other_meets_changes_nothing_of_the_others(tmp_path: P
         step(alone)
         step(beside)
         assert set(same(alone, beside)) <= {"group"}  # which line of the crowd it came from
-        assert np.array_equal(alone.fields["trail"].values, beside.fields["trail"].values)
+        assert np.array_equal(alone.fields["trail"].amounts, beside.fields["trail"].amounts)

@@ -129,7 +129,7 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
         old = project_by_stretch[session.timeline.find_stretch(session.frame)]
         food = session.world.items["food"].amounts["load"]
         food -= np.minimum(food, rng.randrange(3))
-        new, old_herds, scent = edited(project, rng), herds(session.world), session.world.fields["trail"].values.copy()
+        new, old_herds, scent = edited(project, rng), herds(session.world), session.world.fields["trail"].amounts.copy()
         eaten, frame = amounts(session.world), session.frame
         if rng.random() < 0.3:  # a save that another follows before the first has come to rest
             for name, text in (broken(project, rng) if rng.random() < 0.5 else edited(project, rng).texts()).items():
@@ -146,7 +146,7 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
         for name, load in new.items.items():
             assert amounts(session.world)[name] == (eaten[name] if old.items.get(name) == load else load)
         same_cells = (old.cell, old.cells, old.height) == (new.cell, new.cells, new.height)
-        trail = session.world.fields["trail"].values
+        trail = session.world.fields["trail"].amounts
         assert np.array_equal(trail, scent) if same_cells else not trail.any()
         counts["taken over" if outcome.line != "nothing has changed" else "the same"] += 1
         project_by_stretch[session.timeline.find_stretch(session.frame)] = project = new

@@ -136,7 +136,7 @@ def test_what_was_dug_stays_dug_while_the_mesh_is_the_same(tmp_path: Path) -> No
     shot = opened(scene)
     other, what = migrate_world(world, shot.plan, shot.setting)
     assert other.solids["hill"].compute_digest() == world.solids["hill"].compute_digest()
-    assert np.array_equal(other.fields["trail"].values, world.fields["trail"].values)
+    assert np.array_equal(other.fields["trail"].amounts, world.fields["trail"].amounts)
     assert re.search(r"\d of removed state `digger.dig` starts? again in `digger.go`", describe_migration(what))
     for _ in range(3):
         step(other)

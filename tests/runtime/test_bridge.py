@@ -58,7 +58,7 @@ def test_ants_leave_the_nest_and_lay_scent_if_they_are_to(name: str) -> None:
     for _ in range(80):
         step(world)
     x = world.populations["ant"].position[:, 0] + world.origin[0]
-    assert (x > -40).sum() > 3 and (world.fields["trail"].values.sum() > 0) == (name != "no_scent")
+    assert (x > -40).sum() > 3 and (world.fields["trail"].amounts.sum() > 0) == (name != "no_scent")
     assert world.items["gates"].amounts["passed"].sum() == 0, "they count from `since` on only"
 
 

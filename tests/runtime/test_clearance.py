@@ -30,8 +30,14 @@ from antdsl.runtime.feet.wearers import find_wearers
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
 from antdsl.runtime.moving.clearance import clearance_kernels as clearance
 from antdsl.runtime.moving.clearance.bodies_inside import find_bodies_inside
-from antdsl.runtime.moving.clearance.body_paths import PATH_FLOATS, BodyShape, FacesNearby, profile_lift, trace_bends
-from antdsl.runtime.moving.clearance.body_tables import body_shapes, contact_faces
+from antdsl.runtime.moving.clearance.body_paths import (
+    FLOATS_PER_PATH,
+    BodyShape,
+    FacesNearby,
+    compute_lift_over_profile,
+    measure_ground_bend,
+)
+from antdsl.runtime.moving.clearance.body_tables import compute_unit_shapes, make_contact_faces
 from antdsl.runtime.moving.contacts.capsules import measure_overlap_depths
 from antdsl.scene.setting import BodyCapsuleData
 
@@ -79,13 +85,13 @@ def trace_paths(
     surface: SurfaceTables, face: I64, side: F64, window: F64, points: Array1[F64], bends: Array1[F64], nearby: FacesNearby
 ) -> None:
     start = FaceWalker(face, (0.25, 0.25), side, (bends[0], bends[1]), (1.0, 0.0))
-    bend = trace_bends(surface, nearby, start, window, 0.1, points)
-    bends[0], bends[1], bends[2] = bend.roll, bend.pitch, float(bend.count)
+    bend = measure_ground_bend(surface, nearby, start, window, 0.1, points)
+    bends[0], bends[1], bends[2] = bend.roll, bend.pitch, float(bend.point_count)
 
 
 @kernel
 def lift_over(points: Array1[F64], count: I64, shape: BodyShape, lifts: Array1[F64]) -> None:
-    lifts[0] = profile_lift(points, count, shape, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 100.0)
+    lifts[0] = compute_lift_over_profile(points, count, shape, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 100.0)
 
 
 @pytest.mark.parametrize("turn", [-100.0, -40.0, 20.0, 70.0, 150.0])
@@ -95,7 +101,7 @@ def test_a_path_turns_as_far_as_it_reaches_over_an_edge(turn: float) -> None:
     ground = MeshGround({"ground": (mesh.vertices, mesh.faces)})
     walk, table = ground.build_crowd_walk(1.0, 4.0), ground.triangles[3]
     assert walk is not None
-    surface, points = walk.build_tables()[0], np.empty(PATH_FLOATS)
+    surface, points = walk.build_tables()[0], np.empty(FLOATS_PER_PATH)
     tree = walk.boxes.to_box_tree()
     nearby = FacesNearby(tree, FaceList(np.empty(9, np.int64), 0), 0, table.piece, table.cuts.first)
     start = table.corner[:, 0] + 0.25 * table.edge1[:, 0] + 0.25 * table.edge2[:, 0]
@@ -110,17 +116,17 @@ def test_a_path_turns_as_far_as_it_reaches_over_an_edge(turn: float) -> None:
 
 def test_a_lift_clears_any_profile_and_is_no_higher_than_it_must() -> None:
     rng, shape = np.random.default_rng(3), BodyShape(1.5, 0.5, 0.7, -0.1)
-    along = np.linspace(-shape.half, shape.half, 400)
+    along = np.linspace(-shape.axis_half_length, shape.axis_half_length, 400)
     for _ in range(40):
         slopes = np.radians(rng.uniform(-50, 60, 5))
         parts = np.stack([np.cos(slopes), np.sin(slopes)], axis=1) * rng.uniform(0.3, 1.5, 5)[:, None]
         corners = np.concatenate([[[0.0, 0.0]], np.cumsum(parts, axis=0)])
-        points = np.zeros((len(corners), PATH_FLOATS // 18))
+        points = np.zeros((len(corners), FLOATS_PER_PATH // 18))
         points[:, :2] = corners
         lifts = np.empty(1)
         lift_over(points.ravel(), len(corners), shape, lifts)
         line = np.concatenate([a + (b - a) * np.linspace(0, 1, 300)[:, None] for a, b in pairwise(corners)])
-        axis = np.stack([along + shape.ahead, np.full(len(along), shape.height)], axis=1)
+        axis = np.stack([along + shape.middle_forward_offset, np.full(len(along), shape.middle_height)], axis=1)
         gaps = [np.sqrt(((axis[:, None] + [0, lift] - line) ** 2).sum(axis=2)).min() for lift in (lifts[0], lifts[0] - 0.02)]
         assert gaps[0] > shape.radius - 0.01
         assert lifts[0] == 0.0 or gaps[1] < shape.radius
@@ -134,7 +140,7 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
     population, meshes = world.populations["a"], world.ground.meshes
     assert meshes is not None
     walk, n = meshes.build_crowd_walk(1.0, 4.0), len(population)
-    rng, (shapes, body) = np.random.default_rng(6), body_shapes(world, population)
+    rng, (shapes, body) = np.random.default_rng(6), compute_unit_shapes(world, population)
     shape = BodyShape(*shapes[0])
     now = {name: array.copy() for name, array in population.now.items()}
     up = population.read_vector("up") + rng.normal(0, 0.3, (n, 3))
@@ -154,14 +160,14 @@ def test_depths_are_those_to_all_faces(turns: int) -> None:
         depths,
         outs,
     )
-    clearance.shift_bodies(*contact_faces(world, walk, n, 1), *inputs, turns, 0, n)
+    clearance.shift_bodies(*make_contact_faces(world, walk, n, 1), *inputs, turns, 0, n)
     vertices, faces, _, _ = meshes.triangles
     corners, size = vertices[faces], now["size"].astype(np.float64)[:, None]
     up, heading, lift = (np.stack(v, axis=1).astype(np.float64) for v in columns)
-    middle = population.position + lift + size * (up * shape.height + heading * shape.ahead)
+    middle = population.position + lift + size * (up * shape.middle_height + heading * shape.middle_forward_offset)
     nearest = np.full(n, np.inf)
     for part in np.linspace(-1, 1, 9):
-        center = middle + heading * size * shape.half * part
+        center = middle + heading * size * shape.axis_half_length * part
         for i in range(n):
             at = np.broadcast_to(center[i], (len(corners), 3))
             nearest[i] = min(
@@ -261,7 +267,7 @@ def test_bodies_stay_outside_obstacles_and_as_fast() -> None:
     for clears in (False, True):
         world = walking(flat, 40, clears, obstacles={"post": obstacle})
         population, count, distance = world.populations["a"], 0, 0.0
-        half, radius, height, ahead = body_shapes(world, population, 0.0)[0][0]
+        half, radius, height, ahead = compute_unit_shapes(world, population, 0.0)[0][0]
         for _ in range(frames):
             previous = population.position.copy()
             step(world)

@@ -10,7 +10,7 @@ import pytest
 
 from antdsl.runtime.moving import correction_walks
 from antdsl.runtime.moving.contacts import capsule_distances, capsules, contact_solver, separation, step_clamping
-from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs, measure_overlap_depths
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyCapsulePairs, find_near_pairs, measure_overlap_depths
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY, WHOLE_CAPSULE_BY_BODY
 from tests.runtime.test_contacts import RESTING, CrowdData, cluster, world
 
@@ -34,13 +34,13 @@ def closest(away: np.ndarray, a: np.ndarray, b: np.ndarray, reach: float, length
     return min(result, key=lambda each: float(np.linalg.norm(away + a * each[0] - b * each[1])))
 
 
-def gap_of(near: SimpleNamespace | NearbyPairs, middle: np.ndarray, p: int, q: int) -> tuple[float, np.ndarray]:
+def gap_of(near: SimpleNamespace | NearbyCapsulePairs, middle: np.ndarray, p: int, q: int) -> tuple[float, np.ndarray]:
     """The gap of two capsules and the way to part, across the direction between the two ways that they stand."""
     up, other = near.up[:, p], near.up[:, q]
     between = 0 * up if up @ other < -0.5 else unit(up + other)
-    a, b, away = near.ahead[:, p], near.ahead[:, q], middle[:, p] - middle[:, q]
+    a, b, away = near.axis_directions[:, p], near.axis_directions[:, q], middle[:, p] - middle[:, q]
     flat = [v - between * (v @ between) for v in (away, a, b)]
-    s, t = closest(*flat, near.half[p], near.half[q])
+    s, t = closest(*flat, near.half_lengths[p], near.half_lengths[q])
     separation_vector = away + a * s - b * t
     over = separation_vector @ between
     separation_vector = separation_vector - between * over
@@ -63,14 +63,16 @@ def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespac
     half, radius = rng.uniform(0, 1.2, ROWS), rng.uniform(0.2, 0.6, ROWS)
     ahead[:, 1], up[:, 1], middle[:, 1] = ahead[:, 0], up[:, 0], middle[:, 0] + 0.3 * np.cross(up[:, 0], ahead[:, 0])  # parallel
     i, j = (np.array(each) for each in zip(*combinations(range(ROWS), 2), strict=True))
-    return SimpleNamespace(middle=middle, ahead=ahead, up=up, half=half, radius=radius, i=i, j=j)
+    return SimpleNamespace(
+        middle=middle, axis_directions=ahead, up=up, half_lengths=half, radius=radius, first_indices=i, second_indices=j
+    )
 
 
-def near_of(built: SimpleNamespace) -> NearbyPairs:
-    gap, path = np.empty(len(built.i)), np.empty((3, len(built.i)))
-    stand = (built.middle.copy(), built.ahead, built.up, built.half, built.radius)
-    near = NearbyPairs(None, np.arange(ROWS), built.i, built.j, *stand, 0.6, gap, path)  # type: ignore[arg-type]
-    near.measure(np.zeros_like(built.middle), np.ones(ROWS, np.bool_))
+def near_of(built: SimpleNamespace) -> NearbyCapsulePairs:
+    gap, path = np.empty(len(built.first_indices)), np.empty((3, len(built.first_indices)))
+    stand = (built.middle.copy(), built.axis_directions, built.up, built.half_lengths, built.radius)
+    near = NearbyCapsulePairs(None, np.arange(ROWS), built.first_indices, built.second_indices, *stand, 0.6, gap, path)  # type: ignore[arg-type]
+    near.measure_gaps(np.zeros_like(built.middle), np.ones(ROWS, np.bool_))
     return near
 
 
@@ -80,23 +82,23 @@ def test_gaps_of_capsules_are_those_of_their_closest_points(seed: int) -> None:
     near, moved = near_of(built), rng.normal(0, 0.4, (3, ROWS))
     changed = rng.random(ROWS) < 0.4
     previous = near.gap.copy(), near.direction.copy()
-    expected = [gap_of(near, near.middle, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    expected = [gap_of(near, near.middle, p, q) for p, q in zip(near.first_indices, near.second_indices, strict=True)]
     assert np.allclose(near.gap, [gap for gap, _ in expected], atol=1e-9)
     assert np.allclose(near.direction.T, [path for _, path in expected], atol=1e-7)
     assert np.isinf(near.gap).any() and (near.gap < 0).sum() > 20
-    near.measure(moved, changed)
-    again = changed[near.i] | changed[near.j]
-    expected = [gap_of(near, near.middle + moved, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    near.measure_gaps(moved, changed)
+    again = changed[near.first_indices] | changed[near.second_indices]
+    expected = [gap_of(near, near.middle + moved, p, q) for p, q in zip(near.first_indices, near.second_indices, strict=True)]
     assert np.allclose(near.gap[again], np.array([gap for gap, _ in expected])[again], atol=1e-9)
     assert np.allclose(near.direction[:, again].T, np.array([path for _, path in expected])[again], atol=1e-7)
     assert np.array_equal(near.gap[~again], previous[0][~again]) and np.array_equal(
         near.direction[:, ~again], previous[1][:, ~again]
     )
     gap, path, depth = near.measure_before_step(moved)
-    expected = [gap_of(near, near.middle - moved, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    expected = [gap_of(near, near.middle - moved, p, q) for p, q in zip(near.first_indices, near.second_indices, strict=True)]
     assert np.allclose(gap, [each for each, _ in expected], atol=1e-9)
     assert np.allclose(path.T, [each for _, each in expected], atol=1e-7)
-    assert np.allclose(depth, [max(0.0, *-gap[(near.i == k) | (near.j == k)]) for k in range(ROWS)])
+    assert np.allclose(depth, [max(0.0, *-gap[(near.first_indices == k) | (near.second_indices == k)]) for k in range(ROWS)])
 
 
 def crowds(spread: float):
@@ -147,8 +149,8 @@ def test_one_without_a_place_has_no_neighbours(place: float) -> None:
     assert not np.isfinite(sum(crowd.bounds[1])) and set(pairs_of(near)) == others and len(others) > 100
 
 
-def pairs_of(near: NearbyPairs) -> list[tuple[int, int]]:
-    return list(zip(near.rows[near.i].tolist(), near.rows[near.j].tolist(), strict=True))
+def pairs_of(near: NearbyCapsulePairs) -> list[tuple[int, int]]:
+    return list(zip(near.rows[near.first_indices].tolist(), near.rows[near.second_indices].tolist(), strict=True))
 
 
 @pytest.mark.parametrize("dead", [None, 5e-4, 0.2, 0.6])
@@ -161,8 +163,8 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
         built.populations["ant"].now["size"][5] = built.populations["ant"].now["size"][4]
     crowd = CapsuleCrowd(built)
     near = find_near_pairs(crowd, dead)
-    total = SimpleNamespace(half=crowd.half, radius=crowd.radius)
-    total.ahead, total.up = (np.stack(crowd.read_vector(name)).astype(float) for name in ("heading", "up"))
+    total = SimpleNamespace(half_lengths=crowd.half, radius=crowd.radius)
+    total.axis_directions, total.up = (np.stack(crowd.read_vector(name)).astype(float) for name in ("heading", "up"))
     wide = crowd.radius[:, None] + crowd.radius[None]
     gaps = {(p, q): gap_of(total, crowd.middle, p, q) for p, q in combinations(range(len(crowd)), 2)}
     far = np.linalg.norm(crowd.middle[:, :, None] - crowd.middle[:, None], axis=0) > crowd.reach[:, None] + crowd.reach[None]
@@ -172,7 +174,7 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
     expected = {(p, q): each for (p, q), each in summary.items() if p in depth or q in depth}
     keys = crowd.agent_keys
     result = {tuple(sorted(pair)): k for k, pair in enumerate(pairs_of(near))}
-    assert result.keys() == expected.keys() and len(result) == len(near.i)
+    assert result.keys() == expected.keys() and len(result) == len(near.first_indices)
     assert all(keys[p] < keys[q] for p, q in pairs_of(near))
     for pair, k in result.items():
         sign = 1 if keys[pair[0]] < keys[pair[1]] else -1
@@ -181,11 +183,13 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
             assert np.allclose(near.direction[:, k], sign * expected[pair][1], atol=1e-7)
     assert np.isclose(near.max_radius, max(crowd.radius[list(pair)].max() for pair in summary))
     assert np.array_equal(near.rows, np.unique(list(expected)))
-    for name in ("middle", "half", "radius"):
-        assert np.array_equal(getattr(near, name), getattr(crowd, name)[..., near.rows])
-    assert np.array_equal(near.ahead, total.ahead[:, near.rows]) and np.array_equal(near.up, total.up[:, near.rows])
+    for name, crowd_name in (("middle", "middle"), ("half_lengths", "half"), ("radius", "radius")):
+        assert np.array_equal(getattr(near, name), getattr(crowd, crowd_name)[..., near.rows])
+    assert np.array_equal(near.axis_directions, total.axis_directions[:, near.rows]) and np.array_equal(
+        near.up, total.up[:, near.rows]
+    )
     if dead is None:
-        path, up = near.direction[:, result[4, 5]], near.up[:, near.i[result[4, 5]]]
+        path, up = near.direction[:, result[4, 5]], near.up[:, near.first_indices[result[4, 5]]]
         assert np.isclose(np.linalg.norm(path), 1, atol=0.1) and abs(path @ up) < 0.1
         worst = [max([0.0, *(-gap for pair, (gap, _) in summary.items() if k in pair)]) for k in range(len(crowd))]
         assert np.allclose(measure_overlap_depths(built), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
@@ -205,19 +209,19 @@ def within(moved: np.ndarray, middle: np.ndarray, extent: float) -> np.ndarray:
 
 def shares(near, pairs, depth, light, dense_share, normal) -> dict[tuple[int, int], float]:
     """What of its overlap each of a pair makes room for, by pair and row."""
-    locked = {k: sum(depth[n] for n in pairs if k in (near.i[n], near.j[n])) for k in range(ROWS)}
+    locked = {k: sum(depth[n] for n in pairs if k in (near.first_indices[n], near.second_indices[n])) for k in range(ROWS)}
     most = max(depth.values())
     locked = {k: each / most for k, each in locked.items()}
     for _ in range(3):
         spread = dict(locked)
         for n in pairs:
             if depth[n] > 0:
-                spread[near.i[n]] += locked[near.j[n]]
-                spread[near.j[n]] += locked[near.i[n]]
+                spread[near.first_indices[n]] += locked[near.second_indices[n]]
+                spread[near.second_indices[n]] += locked[near.first_indices[n]]
         locked = {k: each / max(spread.values()) for k, each in spread.items()}
     result = {}
     for n in pairs:
-        p, q = near.i[n], near.j[n]
+        p, q = near.first_indices[n], near.second_indices[n]
         outward = 1 + 9 * max(dense_share[p], dense_share[q])
         outer = np.clip(0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300), 1 / 64, 63 / 64)
         one = light[p] * outer * np.sum(level(near.direction[:, n], normal[:, p]) ** 2)
@@ -227,18 +231,18 @@ def shares(near, pairs, depth, light, dense_share, normal) -> dict[tuple[int, in
     return result
 
 
-def part_bodies(near: NearbyPairs, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
+def part_bodies(near: NearbyCapsulePairs, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
     """As `contact_solver` gives, from one pair after another."""
     size = np.linalg.norm(walked, axis=0)
     most = np.maximum(agents.max_travel, size)
     extent = np.minimum(most * 0.3 + depth, most) * agents.push_share
     dense_share = np.where(size <= 0.01 * most, 1.0, np.clip(depth / (near.radius * 0.4) - 0.5, 0, 1))
     light, moved, which = np.where(held, 0.0, 1 / agents.mass), cut.copy(), which.copy()
-    dead = (near.radius[near.i] + near.radius[near.j]) * 5e-4
+    dead = (near.radius[near.first_indices] + near.radius[near.second_indices]) * 5e-4
     for _ in range(looks):
         touching = np.flatnonzero(which & (near.gap < -dead))
-        hit = {*near.i[touching], *near.j[touching]}
-        pairs = [n for n in np.flatnonzero(which) if near.i[n] in hit or near.j[n] in hit]
+        hit = {*near.first_indices[touching], *near.second_indices[touching]}
+        pairs = [n for n in np.flatnonzero(which) if near.first_indices[n] in hit or near.second_indices[n] in hit]
         if not pairs:
             break
         overlap = {n: -near.gap[n] if near.gap[n] < -dead[n] else 0.0 for n in pairs}
@@ -246,7 +250,7 @@ def part_bodies(near: NearbyPairs, agents, which, held, walked, depth, looks, sw
         for _ in range(sweeps):
             sums, weight, contacts = np.zeros((3, ROWS)), np.zeros(ROWS), np.zeros(ROWS)
             for n in pairs:
-                p, q = near.i[n], near.j[n]
+                p, q = near.first_indices[n], near.second_indices[n]
                 left = near.gap[n] + near.direction[:, n] @ ((new_displacement - moved)[:, p] - (new_displacement - moved)[:, q])
                 if left < -dead[n]:
                     for k, path in ((p, near.direction[:, n]), (q, -near.direction[:, n])):
@@ -263,13 +267,13 @@ def part_bodies(near: NearbyPairs, agents, which, held, walked, depth, looks, sw
                 )
         changed = np.abs(new_displacement - moved).max(axis=0) > 0
         moved = new_displacement
-        for n in np.flatnonzero(changed[near.i] | changed[near.j]):
-            near.gap[n], near.direction[:, n] = gap_of(near, near.middle + moved, near.i[n], near.j[n])
+        for n in np.flatnonzero(changed[near.first_indices] | changed[near.second_indices]):
+            near.gap[n], near.direction[:, n] = gap_of(near, near.middle + moved, near.first_indices[n], near.second_indices[n])
             which[n] = True
     return moved
 
 
-def agents_of(seed: int) -> tuple[contact_solver._PairAgents, dict[str, np.ndarray]]:
+def agents_of(seed: int) -> tuple[contact_solver._ContactAgents, dict[str, np.ndarray]]:
     rng = np.random.default_rng(seed)
     normal = unit(rng.normal(0, 0.2, (3, ROWS)) + np.array([[0.0], [1], [0]]))
     mass, still = rng.choice([1.0, 1.0, 5.0], ROWS), rng.random(ROWS) < 0.2
@@ -277,7 +281,7 @@ def agents_of(seed: int) -> tuple[contact_solver._PairAgents, dict[str, np.ndarr
     reach = rng.uniform(0, 0.8, ROWS)
     stand = {"held": rng.random(ROWS) < 0.15, "walked": walked, "deep": rng.uniform(0, 0.4, ROWS) * (rng.random(ROWS) < 0.6)}
     stand["cut"] = rng.normal(0, 0.05, (3, ROWS)) * (rng.random(ROWS) < 0.3)
-    return contact_solver._PairAgents(0 * walked, reach, mass, rng.choice([1.0, 0.4], ROWS), normal, still), stand
+    return contact_solver._ContactAgents(0 * walked, reach, mass, rng.choice([1.0, 0.4], ROWS), normal, still), stand
 
 
 @pytest.mark.parametrize("looks, sweeps, share", [(1, 1, 0.4), (1, 4, 1.0), (5, 3, 1.0)])
@@ -285,11 +289,11 @@ def agents_of(seed: int) -> tuple[contact_solver._PairAgents, dict[str, np.ndarr
 def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, share: float, seed: int) -> None:
     built, (agents, stand) = bodies(seed, 7.0), agents_of(seed)
     near, again = near_of(built), near_of(built)
-    which = np.random.default_rng(seed).random(len(near.i)) < (0.8 if looks > 1 else 1.1)
+    which = np.random.default_rng(seed).random(len(near.first_indices)) < (0.8 if looks > 1 else 1.1)
     which[near.gap == np.inf] = True
-    effort, work = contact_solver.SolverEffort(looks, sweeps, 1), separation.make_buffers(ROWS, len(near.i))
+    effort, work = contact_solver.SolverIterations(looks, sweeps, 1), separation.make_buffers(ROWS, len(near.first_indices))
     for each in (near, again):
-        each.measure(stand["cut"], np.ones(ROWS, np.bool_))
+        each.measure_gaps(stand["cut"], np.ones(ROWS, np.bool_))
     inputs = (stand["held"], stand["walked"], stand["deep"])
     expected = part_bodies(again, agents, which, *inputs, looks, sweeps, share, stand["cut"])
     cached = which.copy()
@@ -298,10 +302,10 @@ def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, sha
     assert (np.abs(result - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
 
 
-def cut_steps(near: NearbyPairs, approach, mass, walked, gap, path) -> np.ndarray:
+def cut_steps(near: NearbyCapsulePairs, approach, mass, walked, gap, path) -> np.ndarray:
     """Steps that are bent along what is in their way, and cut."""
     free = {}
-    for n, (p, q) in enumerate(zip(near.i, near.j, strict=True)):
+    for n, (p, q) in enumerate(zip(near.first_indices, near.second_indices, strict=True)):
         for own, other, paths in ((p, q, path[:, n]), (q, p, -path[:, n])):
             far = max(gap[n], 0.0) / 2 + max(-paths @ approach[:, other], 0.0)
             heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
@@ -327,7 +331,7 @@ def test_steps_into_others_are_bent_and_cut(seed: int) -> None:
     near, (agents, stand) = near_of(bodies(seed, 9.0)), agents_of(seed)
     walked, approach = 3 * stand["walked"], rng.normal(0, 0.2, (3, ROWS))
     gap, path, _ = near.measure_before_step(walked)
-    short, stopped, changed = step_clamping.clamp_steps(near, approach, agents.mass, walked, gap, path)
+    short, stopped, changed = step_clamping.clamp_approaching_steps(near, approach, agents.mass, walked, gap, path)
     step = cut_steps(near, approach, agents.mass, walked, gap, path)
     off = np.abs(walked + short - step).max(axis=0) > 1e-9
     assert off.sum() <= 2  # a step that is bent along something exactly is over it by rounding
@@ -344,7 +348,7 @@ def test_rounds_look_again_at_those_who_did_not_get_there() -> None:
     near, rng = near_of(bodies(3)), np.random.default_rng(3)
     requested = rng.normal(0, 0.1, (3, ROWS)) * (rng.random(ROWS) < 0.7)
     requested[:2, 5], requested[1:, 6], requested[::2, 7] = 0.0, 0.0, 0.0
-    subset, expected = correction_walks.select_displaced(requested)
+    subset, expected = correction_walks.select_corrected_rows(requested)
     assert np.array_equal(subset, np.flatnonzero(requested.any(axis=0))) and np.array_equal(expected, requested[:, subset])
     got = expected * rng.choice([1.0, 0.99, 0.6, 0.4, 0.0], len(subset))
     previous, held = near.middle.copy(), rng.random(ROWS) < 0.1
@@ -357,9 +361,9 @@ def test_rounds_look_again_at_those_who_did_not_get_there() -> None:
     previous[:, subset] += got
     assert np.array_equal(near.middle, previous)
     which = correction_walks.find_overlapping_pairs(near, touched)
-    assert np.array_equal(which, touched[near.i] | touched[near.j])
+    assert np.array_equal(which, touched[near.first_indices] | touched[near.second_indices])
     for k in (1, -1):  # the least overlap that counts
-        near.gap[:] = (near.radius[near.i] + near.radius[near.j]) * -0.05 * (1 + k * 1e-9)
+        near.gap[:] = (near.radius[near.first_indices] + near.radius[near.second_indices]) * -0.05 * (1 + k * 1e-9)
         assert (correction_walks.find_overlapping_pairs(near, touched) is None) == (k < 0)
     near.gap[which] = 0.0
     assert correction_walks.find_overlapping_pairs(near, touched) is None
@@ -456,8 +460,8 @@ def test_who_is_stopped_faces_as_before_with_its_trunk() -> None:
 def test_rows_are_gathered() -> None:
     built, rows = bodies(4), np.array([3, 4, 50])
     to = capsule_distances.CapsuleArrays(*np.empty((3, 3, 3)), *np.empty((2, 3)))
-    single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (built.ahead, built.up)]
-    crowd = capsule_distances.CrowdCapsules(built.middle, *single, built.half, built.radius)
+    single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (built.axis_directions, built.up)]
+    crowd = capsule_distances.CrowdCapsules(built.middle, *single, built.half_lengths, built.radius)
     capsule_distances.gather_capsules(rows, crowd, to)
-    for result, expected in zip(to[:5], (built.middle, *map(np.stack, single), built.half, built.radius), strict=True):
+    for result, expected in zip(to[:5], (built.middle, *map(np.stack, single), built.half_lengths, built.radius), strict=True):
         assert np.array_equal(result, expected[..., rows])

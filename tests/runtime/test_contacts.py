@@ -217,7 +217,7 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
 
 @pytest.mark.parametrize("n", [300, 600])
 def test_pairs_of_a_crowd_in_one_place_grow_with_it_and_not_with_its_square(n: int) -> None:
-    assert 40 * n < len(find_near_pairs(CapsuleCrowd(world(CrowdData("ant", n, cluster(n))))).i) < 60 * n
+    assert 40 * n < len(find_near_pairs(CapsuleCrowd(world(CrowdData("ant", n, cluster(n))))).first_indices) < 60 * n
 
 
 # --- crowds that want somewhere ---------------------------------------------------------------------------------------
@@ -257,11 +257,11 @@ def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytes
     as_before: list[int] = []
     faced: list[float] = []
 
-    def counted(crowd: CapsuleCrowd, near: capsules.NearbyPairs, stopped: np.ndarray, headings: object) -> None:
+    def counted(crowd: CapsuleCrowd, near: capsules.NearbyCapsulePairs, stopped: np.ndarray, headings: object) -> None:
         as_before.append(len(stopped))
         face(crowd, near, stopped, headings)  # type: ignore[arg-type]
 
-    def looked_at(near: capsules.NearbyPairs, *rest: object) -> np.ndarray:
+    def looked_at(near: capsules.NearbyCapsulePairs, *rest: object) -> np.ndarray:
         if len(faced) < len(as_before):  # before anybody is walked
             faced.append(float(np.abs(near.middle - CapsuleCrowd(bound_world).middle[:, near.rows]).max()))
         return separate(near, *rest)  # type: ignore[arg-type]

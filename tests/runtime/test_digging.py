@@ -264,7 +264,7 @@ def test_cells_are_found_alike_however_many_are_looked_up(dense, monkeypatch):
     cells.get_nearest_cells(5)
     for _ in range(6):
         normal = draw.normal(size=(80, 3))
-        cells.grow_surface(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
+        cells.add_cells_at_points(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
     draw = np.random.default_rng(4)
     positions, normals = draw.uniform(-24, 24, (900, 3)), draw.normal(size=(900, 3))
     cell_rows = cells.find_cells(positions, normals)

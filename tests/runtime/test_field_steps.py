@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from antdsl.fields import cells as cell_tables
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.growing import GrowingCells
-from antdsl.fields.pheromone import DEPOSIT_UNIT, FLUSH_THRESHOLD, MAX_DEPOSIT, PheromoneField
+from antdsl.fields.pheromone import DEPOSIT_QUANTUM, MAX_DEPOSIT, ZERO_FLUSH_THRESHOLD, PheromoneField
 
 SLOPE = (np.array([[0, 0, 0], [60, 0, 0], [60, 60, 12], [0, 60, 0]], float), np.array([[0, 1, 2], [0, 2, 3]]))
 
@@ -21,7 +21,7 @@ class Plainly:
         self.field, self.values, self.pending = field, np.zeros(len(field.cells)), np.zeros(len(field.cells))
 
     def deposit(self, cells: np.ndarray, amounts: np.ndarray) -> None:
-        rounded_amounts = np.rint(np.minimum(amounts.astype(np.float64), MAX_DEPOSIT) / DEPOSIT_UNIT) * DEPOSIT_UNIT
+        rounded_amounts = np.rint(np.minimum(amounts.astype(np.float64), MAX_DEPOSIT) / DEPOSIT_QUANTUM) * DEPOSIT_QUANTUM
         (np.add if self.field.combine == "add" else np.maximum).at(self.pending, cells, rounded_amounts)
 
     def land(self) -> None:
@@ -39,7 +39,7 @@ class Plainly:
         self.values = self.values * float(np.float32(keep))
         if not self.field.deposits_first:
             self.land()
-        self.values[self.values < FLUSH_THRESHOLD] = 0.0
+        self.values[self.values < ZERO_FLUSH_THRESHOLD] = 0.0
 
 
 def bits(array):
@@ -58,11 +58,11 @@ def test_a_step_of_a_field_is_that_of_arrays(combine, limit):
                 field.deposit(*put)
                 plainly.deposit(*put)
             if number == 7:
-                field.set_remaining(np.arange(5), np.full(5, 0.25))
+                field.set_remaining_amounts(np.arange(5), np.full(5, 0.25))
                 plainly.values[:5] = 0.25
-            field.step(keep, diffusion, 1 / 24, 2)
+            field.advance(keep, diffusion, 1 / 24, 2)
             plainly.step(keep, diffusion, 1 / 24)
-        assert np.array_equal(bits(plainly.values), bits(field.values)) and field.values.any()
+        assert np.array_equal(bits(plainly.amounts), bits(field.amounts)) and field.amounts.any()
 
 
 @pytest.mark.parametrize("first", (False, True))
@@ -74,9 +74,9 @@ def test_a_field_that_is_full_everywhere_spreads_as_arrays_do(first):
         full = np.arange(len(cells), dtype=np.int32), np.full(len(cells), 7, np.float32)
         field.deposit(*full)
         plainly.deposit(*full)
-        field.step(1.0, 16.0, 1 / 24)
+        field.advance(1.0, 16.0, 1 / 24)
         plainly.step(1.0, 16.0, 1 / 24)
-    assert np.array_equal(bits(plainly.values), bits(field.values))
+    assert np.array_equal(bits(plainly.amounts), bits(field.amounts))
 
 
 @pytest.mark.parametrize("kind, dense", [*product((SurfaceCells, GrowingCells), (8_000_000, 0))])

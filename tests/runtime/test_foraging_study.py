@@ -69,7 +69,7 @@ def test_food_is_found_carried_and_marked_and_no_crumb_is_lost(shots: dict[str, 
         assert food.sum() + nest.sum() + ants.now["load"].astype(np.float64).sum() == 1000
     assert food[0] < 500 and nest.sum() > 0
     # the greatest value of rule `max` at the food: (plain + reward) of one step
-    assert 0.9 * 25 / 24 < float(world.fields["trail"].values.max()) <= 25 / 24 * 1.0001
+    assert 0.9 * 25 / 24 < float(world.fields["trail"].amounts.max()) <= 25 / 24 * 1.0001
 
 
 def test_the_scent_may_fall_off_from_the_nearest_source_whichever_the_crumb_came_from(shots: dict[str, Shot]) -> None:
@@ -83,7 +83,7 @@ def test_the_scent_may_fall_off_from_the_nearest_source_whichever_the_crumb_came
         far = np.linalg.norm(food[:, None] - ants.position, axis=2)
         assert (far[0] < far[1]).all()
         step(world)
-        laid[name] = float(world.fields["trail"].values.max()), 25 / 24 * 30 / (far[1] if name == "default" else far[0]).min()
+        laid[name] = float(world.fields["trail"].amounts.max()), 25 / 24 * 30 / (far[1] if name == "default" else far[0]).min()
     assert all(amount == pytest.approx(expected, rel=0.02) for amount, expected in laid.values()), laid
     assert laid["nearest_source"][0] > 1.5 * laid["default"][0]
 

@@ -12,7 +12,7 @@ from plan_text import plan_of
 from test_program import checked, complaints
 
 from antdsl import passes, plan
-from antdsl.fields.pheromone import DEPOSIT_UNIT
+from antdsl.fields.pheromone import DEPOSIT_QUANTUM
 from antdsl.machine_code import llvm_compiler
 from antdsl.plan.registers import number_statements
 from antdsl.runtime import FieldStartData, MeshData, Options, World, WorldSetting, bind, state_hash, step
@@ -43,13 +43,13 @@ def pasture(sheep: int, tufts: int = 0, growth: float = 0.0, seed: int = 1) -> t
 
 def units(values: np.ndarray) -> int:
     """Their sum in units of a deposit, each of which has to be whole."""
-    deposit_units = np.asarray(values, np.float64) / DEPOSIT_UNIT
+    deposit_units = np.asarray(values, np.float64) / DEPOSIT_QUANTUM
     assert np.array_equal(deposit_units, np.rint(deposit_units))
     return int(deposit_units.astype(np.int64).sum())
 
 
 def mass(world: World) -> int:
-    return units(world.fields["grass"].values) + units(world.populations["sheep"].now["load"])
+    return units(world.fields["grass"].amounts) + units(world.populations["sheep"].now["load"])
 
 
 def shared(world: World) -> int:
@@ -70,10 +70,10 @@ def test_grass_and_what_was_eaten_are_together_what_was_there(frames: int) -> No
         assert mass(world) == start_mass
         crowded += shared(world) > 1
         lost += int(np.count_nonzero(waiting & (sheep.now["main.state"] == graze)))
-    eaten = units(world.populations["sheep"].now["load"]) * DEPOSIT_UNIT
+    eaten = units(world.populations["sheep"].now["load"]) * DEPOSIT_QUANTUM
     assert crowded == frames and lost > 5, "several stood on one cell, and some came too late"
-    assert start_mass * DEPOSIT_UNIT > 600 and eaten > 60
-    assert world.fields["grass"].values.min() == 0.0
+    assert start_mass * DEPOSIT_QUANTUM > 600 and eaten > 60
+    assert world.fields["grass"].amounts.min() == 0.0
 
 
 def test_grass_that_grows_is_what_was_laid_and_nothing_else() -> None:
@@ -82,7 +82,7 @@ def test_grass_that_grows_is_what_was_laid_and_nothing_else() -> None:
     start_mass = mass(world)
     for frame in range(1, 101):
         step(world)
-        assert mass(world) == start_mass + frame * 30 * round(1 / 32 / DEPOSIT_UNIT)
+        assert mass(world) == start_mass + frame * 30 * round(1 / 32 / DEPOSIT_QUANTUM)
 
 
 def test_all_backends_graze_alike() -> None:
@@ -122,7 +122,7 @@ def loads(world: World, name: str = "load") -> list[float]:
 
 def test_who_asks_for_so_much_gets_it_or_nothing_while_it_lasts() -> None:
     world = play("when true take 2 load from grass -> q", [(0, 0)] * 5 + [(20, 0)], 1, 7.0)
-    assert loads(world) == [0, 0, 2, 2, 2, 2] and sorted(world.fields["grass"].values)[:3] == [1.0, 5.0, 7.0]
+    assert loads(world) == [0, 0, 2, 2, 2, 2] and sorted(world.fields["grass"].amounts)[:3] == [1.0, 5.0, 7.0]
     again = play("when true take 2 load from grass -> q", [(0, 0)] * 5 + [(20, 0)], 3, 7.0)
     assert loads(again) == loads(world), "one is too little for the two who are left"
 
@@ -130,7 +130,7 @@ def test_who_asks_for_so_much_gets_it_or_nothing_while_it_lasts() -> None:
 def test_all_goes_to_the_first_and_nothing_to_those_who_come_after() -> None:
     world = play("when true take all load from grass -> q", [(0, 0)] * 4 + [(20, 0)], 2, 3.25)
     assert loads(world) == [0, 0, 0, 3.25, 3.25]
-    assert sorted(world.fields["grass"].values)[:3] == [0, 0, 3.25]
+    assert sorted(world.fields["grass"].amounts)[:3] == [0, 0, 3.25]
 
 
 def test_who_takes_what_is_left_and_who_a_part_are_served_in_one_order() -> None:
@@ -139,14 +139,14 @@ def test_who_takes_what_is_left_and_who_a_part_are_served_in_one_order() -> None
     world = play(lines, [(0, 0)] * 5, 1, 8.0)
     got = world.populations["a"].now["load"][world.populations["a"].rows_by_id()]
     assert got.sum() == 8.0 and got[2] == 8.0 - np.count_nonzero(np.delete(got, 2)) >= 4
-    assert world.fields["grass"].values.min() == 0.0
+    assert world.fields["grass"].amounts.min() == 0.0
 
 
 def test_what_is_taken_into_nothing_is_gone_and_off_all_cells_there_is_nothing() -> None:
     world = play("when true take 0.5 from grass -> q", [(0, 0), (0, 0)], 1, 2.0)
-    assert world.fields["grass"].values.min() == 1.0
+    assert world.fields["grass"].amounts.min() == 1.0
     world = play("when true take all from grass -> q", [(0, 0)], 1, 2.0)
-    assert world.fields["grass"].values.min() == 0.0
+    assert world.fields["grass"].amounts.min() == 0.0
 
 
 def test_a_register_of_any_bits_and_a_cell_of_any_bits_lose_and_gain_the_same() -> None:
@@ -155,7 +155,7 @@ def test_a_register_of_any_bits_and_a_cell_of_any_bits_lose_and_gain_the_same() 
         for had in (0.1, 2.7, 1e5):
             world = play(f"when true take {amount} load from grass -> q", [(0, 0)], 1, 1.3, f"load = {had}")
             gained = float(world.populations["a"].now["load"][0]) - float(np.float32(had))
-            assert 0.6 < gained <= 1.3 and 1.3 - world.fields["grass"].values.min() == gained
+            assert 0.6 < gained <= 1.3 and 1.3 - world.fields["grass"].amounts.min() == gained
 
 
 def test_all_that_an_item_has_can_be_taken_too() -> None:

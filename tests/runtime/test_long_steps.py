@@ -12,8 +12,8 @@ from test_contacts import points, positions_by_id, world
 
 from antdsl.runtime import Options, World, state_hash, step
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, find_capsule, measure_overlap_depths
-from antdsl.runtime.moving.contacts.impacts import NEVER, PathArrays, PathPairs
-from antdsl.runtime.moving.contacts.long_steps import StartPositions, _fill_paths, _list_pairs
+from antdsl.runtime.moving.contacts.impacts import NO_IMPACT_TIME, CapsulePaths, PathEncounters
+from antdsl.runtime.moving.contacts.long_steps import StartPositions, _fill_paths, _list_path_encounters
 from antdsl.runtime.moving.stopping import find_next_impacts
 from antdsl.scene.setting import CrowdData, MeshData, PlacementData
 
@@ -217,25 +217,36 @@ def test_capsules_that_walk_sideways_do_not_pass_either(turn: float) -> None:
 def test_impacts_are_the_first_contacts_of_sampled_paths(seed: int) -> None:
     built, rng = bodies(seed, spread=14.0), np.random.default_rng(seed)
     n, moves = built.middle.shape[1], rng.normal(0, 4, built.middle.shape)
-    paths = PathArrays(built.middle, moves, built.ahead, built.up, built.half, built.radius, np.zeros(n), np.ones(n))
-    pairs = PathPairs(built.i, built.j, np.full(len(built.i), NEVER), np.zeros((3, len(built.i))))
+    paths = CapsulePaths(
+        built.middle, moves, built.axis_directions, built.up, built.half_lengths, built.radius, np.zeros(n), np.ones(n)
+    )
+    pairs = PathEncounters(
+        built.first_indices,
+        built.second_indices,
+        np.full(len(built.first_indices), NO_IMPACT_TIME),
+        np.zeros((3, len(built.first_indices))),
+    )
     touched, first, times = np.ones(n, np.bool_), np.empty(n), np.linspace(0, 1, 41)
-    assert find_next_impacts(pairs, paths, touched, touched.copy(), first) == (pairs.time <= 1).sum() > 10
-    for pair, (p, q) in list(enumerate(zip(built.i, built.j, strict=True)))[seed::4]:
+    assert find_next_impacts(pairs, paths, touched, touched.copy(), first) == (pairs.meeting_time <= 1).sum() > 10
+    for pair, (p, q) in list(enumerate(zip(built.first_indices, built.second_indices, strict=True)))[seed::4]:
         wide, gaps = (built.radius[p] + built.radius[q]) * (1 - 2e-3), np.empty(len(times))
         for k, time in enumerate(times):
-            away, a, b = (built.middle + moves * time)[:, [p, q]] @ [1, -1], built.ahead[:, p], built.ahead[:, q]
-            s, t = closest(away, a, b, built.half[p], built.half[q])
+            away, a, b = (
+                (built.middle + moves * time)[:, [p, q]] @ [1, -1],
+                built.axis_directions[:, p],
+                built.axis_directions[:, q],
+            )
+            s, t = closest(away, a, b, built.half_lengths[p], built.half_lengths[q])
             gaps[k] = np.linalg.norm(away + a * s - b * t) - wide
         inside = np.flatnonzero(gaps < 0)
         if gaps[0] < 0:
             continue  # they overlap from the start
         if len(inside):
-            assert times[inside[0]] - 1 / 40 - 1e-6 <= pairs.time[pair] <= times[inside[0]] + 1e-6
-        elif pairs.time[pair] <= 1:  # a graze between two samples
+            assert times[inside[0]] - 1 / 40 - 1e-6 <= pairs.meeting_time[pair] <= times[inside[0]] + 1e-6
+        elif pairs.meeting_time[pair] <= 1:  # a graze between two samples
             assert gaps.min() < 0.2
     for k in range(n):
-        assert first[k] == min(pairs.time[(built.i == k) | (built.j == k)])
+        assert first[k] == min(pairs.meeting_time[(built.first_indices == k) | (built.second_indices == k)])
 
 
 def test_all_pairs_that_pass_are_listed_for_any_sizes_and_densities() -> None:
@@ -245,22 +256,22 @@ def test_all_pairs_that_pass_are_listed_for_any_sizes_and_densities() -> None:
     moves = rng.normal(0, 60, (3, n)) * rng.choice([0.1, 1.0, 3.0], n) * [[1], [0], [1]]
     half, radius = rng.uniform(0, 9, n), rng.choice([2.0, 5.0, 20.0], n)
     up = np.zeros((3, n)) + np.array([[0.0], [1], [0]])
-    paths = PathArrays(middle, moves, ahead, up, half, radius, np.zeros(n), np.ones(n))
+    paths = CapsulePaths(middle, moves, ahead, up, half, radius, np.zeros(n), np.ones(n))
     active, rank = (rng.random(n) < 0.5).astype(np.int64), rng.permutation(n)
-    listed = _list_pairs(paths, rank, active, True)
+    listed = _list_path_encounters(paths, rank, active, True)
     i, j = (np.array(each) for each in zip(*combinations(range(n), 2), strict=True))
-    every = PathPairs(i, j, np.full(len(i), NEVER), np.zeros((3, len(i))))
+    every = PathEncounters(i, j, np.full(len(i), NO_IMPACT_TIME), np.zeros((3, len(i))))
     find_next_impacts(every, paths, np.ones(n, np.bool_), np.ones(n, np.bool_), np.empty(n))
-    thin = PathPairs(i, j, np.full(len(i), NEVER), np.zeros((3, len(i))))
+    thin = PathEncounters(i, j, np.full(len(i), NO_IMPACT_TIME), np.zeros((3, len(i))))
     find_next_impacts(thin, paths._replace(radius=radius * 0.8), np.ones(n, np.bool_), np.ones(n, np.bool_), np.empty(n))
     far, wide = np.linalg.norm(moves[:, i] - moves[:, j], axis=0), radius[i] + radius[j]
-    passes = (thin.time <= 1) & (far > wide * 2.0) & ((active[i] | active[j]) > 0)
-    results = {(min(p, q), max(p, q)) for p, q in zip(listed.i.tolist(), listed.j.tolist(), strict=True)}
+    passes = (thin.meeting_time <= 1) & (far > wide * 2.0) & ((active[i] | active[j]) > 0)
+    results = {(min(p, q), max(p, q)) for p, q in zip(listed.first_rows.tolist(), listed.second_rows.tolist(), strict=True)}
     assert {(int(p), int(q)) for p, q in zip(i[passes], j[passes], strict=True)} <= results and passes.sum() > 60
-    touching = {(int(p), int(q)) for p, q in zip(i[every.time <= 1], j[every.time <= 1], strict=True)}
-    assert len(results) == len(listed.i) and len(results - touching) <= 2  # the radii of `every` are 0.2 % less
-    assert (rank[listed.i] < rank[listed.j]).all()
-    assert (np.diff(rank[listed.i] * n + rank[listed.j]) > 0).all()
+    touching = {(int(p), int(q)) for p, q in zip(i[every.meeting_time <= 1], j[every.meeting_time <= 1], strict=True)}
+    assert len(results) == len(listed.first_rows) and len(results - touching) <= 2  # the radii of `every` are 0.2 % less
+    assert (rank[listed.first_rows] < rank[listed.second_rows]).all()
+    assert (np.diff(rank[listed.first_rows] * n + rank[listed.second_rows]) > 0).all()
 
 
 def test_paths_run_from_the_start_to_the_end_with_the_bodies_of_the_end() -> None:
@@ -275,8 +286,8 @@ def test_paths_run_from_the_start_to_the_end_with_the_bodies_of_the_end() -> Non
     walked = (population.position - began.positions["ant"]).T
     ups = np.stack([population.now[f"up.{axis}"] for axis in "xyz"]).astype(np.float64)
     assert np.array_equal(paths.displacement, walked) and np.allclose(paths.middle, crowd.middle - walked)
-    assert np.array_equal(paths.ahead, np.stack([population.now[f"heading.{axis}"] for axis in "xyz"]))
+    assert np.array_equal(paths.axis_direction, np.stack([population.now[f"heading.{axis}"] for axis in "xyz"]))
     mean = ups + began.normals["ant"].T
     assert np.allclose(paths.up, mean / np.linalg.norm(mean, axis=0)) and np.array_equal(paths.mass, population.now["mass"])
     far, bend = np.linalg.norm(walked, axis=0), np.linalg.norm(ups - began.normals["ant"].T, axis=0)
-    assert np.allclose(paths.sag, far * bend / 4) and (paths.sag > 2 * far**2 / 8 / 300 * 0.8).all()
+    assert np.allclose(paths.path_sag, far * bend / 4) and (paths.path_sag > 2 * far**2 / 8 / 300 * 0.8).all()

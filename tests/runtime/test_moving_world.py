@@ -379,7 +379,7 @@ def test_scent_stays_on_the_ground_that_moves(folder: Path) -> None:
         opened_shot, report = open_scene(folder / "scene.yaml")
         assert opened_shot is not None and not report.errors, report.errors
         runs.append(list(simulate(opened_shot))[-1])
-    fields = [world.fields["trail"].values for world in runs]
+    fields = [world.fields["trail"].amounts for world in runs]
     assert fields[0].sum() > 1 and np.allclose(fields[0], fields[1], atol=0.02)
     smelled = [w.populations["layer"].now["smelled"][w.populations["layer"].rows_by_id()] for w in runs]
     assert np.allclose(*smelled, atol=0.02) and smelled[0].max() > 0.1

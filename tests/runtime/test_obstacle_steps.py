@@ -96,8 +96,10 @@ def test_steps_past_an_obstacle_keep_their_margin_and_slide(
     radius = rng.uniform(-0.1, 1.5, n).astype(np.float32) * np.float32(width / 3)
     clear = (rng.choice([0, 0.9, 3.0], n) * scene.measure_clearance(x, y, z)).astype(np.float32)
     calls: list[object] = []
-    touching = obstacles.select_touching
-    monkeypatch.setattr(obstacles, "select_touching", lambda *arguments: calls.append(arguments) or touching(*arguments))
+    touching = obstacles.select_agents_near_obstacle
+    monkeypatch.setattr(
+        obstacles, "select_agents_near_obstacle", lambda *arguments: calls.append(arguments) or touching(*arguments)
+    )
     monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", n // 4)
     if not by_grid:
         monkeypatch.setattr(scene, "get_tables", lambda: None)
@@ -117,7 +119,7 @@ def test_only_agents_that_were_stopped_are_slowed_and_only_those_that_stay_count
     step, old_velocity = requested_steps.copy(), velocity.copy()
     for axis in range(3):
         step[axis, axis::7] *= np.float32(0.5)
-    obstacles.slow_velocities(tuple(requested_steps), tuple(step), tuple(velocity), np.float32(24), 4, 36)
+    obstacles.scale_velocities_with_steps(tuple(requested_steps), tuple(step), tuple(velocity), np.float32(24), 4, 36)
     stopped = (step != requested_steps).any(axis=0) & (np.arange(40) >= 4) & (np.arange(40) < 36)
     assert np.array_equal(velocity, np.where(stopped, step * np.float32(24), old_velocity))
     for axis in range(3):
@@ -130,7 +132,7 @@ def test_only_agents_that_were_stopped_are_slowed_and_only_those_that_stay_count
         tuple(requested_steps), tuple(requested_steps.copy()), 0, 40
     )
     rows, at, (radius, distances) = np.array([3, 9, 30]), np.empty((3, 3), np.float32), np.empty((2, 3), np.float32)
-    obstacles.measure_drift(rows, tuple(requested_steps), tuple(step), velocity[0], at, radius, distances)
+    obstacles.measure_distance_from_start(rows, tuple(requested_steps), tuple(step), velocity[0], at, radius, distances)
     far = np.linalg.norm((requested_steps - step)[:, rows], axis=0)
     assert np.array_equal(at, requested_steps[:, rows]) and np.array_equal(radius, velocity[0, rows])
     assert np.allclose(distances, far * (1 + 1e-6), rtol=3e-7) and (distances >= far).all() and far.any()

@@ -9,8 +9,8 @@ import pytest
 from neighbour_columns import Neighbours, fill_neighbours
 
 from antdsl.numerics import parallel
-from antdsl.senses.clear_velocity import VelocityWishes, fill_clear_velocities
-from antdsl.senses.nearest_others import CrowdTables, Requesters, store_up_and_motion
+from antdsl.senses.clear_velocity import WishedVelocities, fill_clear_velocities
+from antdsl.senses.nearest_others import CrowdTables, NeighbourRequests, pack_up_and_motion
 from antdsl.senses.neighbours import CellGrid
 
 N = 3000
@@ -42,7 +42,7 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
     grid = CellGrid(*rng.normal(0, 9, (3, N)).astype(np.float32), np.arange(N), 1.0)
     fours, motion = np.empty((2, 4 * N + 32), np.float32)
     work = partial(
-        store_up_and_motion,
+        pack_up_and_motion,
         grid.order.position_by_row,
         tuple(up),
         tuple(velocity),
@@ -52,12 +52,12 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
         motion,
     )
     parallel.run_in_parts(work, N, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
-    crowd = CrowdTables(grid.table(), fours, motion, np.empty(0, np.int32))
+    crowd = CrowdTables(grid.make_tables(), fours, motion, np.empty(0, np.int32))
     alone, one = np.zeros(n), np.ones(n)
-    requesters = Requesters(grid.order.position_by_row.take(rows), rows, alone, one, tuple(heading))
+    requesters = NeighbourRequests(grid.order.position_by_row.take(rows), rows, alone, one, tuple(heading))
     planes, velocities = np.empty((9, n)), np.empty((3, n), np.float32)
     fill_neighbours(crowd, requesters, Neighbours(*np.zeros((5, n, 1)), *np.zeros((2, n, 1), np.bool_)), planes)
-    wishes = VelocityWishes(tuple(wish), one, max_speed)
+    wishes = WishedVelocities(tuple(wish), one, max_speed)
     parallel.run_in_parts(partial(fill_clear_velocities, crowd, requesters, wishes, 0.04, velocities), n, threads, 100)
 
     def known(vectors: np.ndarray) -> np.ndarray:

@@ -118,7 +118,7 @@ def test_two_hundred_steps_on_hills():
     heading, up = population.read_vector("heading"), population.read_vector("up")
     assert np.abs((heading * up).sum(1)).max() < 1e-4 and np.abs((heading**2).sum(1) - 1).max() < 1e-5
     assert now["hits"].max() > 0 and now["close"].max() > 0 and now["hits"].min() >= 0
-    assert world.fields["trail"].values.sum() > 50 and now["smell"].max() > 0
+    assert world.fields["trail"].amounts.sum() > 50 and now["smell"].max() > 0
     assert len(walked_on) == 2, "some were on the boulder"
     assert world.faults.count == 0 and world.motion.summary()["standing"] < 0.3
 

@@ -56,7 +56,7 @@ def smelled(
         for _ in range(start_steps):
             step(world)
         stand(world, np.array(stands, np.float64), np.array(faces, np.float64), np.array(up, np.float64))
-        values = world.fields["scent"].values
+        values = world.fields["scent"].amounts
         values[:] = np.arange(len(values)) + 1.0
         step(world)
         ants = world.populations["a"]

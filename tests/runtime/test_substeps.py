@@ -11,7 +11,7 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.plane import PlaneGround
 from antdsl.runtime.moving import crowd_substep, tilting
 from antdsl.runtime.moving.clearance import walls_ahead
-from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE
+from antdsl.runtime.moving.velocities import LEANING_BODY_STATE, STANDING_BODY_STATE
 from antdsl.runtime.world import Population
 from tests.meshes import box, terrain
 from tests.motion_oracle import Agent, find_walls, laid, substep
@@ -135,7 +135,7 @@ def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: M
     crowd = people(ground, 5, False)
     old_registers, start = standing(crowd)
     up, heading = (np.stack([old_registers[f"{name}.{axis}"] for axis in "xyz"], axis=1) for name in ("up", "heading"))
-    tilting.level_headings(crowd, 2)
+    tilting.align_leaning_bodies_with_ground(crowd, 2)
     leans = (up != crowd.normal).any(axis=1)
     for registers in (crowd.now, crowd.start):
         assert np.array_equal(np.stack([registers[f"up.{axis}"] for axis in "xyz"], axis=1), crowd.normal)
@@ -147,7 +147,7 @@ def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: M
     for axis in "xyz":
         other = crowd.now[f"heading.{axis}"].copy()
         crowd.now[f"heading.{axis}"][is_changed] += np.float32(0.5)  # by one component only
-        tilting.restore_bodies(crowd)
+        tilting.restore_leaning_bodies(crowd)
         assert crowd.laid is None
         for name in old_registers:
             same = ~is_changed | ~leans | (not name.startswith("heading")) if name != f"heading.{axis}" else ~is_changed
@@ -155,7 +155,7 @@ def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: M
             assert np.array_equal(crowd.start[name], start[name], equal_nan=True), name
         assert np.array_equal(crowd.now[f"heading.{axis}"][is_changed], other[is_changed] + np.float32(0.5))
         crowd.now |= {name: array.copy() for name, array in old_registers.items()}
-        tilting.level_headings(crowd)
+        tilting.align_leaning_bodies_with_ground(crowd)
 
 
 def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -> None:
@@ -197,7 +197,7 @@ def test_walls_are_those_that_bodies_tilt_for(ground: MeshGround, facing: bool) 
     find_walls(ground, crowd, agents)
     step = tuple(np.ascontiguousarray([agent.step[k] for agent in agents], np.float32) for k in range(3))
     looking = tuple(np.ascontiguousarray([agent.looking[k] for agent in agents], np.float32) for k in range(3))
-    state = np.array([LEANING_STATE if agent.leans else STANDING_STATE for agent in agents], np.int32)
+    state = np.array([LEANING_BODY_STATE if agent.leans else STANDING_BODY_STATE for agent in agents], np.int32)
     reach, world = np.empty(N), SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1), up=(0, 1, 0))
     walls_ahead.write_wall_reach(crowd.now["size"], reach)
     assert np.allclose(reach, [3 * agent.half for agent in agents])

@@ -56,7 +56,7 @@ def test_ants_find_home_and_food_by_worth_alone() -> None:
     assert total + float(world.populations["learner"].now["load"].sum()) == 500
     home = world.fields["to_nest"]
     away = np.linalg.norm(home.cells.position - world.items["nest"].position[0], axis=1)
-    held = home.values > 1e-6
-    by_distance = [np.median(home.values[held & (away > low) & (away <= low + 20)]) for low in (0, 20, 40, 60, 80)]
+    held = home.amounts > 1e-6
+    by_distance = [np.median(home.amounts[held & (away > low) & (away <= low + 20)]) for low in (0, 20, 40, 60, 80)]
     assert (np.diff(by_distance) < 0).all() and by_distance[0] > 3 * by_distance[-1]
-    assert home.values.max() <= 10.001  # reward / (1 - gamma)
+    assert home.amounts.max() <= 10.001  # reward / (1 - gamma)

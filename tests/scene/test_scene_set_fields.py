@@ -54,7 +54,7 @@ def test_a_scene_says_how_a_field_fades(folder: Path, setting: str, left: float)
     world = bind(shot.plan, shot.setting)
     for _ in range(24):
         step(world)
-    assert world.fields["trail"].values == pytest.approx(left, rel=1e-4)
+    assert world.fields["trail"].amounts == pytest.approx(left, rel=1e-4)
 
 
 def test_the_person_goes_before_the_scene_and_is_part_of_what_the_result_depends_on(folder: Path) -> None:
@@ -64,7 +64,7 @@ def test_the_person_goes_before_the_scene_and_is_part_of_what_the_result_depends
     world = bind(both.plan, both.setting)
     for _ in range(48):
         step(world)
-    assert world.fields["trail"].values == pytest.approx(4.0, rel=1e-4)
+    assert world.fields["trail"].amounts == pytest.approx(4.0, rel=1e-4)
     assert dict(both.inputs) != dict(scene.inputs) and dict(both.setting.params) == {"walker.pace": 0.3}
 
 

@@ -12,8 +12,8 @@ from antdsl.numerics.sorting import sort_stably
 from antdsl.runtime import Options, state_hash, step
 from antdsl.runtime.sensing import item_pairs
 from antdsl.senses import cell_order, neighbours
-from antdsl.senses.cell_order import NO_ORDER, CellOrder, GridShape, find_bounding_box, pack_by_position
-from antdsl.senses.neighbours import CellGrid, NeighbourPairs, TooManyNeighbours
+from antdsl.senses.cell_order import NO_ORDER, CellOrder, GridShape, find_bounding_box, pack_columns_by_position
+from antdsl.senses.neighbours import CellGrid, NeighbourPairs, TooManyNeighboursError
 
 EXTENTS = ((400, 10, 400), (100, 100, 100), (3000, 0, 0), (0, 900, 0), (9e6, 4e4, 9e6), (60, 1, 60))
 RADII = {
@@ -84,7 +84,9 @@ def cells_of(shape: GridShape, positions) -> np.ndarray:
     """The number of each agent's cell; as many as there are cells where a place is not finite."""
     key = np.zeros(len(positions[0]), np.int64)
     finite = np.isfinite(np.array(positions)).all(axis=0)
-    for axis, low, width, size in reversed(list(zip(shape.axes, shape.low, shape.width, shape.size, strict=True))):
+    for axis, low, width, size in reversed(
+        list(zip(shape.axes, shape.low_corner, shape.cell_widths, shape.cells_per_axis, strict=True))
+    ):
         along = np.where(finite, positions[axis], low).astype(np.float64)
         key = key * size + np.clip(np.floor((along - low) * (1 / width)), 0, size - 1).astype(np.int64)
     return np.where(finite, key, shape.cell_count)
@@ -133,7 +135,11 @@ def test_agents_are_sorted_by_cells(monkeypatch: pytest.MonkeyPatch, extent, thr
                     else:
                         assert np.array_equal(order.keys, key[rows]) and order.tables["keys"] is order.keys
                     width = order.tables["floats"][3:6]
-                    assert width.tolist() == each.width and order.tables["whole"].tolist() == [*each.axes, *each.size, count]
+                    assert width.tolist() == each.cell_widths and order.tables["whole"].tolist() == [
+                        *each.axes,
+                        *each.cells_per_axis,
+                        count,
+                    ]
 
 
 @pytest.mark.parametrize(
@@ -159,7 +165,7 @@ def test_registers_are_sorted_by_cells(count: int) -> None:
     expected, ordered = np.zeros((count, 4), np.float32), np.zeros((count, 4), np.float32)
     expected[at] = four.T
     for first in range(0, count, 1000):
-        pack_by_position(at, tuple(four), ordered.reshape(-1), first, min(first + 1000, count))
+        pack_columns_by_position(at, tuple(four), ordered.reshape(-1), first, min(first + 1000, count))
     assert np.array_equal(ordered, expected)
 
 
@@ -223,7 +229,7 @@ def test_more_than_the_limit_within_a_radius_are_refused() -> None:
     )
     assert most > limits.MAX_QUERY_NEIGHBOURS
     for threads in (1, 2):
-        with pytest.raises(TooManyNeighbours):
+        with pytest.raises(TooManyNeighboursError):
             grid.find_pairs(None, 8.0, limit=most - 1, threads=threads)
         assert grid.find_pairs(None, 8.0, limit=most, threads=threads).i.size > 0
 

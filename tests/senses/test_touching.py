@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from antdsl.senses.touching import find_touching
+from antdsl.senses.touching import find_touching_pairs
 
 MOST = 48  # agents of three cells in a row that one is paired with
 SIZES = [(150, 150, 0), (90, 90, 90), (150, 150, 4), (0, 900, 0), (1e6, 1e6, 3), (1e5, 1e5, 1e5), (0, 0, 3000)]
@@ -48,10 +48,10 @@ def test_every_pair_in_reach_is_found_once(size: tuple[float, ...], reach: tuple
         expected, bounds = all_pairs(place, wide), None
         if count == 700:
             bounds = [(float(each.min()), float(each.max())) for each in (*place, wide)]
-        result = find_touching(tuple(place), wide, np.arange(count), bounds)
+        result = find_touching_pairs(tuple(place), wide, np.arange(count), bounds)
         assert result.is_complete and as_set(result) == expected
         rows = random.permutation(count)
-        result = find_touching(tuple(place[:, rows]), wide[rows], rows, bounds)
+        result = find_touching_pairs(tuple(place[:, rows]), wide[rows], rows, bounds)
         assert result.is_complete and {tuple(sorted((rows[i], rows[j]))) for i, j in as_set(result)} == expected
     assert len(expected) > 100
 
@@ -62,7 +62,7 @@ def test_agents_next_to_the_cells_of_larger_ones_are_found() -> None:
     for tall in (0, 40):
         small = random.uniform(-30, 70, (3, 1997)) * np.array([[1], [1], [tall / 40]])
         place, reach = np.concatenate([large, small], axis=1), np.repeat([10.0, 0.1], [3, 1997])
-        result = find_touching(tuple(place), reach, np.arange(2000))
+        result = find_touching_pairs(tuple(place), reach, np.arange(2000))
         assert result.is_complete and as_set(result) == all_pairs(place, reach) and len(result.i) > 10
 
 
@@ -134,7 +134,7 @@ def test_in_a_dense_cluster_pairs_are_those_that_loops_over_cells_choose(size: t
     inside = near(place, reach)
     expected = {(min(pair), max(pair)) for pair in expected if inside[pair]}
     for rows in (np.arange(count), random.permutation(count)):
-        result = find_touching(tuple(place[:, rows]), reach[rows], ids[rows])
+        result = find_touching_pairs(tuple(place[:, rows]), reach[rows], ids[rows])
         assert result.is_complete == complete
         assert {tuple(sorted((rows[i], rows[j]))) for i, j in as_set(result)} == expected
 
@@ -142,8 +142,8 @@ def test_in_a_dense_cluster_pairs_are_those_that_loops_over_cells_choose(size: t
 def test_thousands_in_one_place_are_paired_with_a_bounded_number_each() -> None:
     n = 7500
     place = np.zeros(n)
-    result = find_touching((place, place, place), np.ones(n), np.arange(n))
+    result = find_touching_pairs((place, place, place), np.ones(n), np.arange(n))
     each = np.bincount(np.concatenate([result.i, result.j]), minlength=n)
     assert not result.is_complete and each.min() >= 40 and len(result.i) < 60 * n
-    result = find_touching((place, place, place), np.repeat([1.0, 9.0], [n - 1, 1]), np.arange(n))
+    result = find_touching_pairs((place, place, place), np.repeat([1.0, 9.0], [n - 1, 1]), np.arange(n))
     assert np.count_nonzero((result.i == n - 1) | (result.j == n - 1)) == n - 1 and len(result.i) < 60 * n

@@ -141,7 +141,7 @@ def extract_rotations(m: Numbers) -> Numbers:
 
 
 def _sum_squares(m: Numbers) -> Numbers:
-    """Return the sum of squares […] of the elements of matrices [3, 3, …]."""
+    """Return the sums of the squared elements of matrices [3, 3, …]."""
     total: Numbers = m[0, 0] * m[0, 0]
     for k in range(1, 9):
         each = m[divmod(k, 3)]

@@ -83,8 +83,7 @@ def _scale_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Fl
 
 
 def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, local_matrix: Floats) -> tuple[Floats, Floats]:
-    """Return the bounding box of a scaled box that is transformed by the matrix `local_matrix` [4, 4] and then by each of
-    `worlds` [n, 4, 4]."""
+    """Transform a box by its scale, by `local_matrix` [4, 4] and by each of `worlds` [n, 4, 4]. Return the bounding boxes."""
     matrices = worlds
     if (local_matrix != np.eye(4)).any():
         local_matrix = local_matrix.astype(worlds.dtype)

@@ -215,7 +215,7 @@ class Clip:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A leg with a knee that bends so that the foot stands on the ground.
+    """A leg with two bones and a knee. The knee bends so that the foot stands on the ground.
 
     `upper`: the joint of the hip, the start of the thigh (femur).
     `lower`: the joint of the knee, the start of the shank (tibia); a descendant of `upper`.
@@ -223,8 +223,7 @@ class Leg:
     `ankle`: the joint about which the sole turns flat onto the ground: `foot`, or a joint between `lower` and `foot`. Empty if
     the foot keeps its rotation in the clip.
 
-    Other joints may lie between these.
-    """
+    Other joints may lie between these."""
 
     name: str
     upper: str

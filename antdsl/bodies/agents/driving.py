@@ -52,7 +52,7 @@ def set_pose_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Flo
 def rotate_towards_looks(
     table: ClipTable, poses: Poses, looks: Mapping[str, Floats], groups: Mapping[str, TransformGroup], base: NDArray[np.float64]
 ) -> Poses:
-    """Return poses in which transform groups are rotated so that they look in the directions `looks`.
+    """Rotate transform groups towards their look directions. Return the new poses.
 
     Each joint of a group rotates about its own position, together with all joints below it. Its rotation is a share, by its
     weight, of the shortest rotation from straight ahead to the direction. The joints of one chain together rotate by at most that
@@ -96,7 +96,7 @@ def offset_joints(table: ClipTable, poses: Poses, offsets: Mapping[str, Floats],
 
 
 def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield the number of each joint of a group, and the joint's share of the group's rotation towards a look direction.
+    """Yield each joint of a group, and its share of the rotation towards a look direction.
 
     The share is the joint's weight, limited to the remainder that its ancestors leave."""
     left = np.ones(len(rig.names))

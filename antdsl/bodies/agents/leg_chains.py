@@ -57,8 +57,7 @@ def _build_descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
 
 
 def compute_standing_joints(body: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the joints in the standing pose: positions float64[J, 3], in body lengths along the axes of agents, and the axes of
-    their spaces float64[J, 3, 3], in the definition's space.
+    """Return the positions and axes of the joints in the standing pose.
 
     The standing pose is the first sample of the idle clip, or else the rest pose."""
     table = build_clip_table(body)

@@ -259,7 +259,7 @@ def build_clip_table(definition: Definition) -> ClipTable:
 
 
 def _order_by_depth(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDArray[np.intp]], ...]]:
-    """Return the joints of a rig in order of depth, and for each depth the tuple (begin, end, indices of the parents)."""
+    """Return the joints sorted by depth, and for each depth (begin, end, indices of the parents)."""
     parents = np.asarray(rig.parents, np.intp)
     depth, above = np.zeros(len(parents), np.intp), parents.copy()
     while (above >= 0).any():

@@ -151,8 +151,7 @@ def _check_shape(definition: Definition, shape: Shape, place: Span | None, repor
 
 
 def _check_legs(parts: LocatedDefinition, report: Report) -> None:
-    """Report legs with joints that are missing or not below each other, gaits that do not match the legs, and a missing idle
-    clip."""
+    """Report legs with missing or unconnected joints, gaits that do not match the legs, and a missing idle clip."""
     definition = parts.definition
     for leg in definition.legs:
         _check_leg(parts, leg, report)

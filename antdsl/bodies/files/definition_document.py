@@ -248,7 +248,7 @@ def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFil
 
 
 def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
-    """Return a clip of another file without the joints and channels that `rig` lacks, which are reported."""
+    """Remove the joints and channels that `rig` lacks from a clip of another file, and report them."""
     names, channels = set(rig.names), {each.name for each in rig.channels}
     joints = [number for number, joint in enumerate(clip.joints) if joint in names]
     numbers = [number for number, channel in enumerate(clip.channels) if channel in channels]

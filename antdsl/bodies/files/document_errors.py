@@ -156,7 +156,7 @@ def _find_example(field: FieldInfo | None) -> str:
 
 
 def _find_innermost_form(form: type[Form], path: Sequence[PathKey]) -> tuple[type[Form], FieldInfo | None]:
-    """Return the innermost form that contains the value at `path`, and the field of the form at which the path ends."""
+    """Return the innermost form that contains the value at `path`, and its last field on this path."""
     kind: Any = form
     field: FieldInfo | None = None
     for key in path:

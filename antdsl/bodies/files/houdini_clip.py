@@ -158,7 +158,7 @@ class _ClipReader:
         return int(length)
 
     def _read_track(self, length: int) -> tuple[str, list[float], int]:
-        """Return the name and the samples of a track, and the index of the word of its name."""
+        """Read a track. Return its name, its samples, and the index of the word with its name."""
         start = self._place
         self._take_word("{")
         name, place, samples = "", start, list[float]()

@@ -102,7 +102,7 @@ def find_text(root: Node, text: str) -> Span:
 
 
 def _find_number_span(node: Node, number: int) -> Span:
-    """Return the span of one number of an array of numbers."""
+    """Return the span of one number in a list."""
     for count, match in enumerate(re.finditer(r"[^\s,\[\]]+", node.span.text)):
         if count == number:
             return Span(node.source, node.start + match.start(), node.start + match.end())

@@ -184,8 +184,7 @@ class BodyFiles:
             return granted
 
     def _name_by_root(self, absolute: str) -> str | None:
-        """Return an absolute path in the form that `roots` takes, which begins with the name of a root; None if no root contains
-        it."""
+        """Return an absolute path as `ROOT:PATH`, or None if no root contains it."""
         full_path = os.path.normpath(absolute)
         for name, folder in (("", self.roots.folder), *sorted(self.roots.folder_by_name.items())):
             root = os.path.abspath(folder)

@@ -58,7 +58,7 @@ def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shape
 def _resolve_shape_reference(
     reference: ShapeReference, node: Node, files: BodyFiles, shapes: Mapping[str, Shape], materials: Colours
 ) -> list[Shape]:
-    """Return the shapes that a reference selects, with the changes that it makes."""
+    """Return the shapes that a reference selects, with the changes that it asks for."""
     if reference.file is None:
         if reference.shape is None:
             words = f"{f'the shape `{reference.name[:60]}`' if reference.name else 'a shape'} has neither `file` nor `shape`"

@@ -168,7 +168,7 @@ def _read_rest_matrix(stage: OpenStage, prim: Any) -> Floats:
 
 
 def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
-    """Return the joints that a mesh follows, with matrices from the mesh's space to that of each joint in the bind pose."""
+    """Return the joints of a mesh, and for each the matrix from the mesh to the joint in the bind pose."""
     own = import_pxr_module("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
     paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
     number = {path: count for count, path in enumerate(skeleton.paths)}
@@ -191,7 +191,7 @@ def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
 
 
 def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]:
-    """Return the animations as clips: first those that skeletons are bound to, then others that match one of the skeletons."""
+    """Return the animations as clips. Animations that are bound to a skeleton come first."""
     skel = import_pxr_module("UsdSkel")
     clips: dict[str, Clip] = {}
     known_paths: set[str] = set()

@@ -111,8 +111,7 @@ def _to_rows(raw_values: Any, width: int) -> Floats:
 
 
 def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integers, Integers, Integers]:
-    """Return three results: the point of each corner of the faces, the corners of triangles (n, 3), and the face of each
-    triangle."""
+    """Triangulate the faces. Return the point of each face corner, the triangles (n, 3), and the face of each triangle."""
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
     if len(corners) > 3 * limits.MAX_MESH_FACES or len(counts) > limits.MAX_MESH_FACES:

@@ -137,7 +137,7 @@ def _build_shape_reference(body: Definition, shape: Shape, path: str) -> dict[st
 
 
 def _has_lone_material(body: Definition, shape: Shape) -> bool:
-    """Return whether a shape has exactly one material and this material has no colour, such as `state`.
+    """Return whether a shape has exactly one material, and this material has no colour.
 
     glTF would give it a colour, so the reference names the material."""
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials

@@ -131,7 +131,7 @@ def _find_joint_path(rig: Rig, start: int, end: int) -> list[int]:
 
 
 def _find_hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
-    """Return the joint of the hip and the joint of the knee, for a chain of three joints or more.
+    """Return the hip joint and the knee joint of a chain with three joints or more.
 
     The knee is the joint that is farthest from the line from hip to foot, relative to the shorter of both bones. So it divides
     the leg into two usable bones."""

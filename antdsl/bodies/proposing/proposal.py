@@ -56,7 +56,7 @@ class Proposal:
 
 
 def _format_value(value: Any) -> str:
-    """Return the JSON text of a value, with one line for each object of a list of objects."""
+    """Return a value as JSON text. Lists of objects get one line per object."""
     if isinstance(value, list) and value and isinstance(value[0], dict):
         return "[\n" + "".join(f"    {json.dumps(each, ensure_ascii=False)},\n" for each in value) + "  ]"
     return json.dumps(value, ensure_ascii=False)

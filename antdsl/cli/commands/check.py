@@ -139,7 +139,7 @@ def _treat_warnings_as_errors(report: Report) -> Report:
 
 
 def _print_explanation(word: str) -> None:
-    """Print the page of a diagnostic's code, or the meaning of a word of the language, of scenes or of the library."""
+    """Print the page of a diagnostic code, or the meaning of a word."""
     import re
 
     from antdsl.cli.printing.pages import print_code_page, print_markdown

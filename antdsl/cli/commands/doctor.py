@@ -146,7 +146,7 @@ def _check_tables() -> None:
 
 
 def _check_sandbox(problems: list[str]) -> None:
-    """Print the layers of the sandbox that confines the process that reads foreign formats."""
+    """Print which sandbox layers confine the process that reads foreign formats."""
     from antdsl.reader.client import ReaderFailure, find_active_layers
 
     try:

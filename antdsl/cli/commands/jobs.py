@@ -124,8 +124,7 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
 
 
 def _require_template(job: FarmJob, frame_step: int, frames: int) -> None:
-    """Raise CommandError for a job that a template cannot express: too many tasks, or text that contains `{{`. `frames`: the
-    number of frames."""
+    """Raise CommandError if a job has too many tasks for a template, or text with `{{`. `frames`: the number of frames."""
     from antdsl.farm import MAX_TASKS
 
     tasks = max(len(step.chunk_ranges) for step in job.steps)

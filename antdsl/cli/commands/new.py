@@ -110,7 +110,7 @@ def require_new_folder(folder: Path) -> None:
 
 
 def describe_example(name: str) -> str:
-    """Return the description of an example: the text at the top of its first program, else the first comment of its scene."""
+    """Return the description of an example. It is the help text of its program or the first comment of its scene."""
     for path in (*sorted(example_file(name).glob("*.ant")), example_file(name) / "scene.yaml"):
         for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
             if line.startswith(('"', "# ")):

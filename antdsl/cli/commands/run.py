@@ -185,8 +185,7 @@ def _build_resume_command(
     summary: Path | None,
     any_memory: bool,
 ) -> str:
-    """Return the command line that continues a run, with all arguments that the results depend on, and the folder of the
-    results."""
+    """Return the command line that continues a run, with all arguments that affect results."""
     import shlex
 
     words = ["antdsl", "run", str(scene)]

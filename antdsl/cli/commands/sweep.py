@@ -329,7 +329,7 @@ class _RunProgress:
 
 
 class _BarProgress(_RunProgress):
-    """A display of the progress of runs as one line that is updated: finished runs, and the frames of the current runs."""
+    """A progress line that is updated in place: finished runs, and the frames of current runs."""
 
     def __init__(self, total: int, is_maximum: bool, bar: Any) -> None:
         super().__init__(total, False, is_maximum)

@@ -47,7 +47,7 @@ def _print_tables(console: Console, profile: StepProfile, show_lines: bool) -> N
 
 
 def _describe_backend(profile: StepProfile) -> str:
-    """Return a description of the backend that ran the lines, and of the frames that are left out."""
+    """Return a sentence about the backend that ran the lines, and about frames that are not counted."""
     if len(profile.frames_by_backend) < 2:
         return "".join(f", by {name}" for name in profile.frames_by_backend)
     return f", by machine code; left out: {profile.frames_by_backend['NumPy']:,} by NumPy before"

@@ -158,7 +158,7 @@ def _format_milliseconds(seconds_by_part: Mapping[str, float], steps: int) -> st
 
 
 def _print_summary(recording: Recording) -> None:
-    """Print the number of agents, the time that the run took and where the cache is. With `--profile`, also print the parts."""
+    """Print the number of agents, the run time and the cache folder. With `--profile`, also print the parts."""
     simulated = sum(recording.seconds.get(part, 0.0) for part in ("first_step", "preroll", "step", "hand_over"))
     bind = recording.seconds.get("bind", 0.0)
     print_note(f"{len(recording.world):,} agents; set up in {bind:.1f} s, simulated in {simulated:.1f} s")

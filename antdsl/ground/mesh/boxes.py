@@ -95,8 +95,7 @@ class FaceBoxes:
         return BoxTree(self.triangle_order, self.level_starts, self.bounds)
 
     def find_overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
-        """Return the pairs of a query box and a triangle's box that overlap: the numbers of the query boxes, and of the
-        triangles.
+        """Return the pairs of query boxes and triangle boxes that overlap, as two arrays of numbers.
 
         `low`, `high` (3, k): the corners of the query boxes."""
         box_numbers, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)

@@ -60,7 +60,7 @@ def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCut
 
 
 def _find_cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
-    """Return pairs of faces of one piece where an edge of one face crosses, ends on or lies on the other face."""
+    """Return pairs of faces of one piece that cut or touch each other."""
     cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]

@@ -153,8 +153,7 @@ def compute_brick_signs(
 
 
 def _find_line_crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
-    """Return where lines along the last axis cross triangles: the line (x, y), the first node beyond, and the winding number from
-    that node on."""
+    """Return where lines along the last axis cross triangles."""
     tri = shell.corners
     grain = shell.units_per_voxel
     low = -((-tri.min(axis=1)) // grain)

@@ -14,7 +14,7 @@ _CALLED_NAME_PATTERN = re.compile(r"([a-z_][a-z_0-9]*(?:\.[a-z_][a-z_0-9]*)?)\s*
 
 @dataclass(frozen=True, slots=True)
 class ContextBlock:
-    """An open brace: the rule that reads the lines after it, and the line that opened it."""
+    """An open block: the rule for its lines, and the line that opened it."""
 
     rule: str
     opening_line: str

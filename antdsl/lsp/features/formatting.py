@@ -11,8 +11,7 @@ from antdsl.source import Source
 
 
 def find_formatting_edits(document: OpenDocument) -> list[TextEdit] | None:
-    """Return the edits that format a document; an empty list if it is formatted, None for a text with errors, which stays
-    unchanged."""
+    """Return the edits that format a document. Return an empty list if it is formatted, and None if it has errors."""
     new_text, _ = syntax.format(Source(str(document.path), document.text.text))
     if new_text is None:
         return None

@@ -35,7 +35,7 @@ def find_hints(workspace: Workspace, document: OpenDocument) -> list[InlayHint]:
 
 
 def find_frame_rate(workspace: Workspace, document: OpenDocument) -> Fraction | None:
-    """Return the frames per second of the scenes that use a program; None where they disagree or give none."""
+    """Return the frame rate of the scenes that use a program. Return None if they differ or have none."""
     rates = set()
     for path in workspace.list_files():
         if path.suffix == ".ant" or document.path not in workspace.find_linked_files(path):

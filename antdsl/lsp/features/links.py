@@ -27,7 +27,7 @@ def find_links(document: OpenDocument) -> Iterator[FileLink]:
 
 
 def _list_program_links(document: OpenDocument) -> Iterator[FileLink]:
-    """Yield the files of `use`, also of the library, and the scenes of specs."""
+    """Yield links to the files of `use` lines, and to the scenes of specs."""
     folder = document.path.parent
     for item in document.parsed[0].items:
         if isinstance(item, nodes.Use):

@@ -122,7 +122,7 @@ def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -
 
 
 def _find_item_locations(workspace: Workspace, document: OpenDocument, name: str) -> Iterator[NameLocation]:
-    """Yield where scenes name an item: this scene, and those that it extends or that extend it."""
+    """Yield the locations of an item's name in this scene and in scenes related by `extends`."""
     for path in workspace.find_extending_scenes(document.path):
         other = workspace.find_document(path)
         if other is not None and name in other.scene.items:
@@ -277,7 +277,7 @@ def _find_jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys:
 
 
 def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new_name: str) -> None:
-    """Raise RenameRejected for a name that is already in use in the scope of the renamed one, or that would hide it."""
+    """Raise an error if the new name is in use in the same scope, or would be hidden."""
     rivals: set[NameKey] = {(*key[:-1], new_name)}
     if key[0] in ("own", "let", "machine"):
         rivals |= {("own", key[1], new_name), ("machine", key[1], new_name)}

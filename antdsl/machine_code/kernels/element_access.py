@@ -40,8 +40,7 @@ class ElementAccess(ArithmeticEmitter):
             )
 
     def _check_span(self, array: Array, first: Number, count: int = LANE_COUNT) -> None:
-        """Write the check that the elements `first` to `first + count - 1`, which are read or stored at once, are in the
-        array."""
+        """Emit a check that the elements `first` to `first + count - 1` are in the array."""
         self.emit_void("span", first, *array.lengths, x=count)
 
     def index_offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
@@ -256,5 +255,5 @@ class ElementAccess(ArithmeticEmitter):
 
 
 def _element_alignment(array: Array) -> str:
-    """Return the alignment of a load or store of several elements: the size of one element, not their total size."""
+    """Return the alignment of a vector load or store: the size of one element."""
     return f", align {array.element_type.dtype.itemsize}"

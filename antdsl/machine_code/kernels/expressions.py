@@ -150,7 +150,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return self.load(place, TRUTH)
 
     def _emit_conditional(self, node: ast.expr, test: ast.expr, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
-        """Write `true_expr if test else false_expr`, which evaluates only the expression that is needed."""
+        """Emit `true_expr if test else false_expr`. Only the needed expression is evaluated."""
         condition = self.emit_condition(test)
         if condition.literal_value is not None:
             return self.emit_item(true_expr if condition.literal_value else false_expr)

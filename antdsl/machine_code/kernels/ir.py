@@ -255,7 +255,7 @@ def _matches_operation(op: str, types: tuple[str, ...], result: str) -> bool:
 
 
 def split_type(type: str) -> tuple[int, str]:
-    """Return the number of lanes of a type, and the type of one lane."""
+    """Split a vector type. Return its number of lanes and the type of one lane."""
     lanes, _, base = type.strip("<>").partition(" x ") if type[0] == "<" else ("1", "", type)
     return int(lanes), base
 

@@ -111,7 +111,7 @@ class Kernel:
             return self._loaded_call
 
     def make_caller(self, code: llvm_compiler.LoadedCode, checked: bool = CHECKS_ENABLED) -> Callable[..., Any]:
-        """Return the function that calls this kernel in the code of a text that contains it."""
+        """Return a Python function that calls this kernel in loaded code."""
         guarded_call: Callable[..., Any] = _guard_if_checked(
             make_caller(self.__name__, code, self.types(), self._read_description(code)), code, checked
         )
@@ -179,8 +179,7 @@ def render_kernels(kernels: Sequence[Kernel], target: llvm_compiler.Target, chec
 
 
 def _build_entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTables | None) -> tuple[str, str]:
-    """Return two texts: the constant that describes a kernel, and the function that reads its arguments from a table and stores
-    its results."""
+    """Return the text of a constant that describes a kernel, and the text of its entry function."""
     words, arrays, body = count(RESULT_WORDS), count(), list[str]()
     inputs = [_read_argument(each, words, body, arrays) for each in kernel.types()]
     name, result = write_function(unit, kernel.part, inputs)

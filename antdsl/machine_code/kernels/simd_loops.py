@@ -170,7 +170,7 @@ class SimdWriter(StatementWriter):
         self._rejoin_after_loop(outer_mask, body)
 
     def _rejoin_after_loop(self, outer_mask: Number, body: list[ast.stmt]) -> None:
-        """Restore the mask after a loop, without the iterations that left the function in that loop."""
+        """Restore the mask after a loop. Iterations that returned in the loop stay inactive."""
         self.loop_masks.pop()
         self.mask, self.is_reachable = outer_mask, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):

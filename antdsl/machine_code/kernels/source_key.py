@@ -59,7 +59,7 @@ def _cached_repr(type: Any) -> str:
 
 @cache
 def _hash_compiler_sources() -> str:
-    """Return the hashes of all sources of `machine_code`, which read and write the texts of kernels."""
+    """Return a hash of all source files of `machine_code`."""
     folder = Path(machine_code.__file__).parent
     return "".join(_hash_file(str(each)) for each in sorted([*folder.rglob("*.py"), *folder.rglob("*.ll")]))
 
@@ -76,7 +76,7 @@ def _cached_file_hash(path: str, modified_ns: int, size: int) -> str:
 
 
 def _describe_function(part: Any, parts: list[str], literal_value: dict[int, int]) -> None:
-    """Append the description of a function that kernels use, and of the values of its names, to `parts`.
+    """Append a description of a function, and of the values that its names refer to, to `parts`.
 
     `literal_value`: the number of each function that is already described, by its identity; the number is its description."""
     function: FunctionType = part.function

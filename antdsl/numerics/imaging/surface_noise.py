@@ -177,7 +177,7 @@ def add_grains(
     begin: I64,
     end: I64,
 ) -> None:
-    """Add grains of sand of one size to the normals and colours of samples.
+    """Add grains of sand to the normals and colours of samples.
 
     `grains`, `patches`: tables of the grains and of where they lie. `length`: their size in world units. `share`: the share of
     the surface that has them. `quartz`, `basalt`: the colours of some grains."""

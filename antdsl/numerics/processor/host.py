@@ -47,7 +47,7 @@ def iterate_core_limits(process_groups: str, groups_folder: Path) -> Iterator[fl
 
 
 def _read_quota_v1(folder: Path) -> tuple[int, int]:
-    """Return quota and period (µs) of a control group of version 1; a quota of -1 means no limit."""
+    """Return quota and period (µs) of a version 1 control group. A quota of -1 means no limit."""
     quota, period = (int((folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))
     return quota, period  # a quota of -1 means no limit
 

@@ -234,8 +234,7 @@ def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind
 
 
 def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
-    """Write a loop that reads values that are `step` bytes apart, one by one, and stores them as 64-bit words or as halves of
-    them.
+    """Emit a loop that reads values at a distance of `step` bytes, and stores them as 64-bit words or as half words.
 
     `shift`: 0 for the low half, 32 for the high half, None for complete words."""
     _begin_loop(w, label, predecessor, 1, "%count")

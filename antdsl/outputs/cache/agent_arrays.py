@@ -59,7 +59,7 @@ class AgentArrayBuilder:
 
 
 def write_column(population: Population, column: Column, scale: float, out: NDArray[Any], threads: int = 1) -> None:
-    """Write a column of a population into `out`, in order of id, in the units of frames. The column is a fixed array or
+    """Write one column of a population to `out`, sorted by id, in the units of the cache. The column is a fixed array or
     registers."""
     ranks, factor = population.id_ranks(), column.compute_unit_factor(scale)
     if column.kind == "register" and not column.shape:

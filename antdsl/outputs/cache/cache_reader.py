@@ -248,8 +248,7 @@ def _find_read_problem(read: Callable[[], object]) -> str | None:
 
 
 def _list_required_arrays(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
-    """Yield the names of the arrays that `static.npz` must have: those of the manifest's entries, and the vectors of each
-    flow."""
+    """Yield the names of the arrays that `static.npz` must contain."""
     for mesh in manifest.meshes:
         if not mesh.row.is_dug:
             yield from (f"mesh.{mesh.name}.vertices", f"mesh.{mesh.name}.faces")

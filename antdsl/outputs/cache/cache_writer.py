@@ -148,7 +148,7 @@ def clear_folder(folder: Path, last_retained: int | None = None, damaged_frames:
 
 
 class DifferentHashes(Exception):
-    """Error for a cache that was made with another method of state hashes, so that states cannot be compared."""
+    """The error for a cache if its state hashes were computed by another method."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")

@@ -30,13 +30,13 @@ from antdsl.numerics.vectors import dot
 from antdsl.outputs.cache.scene_positions import to_scene_positions
 from antdsl.program.tables.columns import CONTACT_COLUMNS
 from antdsl.runtime import World, collect_emissions
-from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyCapsulePairs, find_near_pairs
 
 Arrays = dict[str, NDArray[Any]]
 
 
 def make_event_arrays(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
-    """Return the arrays of the events of these kinds since the previous frame. `scale`: scene units per millimetre."""
+    """Return the arrays of the requested event kinds. `scale`: scene units per millimetre."""
     return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENT_ARRAY_MAKERS[kind](world, scale).items()}
 
 
@@ -53,7 +53,8 @@ def _make_contact_arrays(world: World, scale: float) -> Arrays:
     crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     pairs = np.flatnonzero(near.gap < 0)
-    i, j, points = near.rows[near.i[pairs]], near.rows[near.j[pairs]], _compute_contact_points(near, pairs)
+    i = near.rows[near.first_indices[pairs]]
+    j, points = near.rows[near.second_indices[pairs]], _compute_contact_points(near, pairs)
     direction, gap = near.direction[:, pairs], near.gap[pairs]
     ids = crowd.concatenate_species(lambda p: p.ids)
     names = sorted(world.populations)
@@ -67,18 +68,20 @@ def _make_contact_arrays(world: World, scale: float) -> Arrays:
     }  # fmt: skip
 
 
-def _compute_contact_points(near_pairs: NearbyPairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+def _compute_contact_points(near_pairs: NearbyCapsulePairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the contact points (3, k) in mm of the pairs of capsules `pairs`.
 
     A contact point is midway between the two surfaces, on the shortest line between the capsules' axes."""
-    i, j, direction, gap = near_pairs.i[pairs], near_pairs.j[pairs], near_pairs.direction[:, pairs], near_pairs.gap[pairs]
-    a, b, ri, rj = near_pairs.ahead[:, i], near_pairs.ahead[:, j], near_pairs.radius[i], near_pairs.radius[j]
+    i, j = near_pairs.first_indices[pairs], near_pairs.second_indices[pairs]
+    direction, gap = near_pairs.direction[:, pairs], near_pairs.gap[pairs]
+    a, b, ri, rj = near_pairs.axis_directions[:, i], near_pairs.axis_directions[:, j], near_pairs.radius[i], near_pairs.radius[j]
     off = direction * (gap + ri + rj) - (near_pairs.middle[:, i] - near_pairs.middle[:, j])  # t a - s b
     across = dot(a, b)
     free = 1.0 - across * across
     t = np.where(free > 1e-6, (dot(off, a) - across * dot(off, b)) / np.maximum(free, 1e-6), dot(off, a) / 2)
     s = across * t - dot(off, b)
-    t, s = np.clip(t, -near_pairs.half[i], near_pairs.half[i]), np.clip(s, -near_pairs.half[j], near_pairs.half[j])
+    t = np.clip(t, -near_pairs.half_lengths[i], near_pairs.half_lengths[i])
+    s = np.clip(s, -near_pairs.half_lengths[j], near_pairs.half_lengths[j])
     first = near_pairs.middle[:, i] + a * t - direction * (ri + gap / 2)
     second = near_pairs.middle[:, j] + b * s + direction * (rj + gap / 2)
     middle: NDArray[np.float64] = (first + second) / 2

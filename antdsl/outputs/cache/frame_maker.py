@@ -99,7 +99,7 @@ class FrameMaker:
             for key in world.setting.list_body_keys(name):
                 arrays |= make_feet_arrays(world, key, self.scale)
         for name, field in world.fields.items():
-            arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _find_nonzero_cells(np.asarray(field.values))
+            arrays[f"field.{name}.cells"], arrays[f"field.{name}.amounts"] = _find_nonzero_cells(np.asarray(field.amounts))
             if "places" in field.added_cells:
                 arrays[f"field.{name}.added"] = to_scene_positions(field.added_cells["places"][:, :3], self.scale)
         for name, items in world.items.items():
@@ -113,7 +113,7 @@ class FrameMaker:
         return arrays if self.piece_maker is None else arrays | self.piece_maker.frame(world)
 
     def _make_pair_arrays(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
-        """Return the attributes of a species that have one value per pair of agents, as the ids of both agents and the value."""
+        """Return the values per pair of agents: the ids of both agents, and the value."""
         arrays: Arrays = {}
         for name, slots in self.pair_names[population.name].items():
             who, value = (np.stack([population.now[each[part]][rows] for each in slots], axis=1) for part in (0, 1))

@@ -168,7 +168,7 @@ def _make_feet_input(expected_hash: str, feet: str) -> bytes:
 
 
 def _hash_headers(prefix: bytes, headers: Iterable[bytes]) -> str:
-    """Return the hash of `prefix` and the headers of a file, prefixed with the name of the method."""
+    """Return a hash of `prefix` and of the headers of a file. The text begins with the name of the method."""
     return _HEADER_METHOD_PREFIX + _hash_bytes(prefix, headers)
 
 

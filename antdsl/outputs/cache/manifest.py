@@ -240,7 +240,7 @@ AnyCameraEntry = CameraEntry | FollowEntry | Literal["fit"]  # `fit`: one that h
 
 
 def make_camera_array_name(camera: str, part: str) -> str:
-    """Return the name of an array of `static.npz` with a moving camera's `part` (of `CAMERA_PARTS`) at each frame."""
+    """Return the name of the array for one part of a moving camera."""
     return f"camera.{part}" if camera == DEFAULT_CAMERA else f"camera.{camera}.{part}"
 
 

@@ -141,8 +141,7 @@ def read_feet(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | N
 
 
 def list_wearable_layers(population: Population, setting: WorldSetting) -> tuple[str, ...]:
-    """Return the layers that agents of a species may show in addition to the base layer: those of its states, then those of the
-    scene."""
+    """Return the layers that agents may wear: first those of the states, then those of the scene."""
     by_scene = (
         name for crowd in _find_species_crowds(population, setting) for part in crowd.worn_layers for name in part if name
     )

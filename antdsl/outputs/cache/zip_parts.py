@@ -39,8 +39,7 @@ _LONG_END_LOCATOR = Struct("<4sLQL")
 
 
 class NotStored(Exception):
-    """Error for a file that is not a zip file of stored (uncompressed) members, or with a content that does not match its
-    header."""
+    """The error for a zip file with compressed members, or with content that does not match its header."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -56,7 +56,7 @@ class Selection:
 
 
 def list_cameras(manifest: Manifest) -> frozenset[str]:
-    """Return the names of the cameras that selectors may name: cameras that follow no agent."""
+    """Return the names of cameras that a selector may use. Cameras that follow an agent are excluded."""
     return frozenset(name for name, camera in manifest.named_cameras.items() if isinstance(camera, CameraEntry))
 
 
@@ -122,7 +122,7 @@ def select_agents(
 
 
 def find_item_points(arrays: Arrays, manifest: Manifest, unit_mm: float) -> dict[str, NDArray[np.float64]]:
-    """Return the positions of items in a frame, in mm from the scene's zero point, by the names of single items and of groups."""
+    """Return the positions of items in a frame (scene mm), by the names of items and groups."""
     points: dict[str, NDArray[np.float64]] = {}
     for group in manifest.items:
         moved = arrays.get(f"items.{group.name}.P") if group.moves else None

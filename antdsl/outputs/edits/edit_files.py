@@ -56,7 +56,7 @@ def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[
 
 
 def find_missing_file(edits: EditList, manifest: Manifest, arrays: Mapping[str, Any], caches: Mapping[str, Any]) -> str | None:
-    """Return a file that edits name and that is not among the stored inputs of edits, or None."""
+    """Return a file that an edit names but that is not stored with the edits, or None."""
     for edit in edits.edits:
         for file in edit.line.list_files(manifest):
             names = (f"{file.path}.{part}" for part in _PARTS_BY_KIND.get(file.kind, ()))

@@ -154,7 +154,7 @@ class EditLayer(CacheView):
 
 @dataclass(frozen=True, eq=False)
 class StoredFrames(CacheView):
-    """A view of a cache that stores the `capacity` frames that were read last in memory."""
+    """A view of a cache that keeps the last `capacity` frames in memory."""
 
     capacity: int
     _frames: OrderedDict[int, Arrays] = field(default_factory=OrderedDict, init=False)

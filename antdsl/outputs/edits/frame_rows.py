@@ -41,7 +41,7 @@ class FrameRows:
         self._rows_by_body: dict[str, NDArray[np.intp]] = {}
 
     def find_body_rows(self, body: str) -> NDArray[np.intp]:
-        """Return the rows of the agents of a species, or of the agents that have one of its bodies (`SPECIES#1`)."""
+        """Return the rows of a species, or of one of its bodies (`SPECIES#1`)."""
         if body not in self._rows_by_body:
             number = self._number_by_species.get(find_species_of_key(body), -1)
             rows = np.flatnonzero(get_species_numbers(self.arrays) == number)
@@ -70,7 +70,7 @@ class FrameRows:
         return keys if keys is not None and array.ndim and len(array) == len(keys) else None
 
     def iterate_agent_arrays(self) -> Iterator[tuple[str, LongArray]]:
-        """Yield the name of each array with rows of agents, and the agent of each row."""
+        """Yield the name of each array with one row per agent, and the agents of its rows."""
         for name in self.arrays:
             keys = self.find_row_keys(name)
             if keys is not None:
@@ -102,7 +102,7 @@ def join_frames(first: Arrays, second: Arrays, manifest: Manifest) -> dict[str, 
 
 
 def _find_lacking_keys(table: FrameRows, name: str) -> LongArray:
-    """Return the agents of the rows that an array would have in a frame that lacks it."""
+    """Return the agents that need a row in an array which the frame does not have."""
     subject = find_array_subject(name)
     if subject in ("pair", "event"):
         return np.empty(0, np.int64)

@@ -21,7 +21,7 @@ _LIFT = 0.5  # body lengths: ground up to there above a point counts as below it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grounds:
-    """The ground that agents leave (`old`), and the ground that they come to (`new`).
+    """The grounds before and after a move of agents: `old` and `new`.
 
     `down_direction`: the unit vector along which they fall onto it; None if they follow it along their own up direction."""
 

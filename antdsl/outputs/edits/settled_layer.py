@@ -83,7 +83,7 @@ class SettledFrames:
 
 @dataclass(frozen=True, eq=False)
 class SettledLayer(CacheView):
-    """A view of a cache in which the frames of a new simulation replace those of some agents."""
+    """A view of a cache in which a new simulation replaces some agents."""
 
     settled: SettledFrames
 

@@ -148,7 +148,7 @@ def find_changed(old: Trunks, new: Trunks) -> NDArray[np.bool_]:
 
 
 def find_overlaps(trunks: Trunks, is_chosen: NDArray[np.bool_], min_depth: float = _MIN_DEPTH) -> Iterator[tuple[int, int]]:
-    """Yield the keys of two agents that overlap by more than `min_depth` of the smaller width, if one of them is chosen."""
+    """Yield pairs of agents that overlap by more than `min_depth` of the smaller width. One of them must be chosen."""
     from scipy.spatial import cKDTree
 
     good = np.flatnonzero(np.isfinite(trunks.middle).all(axis=1) & (trunks.radius > 0))
@@ -167,7 +167,7 @@ def find_overlaps(trunks: Trunks, is_chosen: NDArray[np.bool_], min_depth: float
 
 
 def measure_segment_distances(a: Floats, u: Floats, b: Floats, v: Floats) -> Floats:
-    """Return the distances [n] of segments from a - u to a + u and from b - v to b + v, [n, 3] each.
+    """Return the distances [n] between two segments: from a - u to a + u, and from b - v to b + v.
 
     The nearest points of the lines are clamped in turn (C. Ericson, Real-Time Collision Detection, 2005)."""
     offset, uu, vv, uv = a - b, (u * u).sum(axis=1), (v * v).sum(axis=1), (u * v).sum(axis=1)

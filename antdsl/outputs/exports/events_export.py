@@ -194,7 +194,7 @@ def _list_contact_pairs(arrays: Arrays) -> list[tuple[int, ...]]:
 
 
 def _find_event_words(gallery: Gallery, events: EventRows) -> list[str]:
-    """Return the word for `what` of each event: the state that begins, the leg that lands, or the event that is emitted."""
+    """Return a word for each event: the new state, the landing leg, or the name of the emitted event."""
     species, manifest = events.species.tolist(), gallery.manifest
     if events.kind == "state":
         return [manifest.species[s].machines[0].states[k].name for s, k in zip(species, events.what.tolist(), strict=True)]

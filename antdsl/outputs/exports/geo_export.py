@@ -102,7 +102,7 @@ def _make_point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict
 
 
 def _make_text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
-    """Return the text attributes of agents by name: a table of texts, and the index of each agent's text (-1 for no text)."""
+    """Return the text attributes of agents by name: a table of texts, and an index per agent (-1 for none)."""
     manifest, count = gallery.manifest, len(arrays["P"])
     which = get_species_numbers(arrays)
     species = [entry.name for entry in manifest.species]
@@ -178,7 +178,7 @@ def _make_clip_slots(machines: Iterable[MachineClips], count: int) -> list[Slot]
 
 
 def _find_clip_durations(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
-    """Return the duration in seconds of each clip of a species, with one row for each of its bodies.
+    """Return the duration of each clip of a species (s), one row per body.
 
     A clip that the body lacks has the duration 1. A last column of zeros stands for no clip."""
     bodies = [gallery.load_body(number, 0, which).definition.clips for which in range(len(gallery.bodies.keys(number)))]

@@ -54,7 +54,7 @@ NO_AGENTS_MESSAGE = "these frames have no agents"
 
 
 def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the transforms of all joints and the values of all channels of each agent, as posed in pictures.
+    """Write the joint transforms and the channels of each agent.
 
     Raises ExportUnavailable if the data exceeds the memory limit, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)

@@ -213,7 +213,7 @@ def _compute_boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
 
 
 def _find_covered_pixels(boxes: tuple[Array, Array], shutter: Shutter) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the pixels (h · w,) in which a box may be visible, and those in which a box of only a few pixels may be visible.
+    """Return the pixels (h · w,) that a box may cover, and those that a very small box may cover.
 
     Rays through pixel centres may miss such small boxes."""
     high, wide = shutter.middle.height, shutter.middle.width

@@ -87,7 +87,7 @@ def compute_headlamp_light(facing: Floats, direct_light: Floats, open_share: Flo
 
 
 def compute_sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, sun_point: Floats) -> Floats:
-    """Return 1 for each sample (n,) that sunlight reaches, and 0 for samples from which a moving body hides the sun.
+    """Return 1 for samples (n,) in sunlight, and 0 for samples in the shadow of a moving body.
 
     `sun_point`: the point of the sun's disc. `time_index`: the shutter time."""
     visible = np.ones(len(samples), np.float32)

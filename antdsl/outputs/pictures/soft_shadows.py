@@ -81,7 +81,7 @@ def compute_visible_share(
     threads: int,
     candidates: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Return the share (h · w,) of a light that is visible from each pixel's surface; 1 for surfaces that face away from it.
+    """Return the share (h · w,) of a light that each pixel's surface sees. It is 1 for surfaces that face away.
 
     `facing` (h · w,): cosine of the angle to the light; surfaces face away where it is ≤ 0.
     `occluders`: ray scenes of the occluders at several times; pixels are distributed over them.

@@ -56,7 +56,7 @@ class SurfaceSamples:
 
     @property
     def colourable_rows(self) -> NDArray[np.int64]:
-        """Return the rows of the samples on kinds of surfaces that show the colours of fields."""
+        """Return the rows of samples on surfaces that show field colours."""
         return np.flatnonzero(np.isfinite(self.distance) & np.isin(self.kind, surface_materials.TRAIL_KINDS))
 
 

@@ -250,7 +250,7 @@ def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition,
 def _compute_blend_offsets(
     base: Shape, target: Shape, name: str, rows: Array, other: Array, blended_attributes: tuple[str, ...]
 ) -> Array:
-    """Return the differences float32[P, 3] of the attribute `name` between the points of `base` and those of `target`."""
+    """Return how the attribute `name` differs between the points of `base` and `target`, float32[P, 3]."""
     offsets = np.zeros((len(base.points), 3), np.float32)
     if (
         name in blended_attributes

@@ -30,7 +30,7 @@ from antdsl.scene.geometry.usd import import_pxr_module
 
 
 class InstancerWriter:
-    """Writer of the agents of one species as instances from a bank of poses."""
+    """Writer of one species as instances of poses."""
 
     notes: tuple[str, ...] = ()
 

@@ -110,7 +110,7 @@ class PrototypeBank:
         return self._path_by_pose[key]
 
     def _find_or_write_prototype(self, body: int, state: int, *played: int) -> int:
-        """Return the index of the prototype of a pose, in the colour of a state if `state` is not -1.
+        """Return the index of the prototype with a pose. It has the colour of `state`, unless that is -1.
 
         It is written at its first use."""
         key = (body, state, *played)
@@ -129,7 +129,7 @@ class PrototypeBank:
 
 
 def add_coloured_mesh(stage: Any, path: str, pose: str) -> Any:
-    """Add a mesh that shows a pose, and return its primvar displayColor, which the materials of states use.
+    """Add a mesh for a pose. Return its display colour, which the materials of states use.
 
     The mesh is a payload, so it is loaded only where it is drawn."""
     prim = stage.DefinePrim(path, "Mesh")

@@ -170,7 +170,7 @@ def _read_agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int
 
 
 def _find_part_rows(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]]:
-    """Return a crowd, and the row of each of its agents among all agents `ids` of the species."""
+    """Return a crowd, and its agents' rows among `ids`."""
     if crowd.ids is None or len(crowd.position) == len(ids):
         return crowd, np.arange(len(crowd.position))
     return crowd, np.searchsorted(ids, crowd.ids)

@@ -95,7 +95,7 @@ _PLAIN_DEFAULTS = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0
 
 
 def _order_birth_attributes(species: model.Species) -> list[str]:
-    """Return the built-in attributes that agents of a species have, each after those that its default reads."""
+    """Return the built-in attributes, each after the attributes that its default reads."""
     known = builtin_attributes(species.edition)
     names = [name for name in BIRTH_ATTRIBUTES if name in known and needs_register(species, name)]
     return [name for name in names if name != STANDING_SETTING or is_standing(species)]

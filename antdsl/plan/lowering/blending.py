@@ -59,7 +59,7 @@ def _write_layer(w: PlanWriter, layer: model.Layer, mode: str, is_last: bool) ->
 
 
 def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
-    """Write the direction that the body faces: that of the topmost `face` line with a direction. At the line `state`, the `face`
+    """Store the facing direction of the body. The topmost `face` line with a direction wins. At the line `state`, the `face`
     lines of the states apply.
 
     A `face` line uses no strength, so it does not depend on the budget that earlier layers leave."""

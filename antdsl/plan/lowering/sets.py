@@ -24,7 +24,7 @@ _MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # index of the argument with 
 
 
 def choose_quantum_exponent(dim: Dimension) -> int:
-    """Return the exponent of the rounding unit for sums of values of a dimension.
+    """Return the exponent of the rounding unit for sums of this dimension.
 
     Terms are rounded to a multiple of 2**exponent base units, so that their sum is exact in any order.
 

@@ -94,7 +94,7 @@ class FieldPackets:
             slot = f"fieldmesh:{name}"
             yield slot, pack_arrays(slot, {"position": mesh.compute_positions(world), "face": mesh.face})
         self._last_frame_by_field[name] = world.frame
-        value = encode_bytes(mesh.compute_values(field.values))
+        value = encode_bytes(mesh.compute_values(field.amounts))
         yield f"field:{name}", pack_arrays(f"field:{name}", {"value": value}, frame=world.frame)
 
 

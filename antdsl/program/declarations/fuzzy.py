@@ -13,7 +13,7 @@ from antdsl.syntax import nodes
 
 
 def type_fuzzy_mean(scope: NameScope, node: nodes.Fuzzy) -> Expr:
-    """Return the mean of the rules' outputs, each weighted by the degree of truth of its rule; 0 if all degrees are 0.
+    """Return the mean output of the rules, weighted by the truth of each rule. It is 0 if no rule applies.
 
     This is zero-order Sugeno inference, a weighted mean of singletons (Takagi and Sugeno, Fuzzy identification of systems, IEEE
     Trans. SMC 15(1), 1985, section II). In the paper the outputs are linear functions. They may be here too, because any number

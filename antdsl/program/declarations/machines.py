@@ -134,7 +134,7 @@ def _check_lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr
 
 
 def _find_earlier_declaration(node: nodes.State, scope: NameScope, name: nodes.Name) -> Span:
-    """Return the location of an earlier declaration of the name of a state's let: in the species, or in the state."""
+    """Return where a name was declared before, in the species or in the state."""
     assert scope.species is not None
     own = scope.species.bindings.get(name.text)
     earlier = [

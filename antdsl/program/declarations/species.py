@@ -81,7 +81,7 @@ def _check_draft(
 
 
 def _list_members(node: nodes.Species, *kinds: type) -> list[Any]:
-    """Return the members of some kinds, of a species and of its machines, in text order."""
+    """Return the members of some kinds in text order, from the species and its machines."""
     members: list[object] = []
     for member in node.members:
         members.append(member)

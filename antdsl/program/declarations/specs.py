@@ -44,7 +44,7 @@ _SETTING_WORDS = ("seeds", "pass", "set", "until")  # words of lines that set up
 
 @dataclass(slots=True)
 class _SpecCheck:
-    """The state of the check of one spec."""
+    """The intermediate state of checking one spec."""
 
     declarations: Declarations
     names: FileNames

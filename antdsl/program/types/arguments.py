@@ -261,12 +261,12 @@ def type_point(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
 
 
 def find_element_type(things: ValueType) -> ValueType:
-    """Return the type of one element of a group of items, or of a species."""
+    """Return the type of one item of a group, or of one agent of a species."""
     return ValueType(TypeKind.ITEM if things.kind is TypeKind.ITEMS else TypeKind.AGENT, Dimension(), things.referent)
 
 
 def make_nearest_reduction(things: Expr, span: Span) -> ReduceExpr:
-    """Return a reduction to the nearest element of a group of items, or of a species."""
+    """Return a reduction to the nearest item of a group, or to the nearest agent of a species."""
     type = find_element_type(things.type)
     element = Binding("it", "element", type, ChangeRate.ELEMENT, span)
     over = SetExpr(

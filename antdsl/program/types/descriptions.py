@@ -196,7 +196,7 @@ def _choose_advice(node: nodes.Expr, actual: ValueType, expected_type: ValueType
 def report_disagreement(
     report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]
 ) -> None:
-    """Report that the types of the two operands of an operator do not match, with the source text of both."""
+    """Report two operands with types that do not match, and quote their source text."""
     (left_node, a), (right_node, b) = left, right
     both = (
         f"{quote_source(left_node.span)} is {describe_type(a.type)} "

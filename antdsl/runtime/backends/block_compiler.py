@@ -105,7 +105,7 @@ class PairScope:
 
 
 class BlockCompiler:
-    """The conversion of one block of a plan to instructions over slots, in nested scopes of rows."""
+    """Compiler that turns one plan block into instructions on slots, in nested row scopes."""
 
     def __init__(
         self, species: ir.SpeciesPlan, block: str, order: dict[ir.PlanStatement, int], sets: dict[ir.PlanNode, int]

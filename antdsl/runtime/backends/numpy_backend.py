@@ -115,7 +115,7 @@ class NumpyBackend:
         return []
 
     def _compute_step_values(self, world: World, species: str) -> dict[ir.PlanNode, Any]:
-        """Return, by node, the values that are equal for all agents of a species: those of the step and those of the run."""
+        """Return the values that are equal for all agents of a species, by node."""
         if self._run_inputs is None or self._run_inputs[0] is not world.setting or self._run_inputs[1] != world.params:
             self._run_inputs = (world.setting, dict(world.params))
             self._run_values = {

@@ -100,7 +100,7 @@ def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
 
 
 def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
-    """Return the maker of the call that gathers a value of the enclosing scope for the rows of this scope."""
+    """Return the maker of a call that copies a value of the outer scope to the rows of this scope."""
     picked = scope.parent_indices
 
     def make_gather(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -264,7 +264,7 @@ def make_spread_call(result_slot: int, inputs: tuple[int, ...], buffer: int | No
 
 
 def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
-    """Return the maker of the call for a value of the other agent of each pair, or a value that depends on that agent.
+    """Return the maker of a call that reads a value of each pair's other agent.
 
     A sense is evaluated at the position of the requesting agent."""
     sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows

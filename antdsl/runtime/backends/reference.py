@@ -44,7 +44,7 @@ class ReferenceBackend:
         return []
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run a block for some rows (None: all), one after the other."""
+        """Run one block."""
         rows = np.flatnonzero(~population.quarantined) if rows is None else rows
         with np.errstate(all="ignore"):
             for row in rows:

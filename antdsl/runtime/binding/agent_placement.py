@@ -25,7 +25,7 @@ from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
 from antdsl.runtime.line_tables import take_created_ids
 from antdsl.runtime.moving import scripted_walks
-from antdsl.runtime.moving.clearance.clear_steps import settle_clear
+from antdsl.runtime.moving.clearance.clear_steps import settle_bodies_outside_ground
 from antdsl.runtime.moving.tilting import tilt_new_bodies
 from antdsl.runtime.world import AXES, Population, World, add_rows, make_empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlacementData
@@ -197,8 +197,8 @@ def initialise_agents(world: World, new_rows: Mapping[str, NDArray[np.intp]]) ->
     initialise_newborn(world, new_rows)
     for name, rows in new_rows.items():
         _set_start_velocity(world, world.populations[name], rows)
-        scripted_walks.start_walks(world, world.populations[name], rows)
-        if not settle_clear(world, world.populations[name], rows):
+        scripted_walks.start_scripted_walks(world, world.populations[name], rows)
+        if not settle_bodies_outside_ground(world, world.populations[name], rows):
             tilt_new_bodies(world, world.populations[name], rows)
     settle_newborn(world)  # before deaths: requests of an agent that dies at birth count
     births = set(list_effects_of_phase("births"))

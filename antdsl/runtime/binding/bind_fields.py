@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from antdsl.diagnostics import Report
-from antdsl.fields.cells import FieldTooFine, SurfaceCells
+from antdsl.fields.cells import FieldTooFineError, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.periodic_cells import CellsDoNotFit, PeriodicCells
 from antdsl.fields.pheromone import PheromoneField
@@ -54,7 +54,7 @@ def bind_fields(
                 advice = f"write `cell {error.fitting_cell:g} mm`, or a width that is at least three cells"
                 report.error("field-setting", f"field `{plan.name}` does not fit: {words}", plan.span, advice)
                 continue
-            except FieldTooFine as error:
+            except FieldTooFineError as error:
                 row = " in a row" if error.is_axis_limit else ""
                 words = f"about {error.needed:,} cells of {size:g} mm{row}; {error.cap:,} are allowed"
                 report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
@@ -104,8 +104,8 @@ def _check_settings(
 def _set_start_amounts(field: PheromoneField, start: FieldStartData, world: World) -> None:
     """Set the start amounts of a field's cells."""
     if start.around is None:
-        field.values[:] = start.value
+        field.amounts[:] = start.value
         return
     away = field.cells.compute_offsets(field.cells.position, np.asarray([start.around], np.float64) - world.origin)
     distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
-    field.values[distance <= (np.inf if start.radius is None else start.radius)] = start.value
+    field.amounts[distance <= (np.inf if start.radius is None else start.radius)] = start.value

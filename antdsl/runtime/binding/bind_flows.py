@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.casting.curves import resample_curve
 from antdsl.diagnostics import Report
-from antdsl.fields.face_points import FaceLattice, LatticeTooFine, choose_cell_size, count_edge_pieces, weld_points
+from antdsl.fields.face_points import FaceLattice, LatticeTooFineError, choose_cell_size, choose_edge_pieces, weld_points
 from antdsl.fields.flow import (
     PaintedMap,
     SurfaceFlow,
-    VectorSource,
+    VectorFunction,
     compute_falloff,
     find_nearest_on_target,
     make_spread_source,
     project_to_faces,
 )
 from antdsl.fields.path_cost import WalkableSurface
-from antdsl.fields.path_flow import CrossableGround, PathFlow, raise_to_min_cost
+from antdsl.fields.path_flow import CrossableGround, PathFlow, limit_cost_from_below
 from antdsl.ground.protocol import Flags, Floats, Index, MeshSurfaces
 from antdsl.runtime.binding.binding_cache import BindingCache
 from antdsl.runtime.binding.border_edges import find_border_edges
-from antdsl.runtime.moving.obstacles import find_obstacle_mesh
+from antdsl.runtime.moving.obstacles import get_obstacle_scene
 from antdsl.scene.setting import BorderFlowData, FlowData, FlowTarget, PaintedValues, SolvedFlowData, SpreadFlowData
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, PaintedValues) and _may_change(world, flow):
-            bound_flow.updater = lambda current_world: _recompute_flow(current_world, bound_flow, flow)
-    except LatticeTooFine as error:
+            bound_flow.update_after_motion = lambda current_world: _recompute_flow(current_world, bound_flow, flow)
+    except LatticeTooFineError as error:
         report.error(
             "flow-too-fine",
             f"flow `{name}` would have about {error.needed:,} points; {limits.MAX_FLOW_POINTS:,} are allowed",
@@ -101,12 +101,15 @@ def _recompute_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlowData 
     if isinstance(flow, SolvedFlowData):
         assert isinstance(bound_flow, PathFlow) and bound_flow.crossable_ground is not None
         known = bound_flow.crossable_ground
-        bound_flow.crossable_ground = ground = _make_crossable_ground(world, bound_flow.lattice, known.faces, known.slot_points)
+        bound_flow.crossable_ground = ground = _make_crossable_ground(
+            world, bound_flow.lattice, known.is_crossable_face, known.slot_points
+        )
         bound_flow.cost = _compute_triangle_costs(world, flow, ground)
         bound_flow.start_points, bound_flow.start_costs, bound_flow.target_gap = _find_goal_points(world, flow, ground)
         return
     now = _make_flow(world, flow)
-    bound_flow.lattice, bound_flow.c, bound_flow.s, bound_flow.source = now.lattice, now.c, now.s, now.source
+    bound_flow.lattice, bound_flow.axis1_components = now.lattice, now.axis1_components
+    bound_flow.axis2_components, bound_flow.compute_vectors = now.axis2_components, now.compute_vectors
 
 
 def _get_ground_meshes(world: World) -> MeshSurfaces:
@@ -137,7 +140,7 @@ def _make_painted_flow(world: World, painted_values: PaintedValues) -> SurfaceFl
     corners = _collect_corner_values(world, painted_values)
     parts = [project_to_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
     c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
-    return SurfaceFlow(FaceLattice.from_cuts(np.ones(corners.shape[1], np.int64)), c, s)
+    return SurfaceFlow(FaceLattice.from_edge_pieces(np.ones(corners.shape[1], np.int64)), c, s)
 
 
 # --- points over the ground ------------------------------------------------------------------------------------------
@@ -152,7 +155,7 @@ def _select_faces(world: World, surfaces: tuple[str, ...]) -> Flags:
 
 
 def _measure_longest_edges(world: World) -> tuple[Floats, Floats]:
-    """Return the length (mm) of the longest edge of each face of the ground, and the middle (n, 3; mm) of each face."""
+    """Return the longest edge (mm) and the middle (n, 3; mm) of each ground face."""
     vertices, faces, _, _ = _get_ground_meshes(world).triangles
     corners = vertices[faces]
     edges = np.stack([corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)])
@@ -162,20 +165,20 @@ def _measure_longest_edges(world: World) -> tuple[Floats, Floats]:
 def _make_lattice(world: World, is_chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
     """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if the flow's cell is too small."""
     edges = np.where(is_chosen, _measure_longest_edges(world)[0], 0.0)
-    return FaceLattice.from_cuts(count_edge_pieces(flow, edges, _get_ground_meshes(world).extent))
+    return FaceLattice.from_edge_pieces(choose_edge_pieces(flow, edges, _get_ground_meshes(world).extent))
 
 
 def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
     """Return the face and the position (n, 3) mm of each slot."""
     table = _get_ground_meshes(world).triangles[3]
-    face = lattice.faces()
+    face = lattice.get_face_by_slot()
     b1, b2 = lattice.compute_slot_weights()
     place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
     return face, np.ascontiguousarray(place.T)
 
 
 def _make_vector_flow(
-    world: World, lattice: FaceLattice, face: Index, vectors: Floats, is_chosen: Flags, source: VectorSource | None = None
+    world: World, lattice: FaceLattice, face: Index, vectors: Floats, is_chosen: Flags, source: VectorFunction | None = None
 ) -> SurfaceFlow:
     table = _get_ground_meshes(world).triangles[3]
     c, s = project_to_faces(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
@@ -199,7 +202,7 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
     target = _locate_target(world, flow.target)
     source = make_spread_source(flow, target)
     if world.ground.meshes is None:
-        return SurfaceFlow(FaceLattice.from_cuts(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
+        return SurfaceFlow(FaceLattice.from_edge_pieces(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
     chosen = near = _select_faces(world, flow.surfaces)
     if flow.radius is not None:
         longest, middle = _measure_longest_edges(world)
@@ -267,11 +270,11 @@ def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
     solved_flow = PathFlow(
         lattice, np.zeros(0), np.zeros(0), None,
         crossable_ground=grounds, cost=_compute_triangle_costs(world, flow, grounds), start_points=start, start_costs=first,
-        target_gap=gap, strength=flow.strength, crowding=flow.crowding, interval=every, is_due=is_update_due,
-        crowd=np.zeros(len(grounds.surface.points), np.int64) if flow.crowding else None,
-        stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
+        target_gap=gap, strength=flow.strength, crowd_cost=flow.crowding, update_interval=every, is_update_due=is_update_due,
+        crowd_coverage=np.zeros(len(grounds.surface.points), np.int64) if flow.crowding else None,
+        stores_reachability=any(node.op == "flow.reachable" for node in world.plan.nodes),
     )  # fmt: skip
-    solved_flow.update_flow()
+    solved_flow.recompute_flow()
     return solved_flow
 
 
@@ -312,7 +315,7 @@ def _find_blocked_triangles(world: World, triangles: Index, points: Floats, norm
     for name in world.plan.obstacles:
         if name not in world.obstacles:
             continue
-        scene = find_obstacle_mesh(world, name)
+        scene = get_obstacle_scene(world, name)
         for k in range(3):
             start, end = points[triangles[:, k]], points[triangles[:, (k + 1) % 3]]
             step = end - start
@@ -323,7 +326,7 @@ def _find_blocked_triangles(world: World, triangles: Index, points: Floats, norm
 
 
 def _link_points_of_surfaces(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
-    """Return pairs (k, 2) of near points of different surfaces: at most about the length of a triangle's edge apart."""
+    """Return pairs (k, 2) of near points on different surfaces."""
     from scipy.spatial import cKDTree
 
     surfaces = np.unique(surface_numbers[used_points])
@@ -346,12 +349,12 @@ def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGrou
     from scipy.spatial import cKDTree
 
     land = grounds.surface
-    used = np.unique(land.triangles[land.is_open])
+    used = np.unique(land.triangles[land.is_walkable])
     if not len(used):
         return used, np.zeros(0), 0.0
     target = _locate_target(world, flow.target)
     positions, radii = target.positions, target.radii
-    side = float(np.sqrt(np.median(grounds.triangle_areas[land.is_open])))
+    side = float(np.sqrt(np.median(grounds.triangle_areas[land.is_walkable])))
     if target.is_line:
         positions = resample_curve(positions, side)
         radii = np.zeros(len(positions))
@@ -390,6 +393,6 @@ def _compute_triangle_costs(world: World, flow: SolvedFlowData, grounds: Crossab
         small, _ = grounds.lattice.compute_triangles()
         b1, b2 = b1[small].mean(axis=1), b2[small].mean(axis=1)
         for name, factor in flow.maps.items():
-            one, two, three = (corner.take(owner) for corner in world.maps[name].corners)
+            one, two, three = (corner.take(owner) for corner in world.maps[name].corner_values)
             price = price + factor * (one * (1 - b1 - b2) + two * b1 + three * b2)
-    return raise_to_min_cost(price)
+    return limit_cost_from_below(price)

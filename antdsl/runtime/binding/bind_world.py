@@ -33,7 +33,7 @@ from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.line_tables import reserve_ids
 from antdsl.runtime.motion_measures import MotionMeasures
-from antdsl.runtime.moving.moving_geometry import make_curve
+from antdsl.runtime.moving.moving_geometry import make_sampled_curve
 from antdsl.runtime.periodic_world import make_periodic_world
 from antdsl.runtime.world import AXES, Items, Options, World, make_empty_population
 from antdsl.scene.setting import FlowData, MeshData, WorldSetting, compute_world_origin
@@ -112,7 +112,7 @@ def bind_empty(
         field_rates={},
         obstacles=_make_ray_scenes(extended, solids, binding_cache),
         curves={
-            name: make_curve(setting.curves[name] - origin)
+            name: make_sampled_curve(setting.curves[name] - origin)
             for name in plan.list_things_of_kind("curve")
             if name in setting.curves
         },

@@ -37,7 +37,7 @@ class BindingCache:
         return product if copy_value is None else copy_value(product)
 
     def get_deep_copy(self, kind: str, inputs: object, make: Callable[[], T]) -> T:
-        """Return a deep copy of the result of `make` or of the cached result, for values that change later."""
+        """Return a deep copy of the cached or new result of `make`. Use it for values that change later."""
         return self.get_or_make(kind, inputs, make, copy_value=deepcopy)
 
     def drop_unused(self) -> None:

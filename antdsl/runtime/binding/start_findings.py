@@ -58,7 +58,7 @@ def _measure_excessive_gap(world: World, name: str) -> float:
 
 
 def count_agents_with_path(world: World, species: str, flow: str) -> int:
-    """Return the number of agents of a species with a path from their position to the target of a flow."""
+    """Return how many agents of a species can reach the target of a flow."""
     population = world.populations[species]
     place, up = population.position.astype(np.float64), population.normal.astype(np.float64)
     return int(np.count_nonzero(world.flows[flow].has_flow_at(world.ground.meshes, population.footing, place, up)))

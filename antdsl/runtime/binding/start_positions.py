@@ -13,7 +13,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.runtime.binding.spacing import StartPositionDraws
 from antdsl.runtime.binding.start_shapes import FULL_TURN, draw_disc, draw_shape_points, has_shape, locate_place
 from antdsl.runtime.binding.surface_area import FaceArea, find_face_area
-from antdsl.runtime.moving.obstacles import find_obstacle_mesh
+from antdsl.runtime.moving.obstacles import get_obstacle_scene
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData
 
@@ -231,7 +231,7 @@ def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
         mesh = world.setting.obstacles.get(name)
         if mesh is None or not len(mesh.faces):
             continue
-        hits = find_obstacle_mesh(world, name).find_first_hits(points, up)
+        hits = get_obstacle_scene(world, name).find_first_hits(points, up)
         face = np.maximum(hits.face, 0)
         corners = mesh.vertices[mesh.faces[face if world.periodic is None else world.periodic.obstacle_faces[name].source[face]]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges do not depend on the origin

@@ -142,7 +142,7 @@ def _collect_faces(world: World, surface_names: tuple[str, ...], density: str | 
         first = np.searchsorted(mesh, np.arange(len(ground.names)))
         weight = np.ones((len(rows), 3))
         if density is not None:
-            weight = np.maximum(world.maps[density].corners, 0.0).T[rows]
+            weight = np.maximum(world.maps[density].corner_values, 0.0).T[rows]
         corner, edge1, edge2 = (np.ascontiguousarray(v[:, rows].T) for v in (table.corner, table.edge1, table.edge2))
         face_groups.append((mesh[rows], (rows - first[mesh[rows]]).astype(np.int32), corner, edge1, edge2, weight))
     names = list(world.setting.surfaces)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl import limits
-from antdsl.fields.face_points import Floats, LatticeTooFine, count_edge_pieces, count_slots
+from antdsl.fields.face_points import Floats, LatticeTooFineError, choose_edge_pieces, count_slots
 from antdsl.scene.geometry.mesh_files import compute_mesh_area
 from antdsl.scene.setting import MeshData, PaintedValues, WorldSetting
 
@@ -80,8 +80,8 @@ def _estimate_flows(setting: WorldSetting) -> Iterator[WorkEstimate]:
             [each if not flow.surfaces or of in flow.surfaces else np.zeros_like(each) for of, each in longest.items()]
         )
         try:
-            count = count_slots(count_edge_pieces(flow, edges, extent))
-        except LatticeTooFine:  # binding reports this error
+            count = count_slots(choose_edge_pieces(flow, edges, extent))
+        except LatticeTooFineError:  # binding reports this error
             count = limits.MAX_FLOW_POINTS
         yield _make_estimate(f"flow {name}", count, "points at most", _BYTES_PER_FLOW_POINT)
 

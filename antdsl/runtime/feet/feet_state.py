@@ -46,7 +46,7 @@ def _is_by_leg(name: str) -> bool:
 
 
 def _agent_axis(name: str) -> int:
-    """Return the number of the axis of a column along which its values are of different agents."""
+    """Return the axis of a column that enumerates agents."""
     return _SHAPES[name].index("n")
 
 
@@ -94,7 +94,7 @@ class Feet:
 
     @staticmethod
     def empty(legs: int, soles: int = 0) -> Feet:
-        """Return the feet of an empty population with this number of legs and of flat soles."""
+        """Return the feet of an empty population."""
         return Feet(**_empty_columns(0, legs, soles))
 
     def __len__(self) -> int:
@@ -107,7 +107,7 @@ class Feet:
 
     @property
     def soles(self) -> int:
-        """Return the number of flat soles of each agent: that of its legs, or 0."""
+        """Return the number of flat soles per agent."""
         return int(self.sole.shape[2])
 
     @property
@@ -143,7 +143,7 @@ class Feet:
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
-        """Return the feet of agents in the order of `ids`, and the rows of agents that had no feet. Their values are zero."""
+        """Return the feet in the order of `ids`, and the rows of agents that had no feet. Their values are zero."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
         at, known = self._find_id_rows(ids)

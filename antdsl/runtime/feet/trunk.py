@@ -28,7 +28,7 @@ _MIN_SQUARED_SLOPE = _F(1e-6)
 
 @inlined
 def fit_plane(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
-    """Return height, slope ahead and slope aside of the plane through the ground of the feet of agent `i`, before smoothing.
+    """Fit a plane to the ground below the feet of agent `i`. Return its height, and its slopes ahead and aside.
 
     `points` [3, L, n]: the ground position of each foot. `ground_numbers` [L, n]: the thing that the foot stands on, as
     `Feet.on`."""
@@ -74,7 +74,7 @@ def lower_trunk(points: Any, swing_phases: Any, legs: Any, rise: Any, slope: Any
 
 @inlined
 def tilt_point(slope: Any, point: Any) -> Any:
-    """Return a point of a trunk after the shortest rotation of the trunk's up to the normal of a plane.
+    """Rotate a point of a trunk from the trunk's up to the normal of a plane.
 
     `slope`: the plane's slopes ahead and aside."""
     x, y, z = point

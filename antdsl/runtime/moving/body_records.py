@@ -12,7 +12,7 @@ from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 
 SHARP_BEND_LEVEL = 2  # level of ground with sharp edges, other pieces or cuts; see `MeshGround.mark_bends`
-MAX_LIFT_PER_BODY = 0.6  # body lengths; the largest shift of a body
+MAX_LIFT_BODY_LENGTHS = 0.6  # body lengths; the largest shift of a body
 
 
 class BodyPoses(NamedTuple):
@@ -26,18 +26,19 @@ class BodyLimits(NamedTuple):
     """Limits of bodies in a step.
 
     `max_tilts`: the largest tilt of each agent in this step (radians). `max_turn`: its largest turn (rad/s).
-    `size`: its size (mm). `max_speed` (mm/s). `body`: the number of its body. `dt`: the duration of the step (s).
-    `shapes`: the numbers of a `BodyShape` of 1 mm, for each body of the species.
-    `ease`: how far a body may shift even if it need not (body lengths). `max_shift`: the largest shift (body lengths)."""
+    `size`: its size (mm). `max_speed` (mm/s). `body_numbers`: the number of its body. `dt`: the duration of the step (s).
+    `unit_shapes`: the numbers of a `BodyShape` of 1 mm, for each body of the species.
+    `voluntary_shift`: how far a body may shift even if it need not (body lengths). `max_shift`: the largest shift (body
+    lengths)."""
 
     max_tilts: Array1[F32]
     max_turn: Array1[F32]
     dt: F32
     size: Array1[F32]
     max_speed: Array1[F32]
-    shapes: Array2[F64]
-    body: Array1[U8]
-    ease: F64
+    unit_shapes: Array2[F64]
+    body_numbers: Array1[U8]
+    voluntary_shift: F64
     max_shift: F64
 
 
@@ -45,45 +46,47 @@ class BodyRegisters(NamedTuple):
     """Values that a body retains from step to step.
 
     `lift`: its shift from the feet (mm). `wait_share`: how strongly its feet wait for it, from 0 to 1; -1 while it retreats.
-    `depth`: its depth inside a surface (body lengths). `outward_direction`: the direction out of the surface that it touched.
+    `penetration_depth`: its depth inside a surface (body lengths). `outward_direction`: the direction out of the surface that
+    it touched.
     `idle_time`: for how long (s) its feet have not moved although they should."""
 
     lift: VectorColumns
     wait_share: Array1[F32]
-    depth: Array1[F32]
+    penetration_depth: Array1[F32]
     outward_direction: VectorColumns
     idle_time: Array1[F32]
 
 
 class BodyRows(NamedTuple):
-    """Rows of agents. `levels`: how sharply the ground around each agent bends; see `MeshGround.mark_bends`."""
+    """Rows of agents. `bend_levels`: how sharply the ground around each agent bends; see `MeshGround.mark_bends`."""
 
     rows: Array1[I64]
-    levels: Array1[U8]
+    bend_levels: Array1[U8]
 
 
 class BodyStances(NamedTuple):
     """Stances of all bodies: positions (n, 3) mm, normals (n, 3) of the ground, and poses."""
 
-    place: Strided2[F64]
+    positions: Strided2[F64]
     normals: Array2[F32]
     pose: BodyPoses
 
 
 class FaceBuffers(NamedTuple):
-    """Work buffers for face numbers. There are `buffer_count` buffers, each for a chunk of `count` rows."""
+    """Work buffers for face numbers. There are `buffer_count` buffers, each for a chunk of `rows_per_chunk` rows."""
 
-    numbers: Array1[I64]
+    face_numbers: Array1[I64]
     buffer_count: I64
-    count: I64
+    rows_per_chunk: I64
 
 
 class ContactFaces(NamedTuple):
-    """Faces that bodies must stay outside of: their packed `table`, the mesh piece of each face, a tree of boxes, and buffers."""
+    """Faces that bodies must stay outside of: their packed `face_table`, the mesh piece of each face, a tree of boxes, and
+    buffers."""
 
-    table: Array1[F64]
-    pieces: Array1[I32]
-    boxes: BoxTree
+    face_table: Array1[F64]
+    piece_numbers: Array1[I32]
+    box_tree: BoxTree
     buffers: FaceBuffers
 
 
@@ -91,19 +94,20 @@ class FaceSearch(NamedTuple):
     """Tables for a search of the faces near a path.
 
     `has_several_pieces`: whether a path may meet another mesh piece, or a face that cuts its own piece.
-    `clearances`: lower bounds of the distances to such faces. `pieces`: the piece of each face. `cuts`: which faces are cut.
-    `boxes`: a tree of the faces' boxes. `buffers`: work memory."""
+    `clearances`: lower bounds of the distances to such faces. `piece_numbers`: the piece of each face. `cut_starts`: which
+    faces are cut.
+    `box_tree`: a tree of the faces' boxes. `buffers`: work memory."""
 
     has_several_pieces: BOOL
     clearances: ClearanceTables
-    pieces: Array1[I32]
-    cuts: Array1[I64]
-    boxes: BoxTree
+    piece_numbers: Array1[I32]
+    cut_starts: Array1[I64]
+    box_tree: BoxTree
     buffers: FaceBuffers
 
 
 @inlined
-def get_shape(limits: BodyLimits, i: I64, size: F64) -> BodyShape:
+def compute_body_shape(limits: BodyLimits, i: I64, size: F64) -> BodyShape:
     """Return the capsule of agent i, scaled to a body of `size` mm."""
-    k, shapes = limits.body[i], limits.shapes
+    k, shapes = limits.body_numbers[i], limits.unit_shapes
     return BodyShape(shapes[k, 0] * size, shapes[k, 1] * size, shapes[k, 2] * size, shapes[k, 3] * size)

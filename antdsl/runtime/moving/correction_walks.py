@@ -15,7 +15,7 @@ from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Str
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, dot, get_column, minus, plus, store_column, times
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
-from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyCapsulePairs
 from antdsl.runtime.moving.falling import find_airborne, move_airborne
 from antdsl.runtime.moving.obstacles import slide_rows
 from antdsl.runtime.world import Population
@@ -42,7 +42,7 @@ class CorrectionWalker:
     def __init__(self, crowd: CapsuleCrowd, start_positions: Mapping[str, Floats], dt: float) -> None:
         self._crowd, self._start_positions, self._dt = crowd, start_positions, dt
 
-    def walk(self, rows: Rows, displacement: Floats) -> Floats:
+    def walk_corrections(self, rows: Rows, displacement: Floats) -> Floats:
         """Walk the given ascending rows of the crowd by (3, k) mm. Return the displacements that they reach."""
         got: list[Floats] = []
         for population, own in self._crowd.split_rows(rows):
@@ -99,7 +99,7 @@ class CorrectionWalker:
 
         Return the ascending indices of the rows that are within range afterwards, or None for all rows."""
         for _ in range(_MAX_BACKTRACKS):
-            far, most = self._measure_reach(population, rows, move)
+            far, most = self._measure_distance_limits(population, rows, move)
             if far is None:
                 return None
             over = np.flatnonzero(far > most * _DISTANCE_SLACK_FACTOR)
@@ -110,10 +110,10 @@ class CorrectionWalker:
             again, ground = move.take_rows(over), self._crowd.world.ground
             threads = self._crowd.world.options.threads
             move.put_rows(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
-        far, most = self._measure_reach(population, rows, move)
+        far, most = self._measure_distance_limits(population, rows, move)
         return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
-    def _measure_reach(self, population: Population, rows: Rows, move: GroundMove) -> tuple[Floats | None, Floats]:
+    def _measure_distance_limits(self, population: Population, rows: Rows, move: GroundMove) -> tuple[Floats | None, Floats]:
         """Return the distances (mm) of agents from their start, and the largest allowed distances.
 
         The first result is None if no agent is farther than allowed."""
@@ -135,9 +135,9 @@ class CorrectionWalker:
 
 
 @inlined
-def _read_row(table: Strided2[F64], i: I64) -> Vec3:
+def _read_column_vector(table: Strided2[F64], column: I64) -> Vec3:
     """Return row i of vectors (n, 3)."""
-    return table[i, 0], table[i, 1], table[i, 2]
+    return table[column, 0], table[column, 1], table[column, 2]
 
 
 @inlined
@@ -148,11 +148,12 @@ def _to_float32(v: Vec3) -> Vec3F32:
 class SpeciesStances(NamedTuple):
     """Positions and abilities of the agents of a species.
 
-    `start`, `current` (n, 3) mm: positions at the start of the substep, and current positions. `normal` (n, 3): ground normals.
+    `start_position`, `current_position` (n, 3) mm: positions at the start of the substep, and current positions. `normal` (n,
+    3): ground normals.
     `max_speed` (mm/s), `mass` (n): the speed limit and the mass of each agent."""
 
-    start: Strided2[F64]
-    current: Strided2[F64]
+    start_position: Strided2[F64]
+    current_position: Strided2[F64]
     normal: Strided2[F32]
     max_speed: Array1[F32]
     mass: Array1[F32]
@@ -161,37 +162,37 @@ class SpeciesStances(NamedTuple):
 @kernel
 def write_stances(
     rows: Array1[I64],
-    first: I64,
+    first_index: I64,
     species: SpeciesStances,
     dt: F64,
-    start: Array2[F64],
+    start_position: Array2[F64],
     travel: Array2[F64],
     normal: Array2[F64],
-    reach: Array1[F64],
+    max_distance: Array1[F64],
     mass: Array1[F64],
 ) -> None:
-    """Write the stances of the given rows of a species after a substep of `dt` s, from index `first` on among all rows in
-    pairs.
+    """Write the stances of rows after a substep of `dt` s, from index `first_index` on.
 
-    The outputs are as in `contact_solver._PairAgents`; `travel` (3, k) is the displacement (mm)."""
+    The outputs are as in `contact_solver._ContactAgents`; `travel` (3, k) is the displacement (mm)."""
     began, place, feet, max_speed, weight = species
     for n in simd_range(0, rows.size):
-        row, k = rows[n], first + n
-        start_point = _read_row(began, row)
-        store_column(start, k, start_point)
-        store_column(travel, k, minus(_read_row(place, row), start_point))
+        row, k = rows[n], first_index + n
+        start_point = _read_column_vector(began, row)
+        store_column(start_position, k, start_point)
+        store_column(travel, k, minus(_read_column_vector(place, row), start_point))
         normal[0, k], normal[1, k], normal[2, k] = feet[row, 0], feet[row, 1], feet[row, 2]
-        reach[k] = np.float64(_FLOAT32_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
+        max_distance[k] = np.float64(_FLOAT32_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
         mass[k] = max(np.float64(weight[row]), _MIN_MASS)
 
 
 @kernel
-def write_approach(rows: Array1[I64], first: I64, velocity: VectorColumns, dt: F32, displacement: Array2[F64]) -> None:
-    """Write the previous displacement (mm) of the given rows of a species, from index `first` on. It is their velocity times
+def write_approach(rows: Array1[I64], first_index: I64, velocity: VectorColumns, dt: F32, approach: Array2[F64]) -> None:
+    """Write the previous displacement (mm) of the given rows of a species, from index `first_index` on. It is their velocity
+    times
     `dt`."""
     for n in simd_range(0, rows.size):
         for axis in range(3):
-            displacement[axis, first + n] = velocity[axis][rows[n]] * dt
+            approach[axis, first_index + n] = velocity[axis][rows[n]] * dt
 
 
 @kernel
@@ -199,7 +200,7 @@ def _prepare_walk(
     rows: Array1[I64],
     displacement: Strided2[F64],
     feet: Strided2[F32],
-    facing: VectorColumns,
+    headings: VectorColumns,
     body_lengths: Array1[F32],
     step: Array2[F32],
     normal: Array2[F32],
@@ -214,7 +215,7 @@ def _prepare_walk(
         row = rows[k]
         size[k] = body_lengths[row]
         for axis in range(3):
-            step[axis, k], heading[axis, k] = displacement[axis, k], facing[axis][row]
+            step[axis, k], heading[axis, k] = displacement[axis, k], headings[axis][row]
             normal[axis, k] = feet[row, axis]
             up[axis, k] = feet[row, axis]
 
@@ -224,7 +225,7 @@ def _has_row_out_of_range(
     rows: Array1[I64],
     end_positions: Strided2[F64],
     start_positions: Strided2[F64],
-    place: Strided2[F64],
+    position: Strided2[F64],
     max_speed: Array1[F32],
     dt: F64,
     distances: Array1[F64],
@@ -238,8 +239,11 @@ def _has_row_out_of_range(
     is_too_far = False
     for k in range(rows.size):
         row = rows[k]
-        start = _read_row(start_positions, row)
-        displacement, walked = minus(_read_row(end_positions, k), start), minus(_read_row(place, row), start)
+        start = _read_column_vector(start_positions, row)
+        displacement, walked = (
+            minus(_read_column_vector(end_positions, k), start),
+            minus(_read_column_vector(position, row), start),
+        )
         distances[k] = np.sqrt(dot(displacement, displacement))
         max_distances[k] = max(np.float64(max_speed[row]) * dt, np.sqrt(dot(walked, walked)))
         is_too_far |= not distances[k] <= max_distances[k] * _DISTANCE_SLACK_FACTOR
@@ -250,21 +254,21 @@ def _has_row_out_of_range(
 def _store_arrivals(
     rows: Array1[I64],
     end_positions: Strided2[F64],
-    ups: Strided2[F64],
+    arrival_ups: Strided2[F64],
     dt: F32,
     positions: VectorColumns,
     velocity: VectorColumns,
-    place: Strided2[F64],
-    feet: Strided2[F32],
+    position: Strided2[F64],
+    ground_normal: Strided2[F32],
     reached_moves: Array2[F64],
 ) -> None:
     """Write the values of agents at the end of their corrections, except footings.
 
-    `end_positions`, `ups` (k, 3): positions and ups. `reached_moves` (3, k) mm: the displacements."""
+    `end_positions`, `arrival_ups` (k, 3): positions and ups. `reached_moves` (3, k) mm: the displacements."""
     for k in simd_range(0, rows.size):
         row = rows[k]
-        end, up = _read_row(end_positions, k), _to_float32(_read_row(ups, k))
-        displacement = minus(end, _read_row(place, row))
+        end, up = _read_column_vector(end_positions, k), _to_float32(_read_column_vector(arrival_ups, k))
+        displacement = minus(end, _read_column_vector(position, row))
         store_column(reached_moves, k, displacement)
         pushed = _to_float32(displacement)
         size = np.sqrt(dot(pushed, pushed))
@@ -280,10 +284,10 @@ def _store_arrivals(
         v = minus(v, times(up, dot(v, up)))
         for axis in range(3):
             positions[axis][row], velocity[axis][row] = end[axis], v[axis]
-            place[row, axis], feet[row, axis] = end[axis], up[axis]
+            position[row, axis], ground_normal[row, axis] = end[axis], up[axis]
 
 
-def select_displaced(corrections: Floats) -> tuple[Rows, Floats]:
+def select_corrected_rows(corrections: Floats) -> tuple[Rows, Floats]:
     """Return the rows with a nonzero displacement in `correction_walks` (3, k) mm, and these displacements."""
     moved_rows, requested_moves = np.empty(corrections.shape[1], np.intp), np.empty_like(corrections)
     count = _select_moves(corrections, moved_rows, requested_moves)
@@ -291,7 +295,7 @@ def select_displaced(corrections: Floats) -> tuple[Rows, Floats]:
 
 
 def find_unresolved_rows(
-    nearby_pairs: NearbyPairs, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats, is_held: Flags
+    nearby_pairs: NearbyCapsulePairs, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats, is_held: Flags
 ) -> Flags:
     """Return which rows (k) must be measured again, because they moved or could not move. Update their capsules.
 
@@ -302,12 +306,14 @@ def find_unresolved_rows(
     return touched
 
 
-def find_overlapping_pairs(nearby_pairs: NearbyPairs, is_touched: Flags) -> Flags | None:
+def find_overlapping_pairs(nearby_pairs: NearbyCapsulePairs, is_touched: Flags) -> Flags | None:
     """Return which pairs (m) have a row with `is_touched` (k); None if no such pair overlaps enough for another pass."""
-    which = np.empty(len(nearby_pairs.i), np.bool_)
+    which = np.empty(len(nearby_pairs.first_indices), np.bool_)
     return (
         which
-        if _mark_overlapping_pairs(nearby_pairs.i, nearby_pairs.j, nearby_pairs.gap, nearby_pairs.radius, is_touched, which)
+        if _mark_overlapping_pairs(
+            nearby_pairs.first_indices, nearby_pairs.second_indices, nearby_pairs.gap, nearby_pairs.radius, is_touched, which
+        )
         else None
     )
 

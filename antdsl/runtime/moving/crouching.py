@@ -16,7 +16,7 @@ from antdsl.ground.protocol import GroundMove
 from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import dot
-from antdsl.runtime.moving.slopes import SlopeStart, move_along_ground
+from antdsl.runtime.moving.slopes import StepStartStance, move_along_ground
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
@@ -25,11 +25,13 @@ Rows = NDArray[np.intp]
 CROUCH_REGISTER = "crouch"  # for species that set it in `SpeciesPlan.settings`
 LOWERING_REGISTER = "~lowering"  # share of the height by which a body is lower than when it stands
 _RAY_START_SHARE = 0.5  # share of the least height; rays start there, above uneven ground
-_BODY_RADII = 0.9  # share of the radius; distance of the points behind and before a body, so that a wall beside it is no ceiling
-_HEADROOM = 1.02  # multiple of a body's height that it needs below a ceiling
-_ROUNDING_SHARE = 1e-4  # share of the height; within it, a body is as low as the ceiling
+_SIDE_PROBE_RADII = (
+    0.9  # share of the radius; distance of the points behind and before a body, so that a wall beside it is no ceiling
+)
+_HEADROOM_FACTOR = 1.02  # multiple of a body's height that it needs below a ceiling
+_HEIGHT_TOLERANCE_SHARE = 1e-4  # share of the height; within it, a body is as low as the ceiling
 _LOOKAHEAD_SECONDS = 0.5  # s; a body lowers itself for the ceiling that it reaches in this time
-_LOWER_PER_SECOND, _RISE_PER_SECOND = np.float32(1.2), np.float32(0.8)  # shares of the height
+_LOWERING_PER_SECOND, _RISING_PER_SECOND = np.float32(1.2), np.float32(0.8)  # shares of the height
 _MIN_NORMAL_RISE = 0.2  # least up component of a normal, for points along the ground
 _TURN_COSINE, _TURN_SINE = 0.5, 0.8660254037844386  # of 60 degrees, between a direction ahead and one to the side
 
@@ -39,14 +41,14 @@ def has_crouch(population: Population) -> bool:
     return CROUCH_REGISTER in population.plan.settings
 
 
-def get_heights(population: Population, rows: Rows | slice = slice(None)) -> Floats:
+def compute_body_heights(population: Population, rows: Rows | slice = slice(None)) -> Floats:
     """Return the heights (mm) of standing bodies; the `size` of species without a height."""
     height = population.now["height" if "height" in population.plan.settings else "size"][rows].astype(np.float64)
     return np.where(np.isfinite(height) & (height > 0), height, 0.0)
 
 
 def crouch_below_ceilings(
-    world: World, population: Population, start: SlopeStart, steps: Floats, dt: float
+    world: World, population: Population, start: StepStartStance, steps: Floats, dt: float
 ) -> tuple[Rows, Floats, GroundMove] | None:
     """Lower and raise bodies after a walk. Return the rows of steps that are taken back, other steps (k, 3) mm, and their ends.
 
@@ -54,19 +56,22 @@ def crouch_below_ceilings(
     every = np.arange(len(population))
     free = _measure_free_heights(world, population, every, population.position, steps, dt)
     least, lowering = _find_least_shares(population, every), population.now[LOWERING_REGISTER]
-    goal, seconds = np.minimum(free.around, np.where(free.soon < least, 1.0, free.soon)), np.float32(dt)
-    tall = np.flatnonzero(free.around < 1 - lowering.astype(np.float64))
-    start_share = _measure_free_heights(world, population, tall, start.position[tall], steps[tall], dt).above
-    is_wall = free.around[tall] < least[tall]
+    goal, seconds = np.minimum(free.least_share_around, np.where(free.share_ahead < least, 1.0, free.share_ahead)), np.float32(dt)
+    tall = np.flatnonzero(free.least_share_around < 1 - lowering.astype(np.float64))
+    start_share = _measure_free_heights(world, population, tall, start.position[tall], steps[tall], dt).share_above
+    is_wall = free.least_share_around[tall] < least[tall]
     goal[tall] = np.where(is_wall, start_share, goal[tall])
     change = (1 - np.clip(goal, least, 1.0)).astype(np.float32) - lowering
-    lowering += np.clip(change, -_RISE_PER_SECOND * seconds, _LOWER_PER_SECOND * seconds)
-    share = 1 - lowering[tall].astype(np.float64) - _ROUNDING_SHARE  # else it would wait for the last bit
-    is_blocked = (free.around[tall] < share) & (start_share >= share)  # a body below a ceiling that came down can leave
+    lowering += np.clip(change, -_RISING_PER_SECOND * seconds, _LOWERING_PER_SECOND * seconds)
+    share = 1 - lowering[tall].astype(np.float64) - _HEIGHT_TOLERANCE_SHARE  # else it would wait for the last bit
+    # a body below a ceiling that came down can leave
+    is_blocked = (free.least_share_around[tall] < share) & (start_share >= share)
     rows = tall[is_blocked]
     if not len(rows):
         return None
-    return rows, *_step_aside(world, population, start, rows, steps[rows], free.ahead[rows], is_wall[is_blocked], dt)
+    return rows, *_walk_along_low_ceilings(
+        world, population, start, rows, steps[rows], free.walking_direction[rows], is_wall[is_blocked], dt
+    )
 
 
 def _find_least_shares(population: Population, rows: Rows) -> Floats:
@@ -75,25 +80,25 @@ def _find_least_shares(population: Population, rows: Rows) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FreeHeights:
+class _HeadroomMeasurements:
     """The free heights at k agents, as shares of the height that a standing body needs.
 
-    `ahead` (k, 3): the directions in which they go. `above`, `around`, `soon` (k): the free height at their position; the least
-    of those at, before, beside and behind it; and where they will be soon."""
+    `walking_direction` (k, 3): the directions in which they go. `share_above`, `least_share_around`, `share_ahead` (k): the
+    free height at their position; the least of those at, before, beside and behind it; and where they will be soon."""
 
-    ahead: Floats
-    above: Floats
-    around: Floats
-    soon: Floats
+    walking_direction: Floats
+    share_above: Floats
+    least_share_around: Floats
+    share_ahead: Floats
 
 
 def _measure_free_heights(
     world: World, population: Population, rows: Rows, position: Floats, steps: Floats, dt: float
-) -> _FreeHeights:
+) -> _HeadroomMeasurements:
     """Return the free heights at agents. `position`, `steps` (k, 3): of the agents in `rows` (mm).
 
     A face between the body and the point before it leaves no room there."""
-    up, height = np.asarray(world.up, np.float64), get_heights(population, rows)
+    up, height = np.asarray(world.up, np.float64), compute_body_heights(population, rows)
     level = steps - dot(steps, up)[:, None] * up
     far = np.sqrt(dot(level, level))
     heading = population.read_vector("heading")[rows].astype(np.float64)
@@ -104,31 +109,31 @@ def _measure_free_heights(
     soon = radius + far * (_LOOKAHEAD_SECONDS / dt)
     normal = population.normal[rows].astype(np.float64)
     rise = np.maximum(dot(normal, np.broadcast_to(up, normal.shape)), _MIN_NORMAL_RISE)
-    low, needed = _RAY_START_SHARE * _find_least_shares(population, rows) * height, height * _HEADROOM
+    low, needed = _RAY_START_SHARE * _find_least_shares(population, rows) * height, height * _HEADROOM_FACTOR
     middle = position + low[:, None] * up
 
     def measure_at(reach: Floats, hidden_share: float) -> Floats:
         """Return the free heights at points `reach` (k, 3) mm away. `hidden_share`: the result where a face hides that point."""
         reach = reach - (dot(reach, normal) / rise)[:, None] * up  # along the ground
-        part = _cast(world, middle + reach, up * (needed - low)[:, None])
+        part = _cast_rays(world, middle + reach, up * (needed - low)[:, None])
         free = np.nan_to_num((low + (needed - low) * part) / np.maximum(needed, 1e-12), nan=1.0)
-        return np.where(_cast(world, middle, reach) < 1, hidden_share, free)
+        return np.where(_cast_rays(world, middle, reach) < 1, hidden_share, free)
 
-    near, side = ahead * (_BODY_RADII * radius)[:, None], _find_side(ahead, up)
+    near, side = ahead * (_SIDE_PROBE_RADII * radius)[:, None], _compute_side_directions(ahead, up)
     above = around = measure_at(np.zeros_like(near), 1.0)
-    aside = side * (_BODY_RADII * radius * _TURN_SINE)[:, None]
+    aside = side * (_SIDE_PROBE_RADII * radius * _TURN_SINE)[:, None]
     left, right = near * _TURN_COSINE - aside, near * _TURN_COSINE + aside
     for reach, hidden_share in ((near, 0.0), (-near, 1.0), (left, 1.0), (right, 1.0)):
         around = np.minimum(around, measure_at(reach, hidden_share))
-    return _FreeHeights(ahead, above, around, measure_at(ahead * soon[:, None], 1.0))
+    return _HeadroomMeasurements(ahead, above, around, measure_at(ahead * soon[:, None], 1.0))
 
 
-def _find_side(ahead: Floats, up: Floats) -> Floats:
+def _compute_side_directions(ahead: Floats, up: Floats) -> Floats:
     """Return the directions (k, 3) to the side of level directions `ahead` (k, 3)."""
     return np.stack(vec.cross(tuple(np.broadcast_to(up, ahead.shape).T), tuple(ahead.T)), axis=1)
 
 
-def _cast(world: World, origin: Floats, displacement: Floats) -> Floats:
+def _cast_rays(world: World, origin: Floats, displacement: Floats) -> Floats:
     """Return the shares of rays from `origin` by `displacement` (k, 3) mm before their first hit; 1 without a hit."""
     part, threads = np.ones(len(origin)), world.options.threads
     length = np.sqrt(dot(displacement, displacement))
@@ -144,10 +149,10 @@ def _cast(world: World, origin: Floats, displacement: Floats) -> Floats:
     return part
 
 
-def _step_aside(
+def _walk_along_low_ceilings(
     world: World,
     population: Population,
-    start: SlopeStart,
+    start: StepStartStance,
     rows: Rows,
     steps: Floats,
     ahead: Floats,
@@ -160,7 +165,7 @@ def _step_aside(
     where they were and wait until the body is low enough."""
     up, result = np.asarray(world.up, np.float64), np.zeros_like(steps)
     moved = move_along_ground(world, population, start, rows, result)
-    side = _find_side(ahead, up)
+    side = _compute_side_directions(ahead, up)
     length = np.sqrt(dot(steps, steps))[:, None]
     tries = np.flatnonzero(is_wall)
     if not len(tries):
@@ -169,11 +174,11 @@ def _step_aside(
     for sign in (1.0, -1.0):
         option = (ahead * _TURN_COSINE + side * (sign * _TURN_SINE))[tries] * length[tries] * _TURN_SINE
         end = start.position[rows[tries]] + option
-        shares.append(_measure_free_heights(world, population, rows[tries], end, option, dt).around)
+        shares.append(_measure_free_heights(world, population, rows[tries], end, option, dt).least_share_around)
         options.append(option)
     is_right = shares[1] > shares[0]
     chosen = np.where(is_right[:, None], options[1], options[0])
-    standing = 1 - population.now[LOWERING_REGISTER][rows[tries]].astype(np.float64) - _ROUNDING_SHARE
+    standing = 1 - population.now[LOWERING_REGISTER][rows[tries]].astype(np.float64) - _HEIGHT_TOLERANCE_SHARE
     fits = np.where(is_right, shares[1], shares[0]) >= standing
     which = tries[fits]
     if len(which):

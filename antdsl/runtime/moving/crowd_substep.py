@@ -27,41 +27,41 @@ from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
 from antdsl.runtime.moving.body_records import BodyPoses
-from antdsl.runtime.moving.clearance.clear_steps import ClearStep, has_clearance
-from antdsl.runtime.moving.clearance.clearance_kernels import WINDOW_PER_BODY
+from antdsl.runtime.moving.clearance.clear_steps import BodyClearanceStep, has_clearance
+from antdsl.runtime.moving.clearance.clearance_kernels import PATH_LENGTH_BODY_LENGTHS
 from antdsl.runtime.moving.clearance.head_clearance import MIN_BODY_HEIGHT_SHARE
 from antdsl.runtime.moving.clearance.walls_ahead import NO_WALLS, WallsAhead, find_walls
 from antdsl.runtime.moving.crouching import crouch_below_ceilings, has_crouch
 from antdsl.runtime.moving.falling import limit_fall_speed
-from antdsl.runtime.moving.obstacles import slide_steps, slow_velocities
+from antdsl.runtime.moving.obstacles import scale_velocities_with_steps, slide_steps
 from antdsl.runtime.moving.orienting import orient_bodies
-from antdsl.runtime.moving.pacing import find_paces
-from antdsl.runtime.moving.postures import Posture, find_posture
-from antdsl.runtime.moving.scripted_walks import compute_guided_velocities, find_guided_agents, find_walks_by_line
+from antdsl.runtime.moving.pacing import find_speed_shares
+from antdsl.runtime.moving.postures import Posture, read_posture
+from antdsl.runtime.moving.scripted_walks import compute_scripted_velocities, find_scripted_agents, find_scripted_walks_by_line
 from antdsl.runtime.moving.slopes import (
-    SlopeStart,
-    deflect_steps,
+    StepStartStance,
+    deflect_pushes_along_slopes,
+    deflect_steps_along_slopes,
     find_rows_blocked_by_slope,
     has_slope_limit,
-    turn_pushes_along_slopes,
 )
-from antdsl.runtime.moving.substep_kernels import IntendedMotion, PendingWalks, prepare_steps, walk_plane, walk_triangles
-from antdsl.runtime.moving.tilting import BodyPosture, TurnLimits, follow_ground, limit_steps
+from antdsl.runtime.moving.substep_kernels import IntendedMotion, PendingWalkStates, prepare_steps, walk_plane, walk_triangles
+from antdsl.runtime.moving.tilting import PreviousBodyPose, TurnLimits, limit_steps_of_tilting_bodies, tilt_bodies_towards_ground
 from antdsl.runtime.moving.velocities import (
     FACE_REGISTER,
     MAX_INSTANT_RESPONSE_STEPS,
-    STANDING_STATE,
-    AgentAbilities,
-    AgentDrives,
+    STANDING_BODY_STATE,
     ArrivalArrays,
     ArrivedBodies,
     FacingDirections,
+    MotionInputs,
+    MotionLimits,
     MotionRegisters,
     PushTimes,
     SpeedAndTurnLimits,
     TurnTimes,
     WalkedPoses,
-    compute_heading_share,
+    compute_heading_turn_share,
     update_arrived_rows,
 )
 from antdsl.runtime.world import Population, World
@@ -71,69 +71,77 @@ _F = np.float32
 _ARRIVALS_PER_THREAD = 64  # fewer agents with separate arrival are not worth another thread
 
 
-def move_agents(world: World, population: Population, substep: int) -> ClearStep | None:
+def move_agents(world: World, population: Population, substep_index: int) -> BodyClearanceStep | None:
     """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing.
 
     If bodies stay outside their ground, return their step: contacts must correct it."""
     if not len(population):
         return None
     dt = _F(world.dt / world.setting.substeps)
-    clear = _move_clear(world, population, dt, substep) if has_clearance(world, population) else None
+    clear = _move_bodies_outside_ground(world, population, dt, substep_index) if has_clearance(world, population) else None
     if clear is not None:
         return clear
-    posture = find_posture(world, population)
+    posture = read_posture(world, population)
     others = world.setting.orient != "normal"
     limits_slope, crouches = has_slope_limit(population), has_crouch(population)
-    crowd = _CrowdSubstep.build(world, population, dt, others or posture.is_set or limits_slope or crouches)
+    crowd = _CrowdSubstep.build(world, population, dt, others or posture.has_posture or limits_slope or crouches)
     previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
-    start = SlopeStart.from_population(population) if limits_slope or crouches else None
+    start = StepStartStance.from_population(population) if limits_slope or crouches else None
     if limits_slope:
-        turn_pushes_along_slopes(world, population)
-    crowd.prepare_steps(substep)
+        deflect_pushes_along_slopes(world, population)
+    crowd.prepare_steps(substep_index)
     crowd.deflect_at_obstacles()
     up = crowd.registers[3]
     walls = find_walls(world, population, crowd.level_headings, crowd.step, crowd.wall_reach, crowd.state)
     n, threads = len(population), crowd.threads
     work = partial(
-        limit_steps, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.max_tilts, tuple(walls[:-1]), posture
+        limit_steps_of_tilting_bodies,
+        crowd.state,
+        crowd.step,
+        crowd.velocity,
+        up,
+        population.normal,
+        crowd.max_tilts,
+        tuple(walls[:-1]),
+        posture,
     )
     parallel.run_in_parts(work, n, threads)
     came_from = population.position
-    arrival = crowd.walk(world.ground)
+    arrival = crowd.walk_agents(world.ground)
     if start is not None and limits_slope:
         crowd.stop_at_slopes(start, arrival)
     if start is not None and crouches:
         crowd.crouch_below_ceilings(start, arrival)
     if previous_pose is not None:
         orient_bodies(world, population, *previous_pose)
-    crowd.follow_feet(came_from, walls, posture)
+    crowd.tilt_bodies_after_walk(came_from, walls, posture)
     return None
 
 
-def _move_clear(world: World, population: Population, dt: np.float32, substep: int) -> ClearStep | None:
+def _move_bodies_outside_ground(world: World, population: Population, dt: np.float32, substep: int) -> BodyClearanceStep | None:
     """Move agents with bodies that stay outside their ground. Return None if the ground does not consist of triangles."""
     crowd = _CrowdSubstep.build(world, population, dt, False)
     crowd.prepare_steps(substep)
     crowd.deflect_at_obstacles()
     assert isinstance(world.ground, MeshGround)
-    window = WINDOW_PER_BODY * np.fmax(crowd.max_size, 0.0)
+    window = PATH_LENGTH_BODY_LENGTHS * np.fmax(crowd.max_size, 0.0)
     walk = world.ground.build_crowd_walk(max(crowd.max_step_length, window), crowd.max_size)
     if walk is None:
         return None
     limits = crowd.max_tilts, population.now["max_turn"], dt
-    clear = ClearStep.build(world, population, walk, (crowd.state, crowd.level_headings), limits)
-    clear.limit(crowd.step, crowd.velocity)
+    clear = BodyClearanceStep.build(world, population, walk, (crowd.state, crowd.level_headings), limits)
+    clear.limit_steps(crowd.step, crowd.velocity)
     outset = population.footing, population.position, population.normal
-    crowd.walk(world.ground)
-    clear.follow(BodyPoses(*crowd.previous_axes), outset)
-    crowd.follow_feet(outset[1], NO_WALLS, find_posture(world, population))
+    crowd.walk_agents(world.ground)
+    clear.turn_bodies_after_walk(BodyPoses(*crowd.previous_axes), outset)
+    crowd.tilt_bodies_after_walk(outset[1], NO_WALLS, read_posture(world, population))
     clear.lift_climbers(clear.climbers)
     return clear
 
 
 @dataclass(slots=True)
 class _CrowdSubstep:
-    """The substep of one crowd, for `dt` of the `frame_time` seconds of a frame.
+    """One substep of a crowd, which lasts `dt` of the `frame_time` seconds of a frame.
 
     `registers`: position, velocity, heading and up. The other arrays are results of the kernels in `substep_kernels`.
     `must_align_all`: whether the bodies of all agents must be aligned with their feet after the walk.
@@ -177,15 +185,15 @@ class _CrowdSubstep:
     def prepare_steps(self, substep: int) -> None:
         """Compute the intended motion of all agents, before obstacles are considered."""
         p, now, frame_time = self.population, self.population.now, self.frame_time
-        drive = AgentDrives(vec.get_vector_registers(now, "push"), *self.registers[1:], p.normal)
-        abilities = AgentAbilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
+        drive = MotionInputs(vec.get_vector_registers(now, "push"), *self.registers[1:], p.normal)
+        abilities = MotionLimits(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
         keeps = MIN_SPEED_REGISTER in now
         least = now[MIN_SPEED_REGISTER] if keeps else now["max_speed"]
         times = PushTimes(frame_time * MAX_INSTANT_RESPONSE_STEPS, frame_time if substep == 0 else _F(0), self.dt)
         outset = IntendedMotion(
             self.velocity, self.step, self.level_headings, self.step_lengths, self.max_tilts, self.wall_reach, self.state
         )
-        paces = find_paces(self.world, p)
+        paces = find_speed_shares(self.world, p)
         if paces is not None:
             paces.prepare_substep(p, substep, self.dt)
         work = partial(prepare_steps, drive, abilities, keeps, least, now["size"], p.quarantined, times, outset)
@@ -193,15 +201,15 @@ class _CrowdSubstep:
         self.max_step_length, self.max_size = results[0] if len(results) == 1 else map(max, zip(*results, strict=True))
         if self.max_size == -inf:
             self.max_size = nan
-        if find_walks_by_line(self.world, p):
-            velocity = compute_guided_velocities(self.world, p, self.velocity, vec.split_columns(p.normal, np.float32))
+        if find_scripted_walks_by_line(self.world, p):
+            velocity = compute_scripted_velocities(self.world, p, self.velocity, vec.split_columns(p.normal, np.float32))
             zero = np.zeros(len(p), np.float32)
             self.velocity = vec.select_vectors(p.quarantined, (zero, zero, zero), velocity)
             self.step = vec.scale(self.velocity, self.dt)
             self.step_lengths = vec.length(self.step)
             self.max_step_length = float(self.step_lengths.max(initial=0.0, where=np.isfinite(self.step_lengths)))
         if paces is not None:
-            paces.slow_steps(p, self.velocity, self.step, self.step_lengths)
+            paces.scale_motions(p, self.velocity, self.step, self.step_lengths)
         if self.world.notes is not None:
             self.world.notes.cut_steps(self.world, p, (self.step, self.velocity), float(self.dt))
 
@@ -213,28 +221,28 @@ class _CrowdSubstep:
         intended_step, up = self.step, p.normal.T
         step = raise_to_min_speed(world, p, slide_steps(world, p, intended_step, up, p.now["radius"]), up, self.dt)
         if step is not intended_step:
-            work = partial(slow_velocities, intended_step, step, self.velocity, _F(1) / self.dt)
+            work = partial(scale_velocities_with_steps, intended_step, step, self.velocity, _F(1) / self.dt)
             parallel.run_in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
             self.step = step
 
-    def follow_feet(self, previous_positions: NDArray[np.float64], walls: WallsAhead, posture: Posture) -> None:
+    def tilt_bodies_after_walk(self, previous_positions: NDArray[np.float64], walls: WallsAhead, posture: Posture) -> None:
         """Turn bodies that are not aligned with their feet towards the feet. `previous_positions` (n, 3): positions before the
         walk (mm)."""
         p, n = self.population, len(self.population)
         previous, limits = (
-            BodyPosture(*self.previous_axes, previous_positions),
+            PreviousBodyPose(*self.previous_axes, previous_positions),
             TurnLimits(self.max_tilts, p.now["max_turn"], self.dt, posture),
         )
         (rows,) = p.get_buffers("following", 1, (n,), np.int64)
         ahead, (_, _, heading, up) = (previous, p.position, limits, tuple(walls[:-1]), walls.half_lengths), self.registers
-        work = partial(follow_ground, self.state, *ahead, MIN_BODY_HEIGHT_SHARE, up, heading, rows)
+        work = partial(tilt_bodies_towards_ground, self.state, *ahead, MIN_BODY_HEIGHT_SHARE, up, heading, rows)
         parallel.run_in_parts(work, n, self.threads)
 
-    def walk(self, ground: Ground) -> ArrivalArrays:
+    def walk_agents(self, ground: Ground) -> ArrivalArrays:
         """Walk all agents over a ground to their new positions, and update their registers. Return the arrays for this."""
         now = self.population.now
         limits = SpeedAndTurnLimits(now["max_speed"], now["max_turn"], now["response"])
-        times = TurnTimes(self.frame_time * MAX_INSTANT_RESPONSE_STEPS, self.dt, compute_heading_share(self.dt))
+        times = TurnTimes(self.frame_time * MAX_INSTANT_RESPONSE_STEPS, self.dt, compute_heading_turn_share(self.dt))
         facing = FacingDirections(
             FACE_REGISTER in now,
             vec.get_vector_registers(now, "~face") if FACE_REGISTER in now else self.registers[1],
@@ -252,17 +260,17 @@ class _CrowdSubstep:
             self._walk_ground(ground, arrival)
         return arrival
 
-    def stop_at_slopes(self, start: SlopeStart, arrival: ArrivalArrays) -> None:
+    def stop_at_slopes(self, start: StepStartStance, arrival: ArrivalArrays) -> None:
         """Walk again, along the slope, the agents that would step onto ground that is too steep for them."""
         p = self.population
         rows = find_rows_blocked_by_slope(self.world, p, start)
         if not len(rows):
             return
         self._replace_walks(
-            rows, *deflect_steps(self.world, p, start, rows, vec.stack_rows(vec.take_rows(self.step, rows))), arrival
+            rows, *deflect_steps_along_slopes(self.world, p, start, rows, vec.stack_rows(vec.take_rows(self.step, rows))), arrival
         )
 
-    def crouch_below_ceilings(self, start: SlopeStart, arrival: ArrivalArrays) -> None:
+    def crouch_below_ceilings(self, start: StepStartStance, arrival: ArrivalArrays) -> None:
         """Lower the bodies of agents below low ceilings, and walk again those that do not fit there yet."""
         changes = crouch_below_ceilings(self.world, self.population, start, vec.stack_rows(self.step), float(self.dt))
         if changes is not None:
@@ -309,7 +317,7 @@ class _CrowdSubstep:
             p.get_buffers("reals", 1, (loop.FLOAT_ROW_COUNT, n), np.float64),
             p.get_buffers("wholes", 1, (loop.INTEGER_ROW_COUNT, n), np.int64),
         )
-        stride_inputs, held = (at, p.now["size"], p.normal, self.level_headings), PendingWalks(reals, wholes, how)
+        stride_inputs, held = (at, p.now["size"], p.normal, self.level_headings), PendingWalkStates(reals, wholes, how)
         work = partial(walk_triangles, *tables, *stride_inputs, arrival, held, placed, place)
         parts = parallel.run_in_parts(work, n, self.threads)
         if any([waiting or left for _, waiting, left in parts]):
@@ -338,24 +346,24 @@ class _CrowdSubstep:
         if waiting_agents.left_out_count:
             others = np.flatnonzero(statuses != loop.FINISHED_STATUS)
             result = GroundMove(footing, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
-            result.put_rows(others, self._move_rows(ground, others))
+            result.put_rows(others, self._move_rows_over_ground(ground, others))
             rows = np.union1d(rows, others)
         if len(rows):
             self._update_arrived(rows, WalkedPoses(place, above, ahead, direction, blocked), arrival)
 
     def _walk_ground(self, ground: Ground, arrival: ArrivalArrays) -> None:
         p, rows = self.population, np.arange(len(self.population))
-        moved = self._move_rows(ground, slice(None))
+        moved = self._move_rows_over_ground(ground, slice(None))
         if self.world.solids:
             moved = limit_fall_speed(self.world, p, moved, self.dt)
         walked = WalkedPoses(moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.is_blocked)
         self._update_arrived(rows, walked, arrival)
         p.footing, p.position, p.normal = moved.footing, moved.position, arrival.normals
 
-    def _move_rows(self, ground: Ground, rows: NDArray[np.intp] | slice) -> GroundMove:
+    def _move_rows_over_ground(self, ground: Ground, rows: NDArray[np.intp] | slice) -> GroundMove:
         """Return where the ground moves the given agents."""
         p = self.population
-        stands = self.state[rows] == STANDING_STATE
+        stands = self.state[rows] == STANDING_BODY_STATE
         heading = vec.select_vectors(stands, vec.take_rows(self.registers[2], rows), vec.take_rows(self.level_headings, rows))
         vectors = vec.stack_rows(vec.take_rows(self.step, rows)), vec.stack_rows(heading), p.normal[rows].astype(np.float64)
         size = p.now["size"][rows].astype(np.float64)
@@ -380,7 +388,7 @@ def raise_to_min_speed(
         np.minimum(np.maximum(now[MIN_SPEED_REGISTER], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt,
     )
     short = (
-        (size > _F(1e-9)) & (size < least_length * _F(0.999)) & ~population.quarantined & ~find_guided_agents(world, population)
+        (size > _F(1e-9)) & (size < least_length * _F(0.999)) & ~population.quarantined & ~find_scripted_agents(world, population)
     )
     if not short.any():
         return step

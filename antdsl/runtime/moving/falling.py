@@ -16,7 +16,7 @@ from antdsl.runtime.world import Population, World
 Rows = NDArray[np.intp]
 
 _DISTANCE_SLACK_FACTOR = 1.005  # factor of the allowed distance; smaller excesses are rounding at seams
-_SOLID_CONTACT_PER_BODY = 0.02  # body lengths; the largest distance of an agent from the solid that it stands on
+_SOLID_CONTACT_BODY_LENGTHS = 0.02  # body lengths; the largest distance of an agent from the solid that it stands on
 _FALL_BODY_LENGTHS_PER_SECOND = 7.5  # falling speed of agents with a max_speed of 0
 
 
@@ -50,7 +50,7 @@ def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
     for number, volume in enumerate(world.solids.values(), first):
         subset = np.flatnonzero(mesh == number)
         is_airborne[subset] = (
-            volume.sample(population.position[rows[subset]]) > population.now["size"][rows[subset]] * _SOLID_CONTACT_PER_BODY
+            volume.sample(population.position[rows[subset]]) > population.now["size"][rows[subset]] * _SOLID_CONTACT_BODY_LENGTHS
         )
     return np.flatnonzero(is_airborne)
 

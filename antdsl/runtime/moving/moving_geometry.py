@@ -13,7 +13,7 @@ from antdsl.ground.moving import FaceAxes, MovingGround
 from antdsl.ground.protocol import Footing, GroundMove
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.moving.obstacles import find_obstacle_mesh
+from antdsl.runtime.moving.obstacles import get_obstacle_scene
 from antdsl.runtime.periodic_world import wrap_world
 from antdsl.runtime.world import AXES, Population, World
 
@@ -23,7 +23,7 @@ _MAX_PUSH_DIRECTIONS = 4  # directions tried per step to leave an obstacle
 _F = np.float32
 
 
-def move_world(world: World) -> None:
+def move_geometry(world: World) -> None:
     """Move all moving things to the next frame. Agents move with their ground, then out of obstacles that have reached them.
 
     In a periodic world, agents that have left its box are moved into it first."""
@@ -31,23 +31,23 @@ def move_world(world: World) -> None:
     if not world.setting.motion:
         return
     ground = get_moving_ground(world)
-    standing = [(p, *_find_riders(ground, p)) for p in world.populations.values() if len(p)]
-    pose_world(world, world.frame + 1)
+    standing = [(p, *_find_agents_on_moving_ground(ground, p)) for p in world.populations.values() if len(p)]
+    pose_geometry(world, world.frame + 1)
     for population, rows, previous_axes in standing:
         if ground is not None and previous_axes is not None and len(rows):
-            _carry_riders(ground, population, rows, previous_axes)
+            _carry_agents_with_ground(ground, population, rows, previous_axes)
     for name in world.plan.obstacles:
         if name in world.setting.motion.meshes and name in world.obstacles:
             for population, _, _ in standing:
-                _push_out_agents(world, population, name)
+                _push_agents_out_of_obstacle(world, population, name)
 
 
-def pose_world(world: World, frame: int) -> None:
+def pose_geometry(world: World, frame: int) -> None:
     """Move all moving things to their positions at a frame of the scene. Agents retain their footing and position."""
     moves = world.setting.motion
     if not moves:
         return
-    pose_ground(world, frame)
+    set_ground_pose(world, frame)
     for name in moves.meshes:
         if name in world.obstacles:
             world.obstacles[name] = _make_ray_scene(world, name, frame)
@@ -61,17 +61,17 @@ def pose_world(world: World, frame: int) -> None:
                 items.visible_values[axis] = items.position[:, k].astype(np.float32)
     for name, tracks in moves.curves.items():
         if name in world.curves:
-            world.curves[name] = make_curve(moves.find_positions(tracks, frame) - world.origin)
+            world.curves[name] = make_sampled_curve(moves.find_positions(tracks, frame) - world.origin)
     world.clearances.clear()
 
 
 def get_moving_ground(world: World) -> MovingGround | None:
-    """Return the part of the ground that consists of meshes, if some of them move; else None."""
+    """Return the mesh ground if some of its meshes move, else None."""
     meshes = world.ground.meshes
     return meshes if isinstance(meshes, MovingGround) else None
 
 
-def pose_ground(world: World, frame: int) -> None:
+def set_ground_pose(world: World, frame: int) -> None:
     """Move only the ground to a frame, without ray scenes. This is for callers that read a world and cast no rays."""
     ground = get_moving_ground(world)
     if ground is not None:
@@ -88,7 +88,7 @@ def compute_vertices(world: World, name: str, frame: int) -> NDArray[np.float64]
     return moves.meshes[name].compute_vertices(mesh.vertices, frame - moves.first) - world.origin
 
 
-def make_curve(points: NDArray[np.float64]) -> SampledCurve:
+def make_sampled_curve(points: NDArray[np.float64]) -> SampledCurve:
     """Return a curve through `points`, prepared for queries."""
     return SampledCurve(points, _CURVE_SPACING_MM)
 
@@ -175,7 +175,9 @@ def _make_ray_scene(world: World, name: str, frame: int) -> RayScene:
     return RayScene(compute_vertices(world, name, frame), mesh.faces, is_short_lived=True)
 
 
-def _find_riders(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], FaceAxes | None]:
+def _find_agents_on_moving_ground(
+    ground: MovingGround | None, population: Population
+) -> tuple[NDArray[np.intp], FaceAxes | None]:
     """Return the rows of agents on moving ground, and the axes of their faces before the ground moves."""
     if ground is None:
         return np.empty(0, np.intp), None
@@ -183,7 +185,9 @@ def _find_riders(ground: MovingGround | None, population: Population) -> tuple[N
     return rows, ground.compute_axes(population.footing.take_on_meshes(rows))
 
 
-def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: FaceAxes) -> None:
+def _carry_agents_with_ground(
+    ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: FaceAxes
+) -> None:
     """Move and rotate agents with their face after the ground has moved: position, up, heading and velocity."""
     footing = population.footing.take_on_meshes(rows)
     next_axes = ground.compute_axes(footing)
@@ -216,9 +220,9 @@ def _read_vectors(population: Population, name: str, rows: NDArray[np.intp]) -> 
     return np.stack([population.now[f"{name}.{axis}"][rows] for axis in AXES]).astype(np.float64)
 
 
-def _push_out_agents(world: World, population: Population, name: str) -> None:
+def _push_agents_out_of_obstacle(world: World, population: Population, name: str) -> None:
     """Walk agents out of an obstacle that has reached them, away from its nearest face, until their margin is free."""
-    scene, now = find_obstacle_mesh(world, name), population.now
+    scene, now = get_obstacle_scene(world, name), population.now
     place = vec.get_vector_registers(now, "position")
     margin = np.maximum(now["radius"], _F(0)) * _OBSTACLE_MARGIN_SHARE
     rows = np.flatnonzero(scene.measure_clearance(*place) <= margin)

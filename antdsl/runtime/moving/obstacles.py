@@ -18,7 +18,7 @@ from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3F32, VectorColumns, dot, minus, plus, times
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
-from antdsl.runtime.moving.clearance.obstacle_clearance import get_clearance
+from antdsl.runtime.moving.clearance.obstacle_clearance import get_obstacle_clearance
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float32]
@@ -37,10 +37,13 @@ def slide_steps(world: World, population: Population, step: VectorArrays, up: Ve
     """Return the step (mm) of every agent, deflected along the obstacles ahead. `up` is the normal of the ground."""
     names = _list_obstacle_names(world)
     if names:
-        place, began = vec.get_vector_registers(population.now, "position"), _is_at_start(population, world.options.threads)
+        place, began = (
+            vec.get_vector_registers(population.now, "position"),
+            _are_agents_at_step_start(population, world.options.threads),
+        )
     for name in names:
-        scene = find_obstacle_mesh(world, name)
-        clear = get_clearance(world, population, name) if began else scene.measure_clearance(*place)
+        scene = get_obstacle_scene(world, name)
+        clear = get_obstacle_clearance(world, population, name) if began else scene.measure_clearance(*place)
         step = _slide_along_obstacle(scene, place, step, up, radius, clear, world.options.threads)
     return step
 
@@ -49,18 +52,18 @@ def slide_rows(world: World, population: Population, rows: Rows, step: VectorArr
     """Return steps as `slide_steps` does, for agents that have already moved within the step and continue from there."""
     names = _list_obstacle_names(world)
     if names:
-        place, radius, drift = _measure_drift(population, rows)
+        place, radius, drift = _measure_distances_from_start(population, rows)
     for name in names:
-        clear = get_clearance(world, population, name).take(rows) - drift
-        step = _slide_along_obstacle(find_obstacle_mesh(world, name), place, step, up, radius, clear, world.options.threads)
+        clear = get_obstacle_clearance(world, population, name).take(rows) - drift
+        step = _slide_along_obstacle(get_obstacle_scene(world, name), place, step, up, radius, clear, world.options.threads)
     return step
 
 
-def _measure_drift(population: Population, rows: Rows) -> tuple[VectorArrays, Floats, Floats]:
+def _measure_distances_from_start(population: Population, rows: Rows) -> tuple[VectorArrays, Floats, Floats]:
     """Return the positions (mm) of some agents, their radii (mm), and upper bounds of their distances from the step's start."""
     positions, start = (vec.get_vector_registers(registers, "position") for registers in (population.now, population.start))
     place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
-    measure_drift(rows, positions, start, population.now["radius"], place, radius, drift)
+    measure_distance_from_start(rows, positions, start, population.now["radius"], place, radius, drift)
     return (place[0], place[1], place[2]), radius, drift
 
 
@@ -69,14 +72,14 @@ def _list_obstacle_names(world: World) -> list[str]:
     return [name for name in world.plan.obstacles if name in world.obstacles]
 
 
-def find_obstacle_mesh(world: World, name: str) -> RayScene:
+def get_obstacle_scene(world: World, name: str) -> RayScene:
     """Return the mesh of an obstacle that agents cannot enter; solids are not among these obstacles."""
     scene = world.obstacles[name]
     assert isinstance(scene, RayScene)
     return scene
 
 
-def _is_at_start(population: Population, threads: int) -> bool:
+def _are_agents_at_step_start(population: Population, threads: int) -> bool:
     """Return whether all agents are still where the step began; this is false after a first substep."""
     now, start = vec.get_vector_registers(population.now, "position"), vec.get_vector_registers(population.start, "position")
     work, least = partial(are_vectors_equal, now, start), parallel.MIN_LIGHT_ITEMS_PER_THREAD
@@ -93,12 +96,12 @@ def _slide_along_obstacle(
     if tables is not None:
         (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
-        work = partial(deflect_steps, tables, place, step, normals, radius, clearance, rows, columns, hit_rows, faces)
+        work = partial(slide_steps_near_grid, tables, place, step, normals, radius, clearance, rows, columns, hit_rows, faces)
         parts = parallel.run_in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         if not any([left for _, _, _, left in parts]):
             return _deflect_at_hits(scene, step, rows, columns, hit_rows, faces, parts, threads)
     rows, columns = np.empty(n, np.int64), np.empty((9, n), np.float32)
-    parts = parallel.run_in_parts(partial(select_touching, place, step, radius, clearance, rows, columns), n, threads)
+    parts = parallel.run_in_parts(partial(select_agents_near_obstacle, place, step, radius, clearance, rows, columns), n, threads)
     rows, columns = parallel.join_parts(parts, rows, columns)
     count, columns = len(rows), np.ascontiguousarray(columns)
     if not count:
@@ -107,7 +110,7 @@ def _slide_along_obstacle(
     size, margin, _, x, y, z, _, _, _ = columns
     gap, out = scene.measure_signed_distances(x, y, z, size + margin, threads)
     new_steps, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
-    asking = keep_margins(columns, above, gap, out, new_steps, going, rays)
+    asking = slide_steps_outside_margins(columns, above, gap, out, new_steps, going, rays)
     a, b, c = new_steps
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
@@ -121,28 +124,30 @@ def _slide_along_obstacle(
 
 
 def _deflect_at_hits(
-    scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], columns: Floats, hit_rows: NDArray[np.int64],
-    hits: Floats, parts: list[tuple[int, int, int, int]], threads: int,
+    scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], step_columns: Floats, hit_rows: NDArray[np.int64],
+    hits: Floats, chunk_counts: list[tuple[int, int, int, int]], threads: int,
 ) -> VectorArrays:  # fmt: skip
     """Return the steps with the results of `deflect_steps`. Steps that still hit a face are deflected along that face."""
-    rows, columns = parallel.join_parts(parts, rows, columns)
+    rows, step_columns = parallel.join_parts(chunk_counts, rows, step_columns)
     if not len(rows):
         return step
-    hit_rows, hits = parallel.join_parts([(begin, hit) for begin, _, hit, _ in parts], hit_rows, hits)
+    hit_rows, hits = parallel.join_parts([(begin, hit) for begin, _, hit, _ in chunk_counts], hit_rows, hits)
     if len(hit_rows):
-        if len(parts) > 1:  # each chunk counts from its own start
-            counts = [count for _, count, _, _ in parts]
-            hit_rows = hit_rows + np.repeat(np.cumsum(counts) - counts, [hit for _, _, hit, _ in parts])
+        if len(chunk_counts) > 1:  # each chunk counts from its own start
+            counts = [count for _, count, _, _ in chunk_counts]
+            hit_rows = hit_rows + np.repeat(np.cumsum(counts) - counts, [hit for _, _, hit, _ in chunk_counts])
         free, *normal = hits
-        place, new_steps, above = (columns[k : k + 3] for k in (0, 3, 6))
-        _deflect_at_face(scene, place, new_steps, above, columns[9], hit_rows, free, (normal[0], normal[1], normal[2]), threads)
-    return _replace_rows(step, rows, columns[3:6])
+        place, new_steps, above = (step_columns[k : k + 3] for k in (0, 3, 6))
+        _deflect_at_face(
+            scene, place, new_steps, above, step_columns[9], hit_rows, free, (normal[0], normal[1], normal[2]), threads
+        )
+    return _replace_rows(step, rows, step_columns[3:6])
 
 
 def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], new_steps: Floats) -> VectorArrays:
     """Return the steps, with those of the given rows replaced by `new_steps` (3, k)."""
     to = np.empty((3, len(step[0])), np.float32)
-    replace_rows(step, rows, new_steps, to)
+    write_replaced_steps(step, rows, new_steps, to)
     return to[0], to[1], to[2]
 
 
@@ -194,16 +199,16 @@ def are_vectors_equal(first: VectorColumns, second: VectorColumns, begin: I64, e
 
 
 @inlined
-def _measure_step(step: VectorColumns, radius: Array1[F32], clearance: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
+def _measure_step(step: VectorColumns, radius: Array1[F32], clearance: Array1[F32], row: I64) -> tuple[F32, F32, BOOL]:
     """Return the length (mm) of agent i's step, the margin (mm) from obstacles, and whether the step may touch an obstacle."""
-    vector = (step[0][i], step[1][i], step[2][i])
+    vector = (step[0][row], step[1][row], step[2][row])
     size = np.sqrt(dot(vector, vector))
-    margin = (_FLOAT32_ZERO if radius[i] <= 0 else radius[i]) * _CENTRE_MARGIN_RADIUS_SHARE
-    return size, margin, size > _MIN_STEP_MM and clearance[i] <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
+    margin = (_FLOAT32_ZERO if radius[row] <= 0 else radius[row]) * _CENTRE_MARGIN_RADIUS_SHARE
+    return size, margin, size > _MIN_STEP_MM and clearance[row] <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
 
 
 @inlined
-def _keep_margin(
+def _slide_step_outside_margin(
     step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clearance: F32, gap: F32, direction: Vec3F32
 ) -> tuple[Vec3F32, F32, BOOL]:
     """Return a step that keeps the margin from a face at a distance `gap` (mm), its length, and whether it may hit a face."""
@@ -228,33 +233,24 @@ def _keep_margin(
     return step, size, size > _MIN_STEP_MM and clearance <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
 
 
-class TouchCounts(NamedTuple):
-    """Counts for a range of agents that starts at `begin`.
+class ObstacleHitCounts(NamedTuple):
+    """Counts for a range of agents that starts at `first_row`.
 
-    `agent_count`: agents with a step that may touch an obstacle. `hit_count`: those that hit it although they keep the margin.
+    `touching_count`: agents with a step that may touch an obstacle. `hit_count`: those that hit it although they keep the margin.
     `unknown_count`: agents for which the grid has no answer."""
 
-    begin: I64
-    agent_count: I64
+    first_row: I64
+    touching_count: I64
     hit_count: I64
     unknown_count: I64
 
 
 @kernel
-def deflect_steps(
-    grid: GridTables,
-    place: VectorColumns,
-    step: VectorColumns,
-    up: Strided2[F32],
-    radius: Array1[F32],
-    clearance: Array1[F32],
-    rows: Array1[I64],
-    columns: Array2[F32],
-    hit_rows: Array1[I64],
-    hits: Array2[F32],
-    begin: I64,
-    end: I64,
-) -> TouchCounts:
+def slide_steps_near_grid(
+    grid: GridTables, place: VectorColumns, step: VectorColumns, up: Strided2[F32], radius: Array1[F32],
+    clearance: Array1[F32], rows: Array1[I64], columns: Array2[F32], hit_rows: Array1[I64], hits: Array2[F32], begin: I64,
+    end: I64
+) -> ObstacleHitCounts:  # fmt: skip
     """Find the agents from `begin` to before `end` with a step that may touch an obstacle. Write from index `begin` on: `rows`:
     these agents. `columns` [10, n]: position, deflected step, `up` of the ground, margin. `hit_rows`: the agents that hit.
     `hits` [4, n]: free length of the step (mm) and normal of the face. `clearance`: a lower bound (mm) of the distance. Agents
@@ -282,7 +278,7 @@ def deflect_steps(
             if gap == _FLOAT32_INFINITY:
                 continue
             left += 1 if gap != gap else 0
-            new_step, size, may_touch = _keep_margin(
+            new_step, size, may_touch = _slide_step_outside_margin(
                 (step[0][i], step[1][i], step[2][i]), above, size, margin, clearance[i], gap, out
             )
             k = begin + count
@@ -300,11 +296,11 @@ def deflect_steps(
                     hits[1, h], hits[2, h], hits[3, h] = _F(normal[0]), _F(normal[1]), _F(normal[2])
                     hit += 1
             count += 1
-    return TouchCounts(begin, count, hit, left)
+    return ObstacleHitCounts(begin, count, hit, left)
 
 
 @kernel
-def replace_rows(step: VectorColumns, rows: Array1[I64], new_steps: Strided2[F32], target: Array2[F32]) -> None:
+def write_replaced_steps(step: VectorColumns, rows: Array1[I64], new_steps: Strided2[F32], target: Array2[F32]) -> None:
     """Write the steps to `target` (3, n), with those of the given rows replaced by `new_steps` (3, k)."""
     for i in simd_range(0, step[0].size):
         target[0, i], target[1, i], target[2, i] = step[0][i], step[1][i], step[2][i]
@@ -313,7 +309,7 @@ def replace_rows(step: VectorColumns, rows: Array1[I64], new_steps: Strided2[F32
 
 
 @kernel
-def select_touching(
+def select_agents_near_obstacle(
     place: VectorColumns,
     step: VectorColumns,
     radius: Array1[F32],
@@ -338,23 +334,28 @@ def select_touching(
 
 
 @kernel
-def keep_margins(
+def slide_steps_outside_margins(
     columns: Array2[F32],
-    ups: VectorColumns,
+    up_columns: VectorColumns,
     gaps: Array1[F32],
     direction: Array2[F32],
     new_steps: Array2[F32],
     moving_rows: Array1[I64],
     rays: Array2[F32],
 ) -> I64:
-    """Write steps `new_steps` [3, n] that keep the margin from the nearest face, for agents found by `select_touching`.
+    """Write steps `new_steps` [3, n] that keep the margin from the nearest face, for agents found by
+    `select_agents_near_obstacle`.
 
-    `ups`: up of the ground. `gaps`, `direction` [3, n]: distance and direction of the nearest face. Returns the number of
+    `up_columns`: up of the ground. `gaps`, `direction` [3, n]: distance and direction of the nearest face. Returns the number of
     agents that may hit it. Writes them to `moving_rows`, and position, direction, range, step and margin to `rays` [9, n]."""
     count = 0
     for i in range(gaps.size):
-        margin, up, away = (columns[1, i], (ups[0][i], ups[1][i], ups[2][i]), (direction[0, i], direction[1, i], direction[2, i]))
-        step, size, may_touch = _keep_margin(
+        margin, up, away = (
+            columns[1, i],
+            (up_columns[0][i], up_columns[1][i], up_columns[2][i]),
+            (direction[0, i], direction[1, i], direction[2, i]),
+        )
+        step, size, may_touch = _slide_step_outside_margin(
             (columns[6, i], columns[7, i], columns[8, i]), up, columns[0, i], margin, columns[2, i], gaps[i], away
         )
         new_steps[0, i], new_steps[1, i], new_steps[2, i] = step
@@ -369,19 +370,19 @@ def keep_margins(
 
 
 @kernel
-def slow_velocities(
-    intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64
+def scale_velocities_with_steps(
+    intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, steps_per_second: F32, begin: I64, end: I64
 ) -> None:
-    """Set velocities to `rate` times the step, for agents from `begin` to before `end` with a step that differs from
+    """Set velocities to `steps_per_second` times the step, for agents from `begin` to before `end` with a step that differs from
     `intended_step`."""
     for i in simd_range(begin, end):
         if step[0][i] != intended_step[0][i] or step[1][i] != intended_step[1][i] or step[2][i] != intended_step[2][i]:
             for k in range(3):
-                velocity[k][i] = step[k][i] * rate
+                velocity[k][i] = step[k][i] * steps_per_second
 
 
 @kernel
-def measure_drift(
+def measure_distance_from_start(
     rows: Array1[I64],
     place: VectorColumns,
     start: VectorColumns,
@@ -390,8 +391,7 @@ def measure_drift(
     radius: Array1[F32],
     drift: Array1[F32],
 ) -> None:
-    """Write the positions `positions` (3, k) of rows, their radii, and an upper bound `drift` (mm) of their distance from the
-    start of the step."""
+    """Write positions (3, k) and radii of rows, and an upper bound `drift` (mm) of their distance from the step's start."""
     for k in simd_range(0, rows.size):
         row = rows[k]
         to = (place[0][row], place[1][row], place[2][row])

@@ -37,10 +37,10 @@ _MIN_OPPOSITE_AXIS_SINE = 1e-6  # sine of an angle near half a turn, without a r
 class Posture(NamedTuple):
     """How upright the bodies of a species stand.
 
-    `is_set`: whether the species sets `upright`. `upright`: for each agent, the share of the angle from the normal of the ground
-    to `world_up`. `world_up`: the up direction of the world, a unit vector."""
+    `has_posture`: whether the species sets `upright`. `upright`: for each agent, the share of the angle from the normal of the
+    ground to `world_up`. `world_up`: the up direction of the world, a unit vector."""
 
-    is_set: BOOL
+    has_posture: BOOL
     upright: Array1[F32]
     world_up: Array1[F64]
 
@@ -50,7 +50,7 @@ def has_posture(population: Population) -> bool:
     return UPRIGHT_REGISTER in population.plan.settings
 
 
-def find_posture(world: World, population: Population) -> Posture:
+def read_posture(world: World, population: Population) -> Posture:
     """Return the posture of a population."""
     is_set = has_posture(population)
     upright = population.now[UPRIGHT_REGISTER if is_set else "size"]
@@ -58,9 +58,9 @@ def find_posture(world: World, population: Population) -> Posture:
 
 
 @kernel_helper
-def stand_up(up: Vec3, posture: Posture, i: I64) -> Vec3:
-    """Return the up direction of body i: `up`, rotated by the body's share `upright` of the angle to the up of the world."""
-    share = posture.upright[i]
+def set_upright_share(up: Vec3, posture: Posture, row: I64) -> Vec3:
+    """Rotate `up` of body i towards the world's up, by the body's share `upright`."""
+    share = posture.upright[row]
     if not share > 0:
         return up
     world_up = (posture.world_up[0], posture.world_up[1], posture.world_up[2])
@@ -112,25 +112,25 @@ def turn_heading(heading: Vec3, first_normal: Vec3, second_normal: Vec3) -> Vec3
 
 
 @kernel_helper
-def tilt_by_at_most(body_up: Vec3, look: Vec3, goal: Vec3, max_angle: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
-    """Rotate a body's up direction `body_up` towards `goal` by at most `max_angle` radians, and its heading `look` with it.
+def tilt_body_towards(body_up: Vec3, heading: Vec3, goal_up: Vec3, max_angle: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
+    """Rotate a body's up direction `body_up` towards `goal_up` by at most `max_angle` radians, and its heading `heading` with it.
 
-    Returns the new up direction, the new heading, and two angles (radians): that of this rotation, and that to `goal`."""
-    axis, cosine, sine = find_rotation_axis(body_up, goal, look)
+    Returns the new up direction, the new heading, and two angles (radians): that of this rotation, and that to `goal_up`."""
+    axis, cosine, sine = find_rotation_axis(body_up, goal_up, heading)
     full_tilt = atan2(_F(sine), _F(cosine))
-    tilt, c, s, up = full_tilt, cosine, sine, goal
+    tilt, c, s, up = full_tilt, cosine, sine, goal_up
     if not full_tilt <= max_angle:
         c32, s32 = compute_cos_and_sin(max_angle)
         tilt, c, s = max_angle, np.float64(c32), np.float64(s32)
         up = normalise_vector(rotate_about_axis(body_up, axis, c, s))
-    return up, compute_perpendicular_direction(rotate_about_axis(look, axis, c, s), up), (tilt, full_tilt)
+    return up, compute_perpendicular_direction(rotate_about_axis(heading, axis, c, s), up), (tilt, full_tilt)
 
 
 @kernel_helper
-def turn_by_at_most(heading: Vec3, goal: Vec3, up: Vec3, max_angle: F64) -> Vec3:
-    """Return `heading` rotated towards `goal` by at most `max_angle` radians. Both are perpendicular to `up`."""
+def turn_heading_towards(heading: Vec3, goal_heading: Vec3, up: Vec3, max_angle: F64) -> Vec3:
+    """Return `heading` rotated towards `goal_heading` by at most `max_angle` radians. Both are perpendicular to `up`."""
     left = cross(up, heading)
-    yaw, most_yaw, result = atan2(_F(dot(left, goal)), _F(dot(heading, goal))), _F(max_angle), goal
+    yaw, most_yaw, result = atan2(_F(dot(left, goal_heading)), _F(dot(heading, goal_heading))), _F(max_angle), goal_heading
     if not abs(yaw) <= most_yaw:
         c, s = compute_cos_and_sin(most_yaw if yaw > 0 else -most_yaw)
         result = normalise_vector(plus(times(heading, np.float64(c)), times(left, np.float64(s))))

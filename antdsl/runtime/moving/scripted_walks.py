@@ -15,7 +15,7 @@ Rows = NDArray[np.intp]
 _F = np.float32
 
 
-def find_walks_by_line(world: World, population: Population) -> dict[int, WalkData]:
+def find_scripted_walks_by_line(world: World, population: Population) -> dict[int, WalkData]:
     """Return the walks of a species, by the number of the crowd line."""
     walks = {}
     for crowd in world.setting.crowds:  # called several times per step; most scenes guide no agents
@@ -24,25 +24,25 @@ def find_walks_by_line(world: World, population: Population) -> dict[int, WalkDa
     return walks
 
 
-def find_guided_agents(world: World, population: Population) -> NDArray[np.bool_]:
+def find_scripted_agents(world: World, population: Population) -> NDArray[np.bool_]:
     """Return which agents the scene guides, bool[n]."""
-    is_walker: NDArray[np.bool_] = np.isin(population.now["group"], list(find_walks_by_line(world, population)))
+    is_walker: NDArray[np.bool_] = np.isin(population.now["group"], list(find_scripted_walks_by_line(world, population)))
     return is_walker
 
 
 def find_deciding_rows(world: World, population: Population) -> Rows | None:
     """Return the rows of agents that sense and decide for themselves; None for all."""
-    if not find_walks_by_line(world, population):
+    if not find_scripted_walks_by_line(world, population):
         return None
-    return np.flatnonzero(~find_guided_agents(world, population) & ~population.quarantined)
+    return np.flatnonzero(~find_scripted_agents(world, population) & ~population.quarantined)
 
 
-def start_walks(world: World, population: Population, rows: Rows) -> None:
+def start_scripted_walks(world: World, population: Population, rows: Rows) -> None:
     """Start the walks of the guided agents in `rows`: turn each to its direction along the ground, at the scene's speed.
 
     That speed may exceed the agents' own limit."""
     now, start = population.now, population.start
-    for group, walk in find_walks_by_line(world, population).items():
+    for group, walk in find_scripted_walks_by_line(world, population).items():
         own = rows[now["group"][rows] == group]
         up, heading = (vec.take_rows(vec.get_vector_registers(now, name), own) for name in ("up", "heading"))
         direction = np.broadcast_to(np.array(walk.direction, np.float32)[:, None], (3, len(own)))
@@ -55,12 +55,12 @@ def start_walks(world: World, population: Population, rows: Rows) -> None:
                 now[f"{name}.{axis}"][own] = start[f"{name}.{axis}"][own] = component
 
 
-def compute_guided_velocities(world: World, population: Population, velocity: VectorArrays, up: VectorArrays) -> VectorArrays:
+def compute_scripted_velocities(world: World, population: Population, velocity: VectorArrays, up: VectorArrays) -> VectorArrays:
     """Return velocities (mm/s) in which guided agents continue in their direction at the scene's speed.
 
     They stop once they have walked the scene's distance since their birth."""
     velocities = velocity
-    for group, walk in find_walks_by_line(world, population).items():
+    for group, walk in find_scripted_walks_by_line(world, population).items():
         own = np.flatnonzero(population.now["group"] == group)
         distance = (world.frame - population.born[own]) * (world.dt * walk.speed)
         speed = np.clip((walk.length - distance) / world.dt, 0.0, walk.speed).astype(np.float32)

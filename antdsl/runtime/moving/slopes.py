@@ -23,14 +23,14 @@ _MAX_STAIR_PER_BODY_HEIGHT = 0.25  # body heights; largest difference in height 
 _LOOKAHEAD_PER_BODY_HEIGHT = (
     0.15  # body heights; how far ahead of its feet, in addition to its step, an agent stands beyond a steep part
 )
-_RAY_CLEARANCE_PER_STAIR = 0.05  # share of a stair's height; distance of a ray above the next tread
+_RAY_CLEARANCE_STAIR_SHARE = 0.05  # share of a stair's height; distance of a ray above the next tread
 _MIN_RISE_SHARE = 0.02  # share of the step's length; a smaller rise counts as level
 _COSINE_TOLERANCE = 1e-6
 _TURN_AWAY_STEP_SHARE = 0.3  # share of the step by which an agent turns away from a wall that it would touch again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SlopeStart:
+class StepStartStance:
     """The agents of a species before a substep: footings, positions (n, 3) mm, smooth ground normals, and headings (n, 3)."""
 
     footing: Footing
@@ -39,10 +39,12 @@ class SlopeStart:
     heading: Floats
 
     @staticmethod
-    def from_population(population: Population) -> SlopeStart:
-        return SlopeStart(population.footing, population.position, population.normal, population.read_vector("heading"))
+    def from_population(population: Population) -> StepStartStance:
+        return StepStartStance(population.footing, population.position, population.normal, population.read_vector("heading"))
 
-    def find_steep(self, world: World, population: Population, rows: Rows, footing: Footing, pose: tuple[Floats, Floats]) -> Rows:
+    def find_rows_on_steep_ground(
+        self, world: World, population: Population, rows: Rows, footing: Footing, pose: tuple[Floats, Floats]
+    ) -> Rows:
         """Return the indices in `rows` of agents for which the step from the start to `footing` is too steep.
 
         `pose`: positions (k, 3) mm and smooth normals (k, 3) at the footing."""
@@ -65,12 +67,12 @@ def _dot_vectors(a: Floats, b: Floats) -> Floats:
     return product
 
 
-def find_face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
+def find_face_normals(world: World, footing: Footing, smooth_normals: Floats) -> Floats:
     """Return the unit normals (k, 3) of the faces below agents, on the side of the smooth normals. Agents without a footing get
     the smooth normals."""
     normal = world.ground.normal(footing)
-    side = _dot_vectors(normal, smooth)[:, None]
-    facing: Floats = np.where(side != 0, normal * np.sign(side), smooth)
+    side = _dot_vectors(normal, smooth_normals)[:, None]
+    facing: Floats = np.where(side != 0, normal * np.sign(side), smooth_normals)
     return facing
 
 
@@ -86,7 +88,7 @@ def has_slope_limit(population: Population) -> bool:
     return MAX_SLOPE_REGISTER in population.plan.settings
 
 
-def turn_pushes_along_slopes(world: World, population: Population) -> None:
+def deflect_pushes_along_slopes(world: World, population: Population) -> None:
     """Rotate the pushes of agents on steep ground into that ground, so that a push ahead leads over steps of stairs.
 
     The part of a push across the ground becomes a push up or down along it."""
@@ -104,16 +106,16 @@ def turn_pushes_along_slopes(world: World, population: Population) -> None:
         population.now[f"push.{axis}"][rows] = laid[:, k]
 
 
-def find_rows_blocked_by_slope(world: World, population: Population, start: SlopeStart) -> Rows:
+def find_rows_blocked_by_slope(world: World, population: Population, start: StepStartStance) -> Rows:
     """Return the rows of agents with a too steep step, except those that can cross the steep part as a step of stairs."""
     every, pose = np.arange(len(population)), (population.position, population.normal.astype(np.float64))
-    rows = start.find_steep(world, population, every, population.footing, pose)
+    rows = start.find_rows_on_steep_ground(world, population, every, population.footing, pose)
     if not len(rows):
         return rows
-    return rows[~_can_cross(world, population, start, rows)]
+    return rows[~_can_stand_beyond_slope(world, population, start, rows)]
 
 
-def _can_cross(world: World, population: Population, start: SlopeStart, rows: Rows) -> NDArray[np.bool_]:
+def _can_stand_beyond_slope(world: World, population: Population, start: StepStartStance, rows: Rows) -> NDArray[np.bool_]:
     """Return which agents can stand beyond the steep part ahead of them."""
     meshes = world.ground.meshes
     crosses = np.zeros(len(rows), np.bool_)
@@ -127,18 +129,20 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
     step = population.position[rows] - start.position[rows]
     lead = np.sqrt(_dot_vectors(step, step))[:, None] + _LOOKAHEAD_PER_BODY_HEIGHT / _MAX_STAIR_PER_BODY_HEIGHT * tread
     ahead = ahead / np.maximum(np.sqrt(_dot_vectors(ahead, ahead))[:, None], 1e-12) * lead
-    origin = start.position[rows] + up * tread * (1 + _RAY_CLEARANCE_PER_STAIR)
+    origin = start.position[rows] + up * tread * (1 + _RAY_CLEARANCE_STAIR_SHARE)
     hit, _, _ = meshes.find_hit_normals(origin, ahead, threads)
     is_free = np.ones(len(rows), np.bool_)
     is_free[hit] = False
-    down = -up * tread * (2 + 2 * _RAY_CLEARANCE_PER_STAIR)
+    down = -up * tread * (2 + 2 * _RAY_CLEARANCE_STAIR_SHARE)
     hit, _, normal = meshes.find_hit_normals(origin + ahead, down, threads)
     limit = find_steepest_cosines(population, rows)
     crosses[hit] = np.abs(_dot_vectors(normal.T, up)) >= limit[hit]
     return crosses & is_free
 
 
-def deflect_steps(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> tuple[Floats, GroundMove]:
+def deflect_steps_along_slopes(
+    world: World, population: Population, start: StepStartStance, rows: Rows, step: Floats
+) -> tuple[Floats, GroundMove]:
     """Return the steps (k, 3) mm of agents along the steep ground that stopped them, and the ends of these steps.
 
     `step` (k, 3) mm: the steps that were too steep. Agents that would meet steep ground again do not move."""
@@ -151,7 +155,7 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
     away = along - wall * (np.sign(into) * _TURN_AWAY_STEP_SHARE * np.sqrt(_dot_vectors(step, step))[:, None])
     result, moved = along.copy(), move_along_ground(world, population, start, rows, along)
     for other in (away, np.zeros_like(step)):
-        again = start.find_steep(world, population, rows, moved.footing, (moved.position, moved.up))
+        again = start.find_rows_on_steep_ground(world, population, rows, moved.footing, (moved.position, moved.up))
         if not len(again):
             break
         result[again] = other[again]
@@ -159,7 +163,7 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
     return result, moved
 
 
-def move_along_ground(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> GroundMove:
+def move_along_ground(world: World, population: Population, start: StepStartStance, rows: Rows, step: Floats) -> GroundMove:
     """Return where the ground moves agents from their start by steps (k, 3) mm."""
     normal, heading = start.normal[rows].astype(np.float64), population.read_vector("heading")[rows].astype(np.float64)
     size = population.now["size"][rows].astype(np.float64)

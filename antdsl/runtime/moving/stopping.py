@@ -6,97 +6,126 @@ from antdsl.machine_code.kernels import kernel, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F64, I64, Array1, Array2
 from antdsl.numerics.kernel_vectors import dot, get_column, minus, store_column, times
 from antdsl.numerics.sorting import compact_indices
-from antdsl.runtime.moving.contacts.impacts import NEVER, PathArrays, PathPairs, find_impact
-from antdsl.runtime.moving.contacts.step_clamping import ClampBuffers, bend_along, compute_heavier_share, negate_vector
+from antdsl.runtime.moving.contacts.impacts import NO_IMPACT_TIME, CapsulePaths, PathEncounters, find_impact
+from antdsl.runtime.moving.contacts.step_clamping import (
+    ClampBuffers,
+    compute_second_mass_share,
+    deflect_along_limits,
+    negate_vector,
+)
 
 _MIN_STOPPING_OVERLAP_SHARE = 2e-3  # share of both radii; bodies with smaller overlaps slide along each other
 _HEAVY_BODY_ENTRY_SHARE = 0.5  # share of both radii; how far a heavy body enters a light one and then pushes it
 
 
 @kernel
-def bend_paths(
-    pairs: PathPairs,
-    paths: PathArrays,
+def deflect_paths_at_impacts(
+    encounters: PathEncounters,
+    paths: CapsulePaths,
     approach: Array2[F64],
-    magic: F64,
+    rounding_constant: F64,
     buffers: ClampBuffers,
-    cut: Array2[F64],
+    corrections: Array2[F64],
     stopped_rows: Array1[I64],
-    changed: Array1[BOOL],
+    is_changed: Array1[BOOL],
 ) -> I64:
-    """Deflect paths at the impacts of `pairs`: a body continues from the impact along the other body.
+    """Deflect paths at the impacts of `encounters`: a body continues from the impact along the other body.
 
     Returns the number of rows that are stopped.
 
     `approach` (3, n) mm: displacements in the previous period of equal length. A body follows a body that withdraws. The other
-    arguments are as in `step_clamping.bend_along`."""
-    for pair in simd_range(0, pairs.i.size):
-        direction, over = get_column(pairs.direction, pair), 0
+    arguments are as in `step_clamping.deflect_along_limits`."""
+    for pair in simd_range(0, encounters.first_rows.size):
+        direction, over = get_column(encounters.separation_axis, pair), 0
         for side in range(2):
-            own, other = (pairs.j[pair], pairs.i[pair]) if side else (pairs.i[pair], pairs.j[pair])
-            towards, time = -dot(direction, get_column(paths.displacement, own)), pairs.time[pair]
+            own, other = (
+                (encounters.second_rows[pair], encounters.first_rows[pair])
+                if side
+                else (encounters.first_rows[pair], encounters.second_rows[pair])
+            )
+            towards, time = -dot(direction, get_column(paths.displacement, own)), encounters.meeting_time[pair]
             far = max(towards, 0.0) * time + max(-dot(direction, get_column(approach, other)), 0.0) * (1 - time)
             pressed = (paths.radius[own] + paths.radius[other]) * _HEAVY_BODY_ENTRY_SHARE
-            far += compute_heavier_share(paths.mass, own, other) * min(max(towards - far, 0.0), pressed)
+            far += compute_second_mass_share(paths.mass, own, other) * min(max(towards - far, 0.0), pressed)
             buffers.free_gaps[side, pair] = far
             over = 1 if towards - far > 0 else over
             direction = negate_vector(direction)
         buffers.pairs[pair] = over
-    return bend_along(pairs.i, pairs.j, pairs.direction, paths.displacement, magic, buffers, cut, stopped_rows, changed)
+    return deflect_along_limits(
+        encounters.first_rows,
+        encounters.second_rows,
+        encounters.separation_axis,
+        paths.displacement,
+        rounding_constant,
+        buffers,
+        corrections,
+        stopped_rows,
+        is_changed,
+    )
 
 
 @kernel
 def find_next_impacts(
-    pairs: PathPairs, paths: PathArrays, is_touched: Array1[BOOL], latest: Array1[BOOL], first: Array1[F64]
+    encounters: PathEncounters,
+    paths: CapsulePaths,
+    is_touched: Array1[BOOL],
+    was_touched: Array1[BOOL],
+    first_impact_time: Array1[F64],
 ) -> I64:
-    """Write the impacts of pairs with a row that `is_touched` to `pairs`, and the time of each row's first impact to `first` (n).
+    """Write the impacts of pairs with a row that `is_touched` to `encounters`, and the time of each row's first impact to
+    `first_impact_time` (n).
 
     Returns the number of impacts.
-    `latest` (n): rows that have changed since the last call. Only impacts of their pairs are computed again."""
-    for pair in range(pairs.i.size):
-        p, q = pairs.i[pair], pairs.j[pair]
-        if (latest[p] | latest[q]) & (is_touched[p] | is_touched[q]):
+    `was_touched` (n): rows that have changed since the last call. Only impacts of their pairs are computed again."""
+    for pair in range(encounters.first_rows.size):
+        p, q = encounters.first_rows[pair], encounters.second_rows[pair]
+        if (was_touched[p] | was_touched[q]) & (is_touched[p] | is_touched[q]):
             moves = minus(get_column(paths.displacement, p), get_column(paths.displacement, q))
-            heavier = max(compute_heavier_share(paths.mass, p, q), compute_heavier_share(paths.mass, q, p))
+            heavier = max(compute_second_mass_share(paths.mass, p, q), compute_second_mass_share(paths.mass, q, p))
             share = 1 - _MIN_STOPPING_OVERLAP_SHARE - _HEAVY_BODY_ENTRY_SHARE * heavier
-            pairs.time[pair], direction = find_impact(paths, p, q, moves, share)
-            store_column(pairs.direction, pair, direction)
+            encounters.meeting_time[pair], direction = find_impact(paths, p, q, moves, share)
+            store_column(encounters.separation_axis, pair, direction)
     count = 0
-    first[:] = NEVER
-    for pair in range(pairs.i.size):
-        if pairs.time[pair] <= 1.0:
+    first_impact_time[:] = NO_IMPACT_TIME
+    for pair in range(encounters.first_rows.size):
+        if encounters.meeting_time[pair] <= 1.0:
             count += 1
-            for row in (pairs.i[pair], pairs.j[pair]):
-                first[row] = min(first[row], pairs.time[pair])
+            for row in (encounters.first_rows[pair], encounters.second_rows[pair]):
+                first_impact_time[row] = min(first_impact_time[row], encounters.meeting_time[pair])
     return count
 
 
 @kernel
 def shorten_paths(
-    pairs: PathPairs, paths: PathArrays, first: Array1[F64], only_first: BOOL, stops_rows: BOOL, factor: Array1[F64],
-    is_touched: Array1[BOOL], latest: Array1[BOOL],
+    encounters: PathEncounters, paths: CapsulePaths, first_impact_time: Array1[F64], only_first: BOOL, stops_rows: BOOL,
+    path_factor: Array1[F64],
+    is_touched: Array1[BOOL], was_touched: Array1[BOOL],
 ) -> None:  # fmt: skip
     """Shorten the displacements of the rows that move towards another row up to their impact.
 
     The tangent plane at the impact then separates both bodies for the whole substep, even if paths become shorter. `only_first`:
     use only impacts that are the first of both rows, because later ones may not occur. `stops_rows`: stop the rows completely.
-    `factor` (n): a work buffer. Sets the flags `is_touched` and `latest`."""
-    factor[:] = 1.0
-    for pair in range(pairs.i.size):
-        time = pairs.time[pair]
+    `path_factor` (n): a work buffer. Sets the flags `is_touched` and `was_touched`."""
+    path_factor[:] = 1.0
+    for pair in range(encounters.first_rows.size):
+        time = encounters.meeting_time[pair]
         if time > 1.0:
             continue
-        direction = get_column(pairs.direction, pair)
+        direction = get_column(encounters.separation_axis, pair)
         for side in range(2):
-            own, other = (pairs.j[pair], pairs.i[pair]) if side else (pairs.i[pair], pairs.j[pair])
-            is_first = (first[own] == time) & (first[other] == time)
+            own, other = (
+                (encounters.second_rows[pair], encounters.first_rows[pair])
+                if side
+                else (encounters.first_rows[pair], encounters.second_rows[pair])
+            )
+            is_first = (first_impact_time[own] == time) & (first_impact_time[other] == time)
             if stops_rows or ((is_first | (not only_first)) and -dot(direction, get_column(paths.displacement, own)) > 0):
-                factor[own] = min(factor[own], 0.0 if stops_rows else time)
+                path_factor[own] = min(path_factor[own], 0.0 if stops_rows else time)
             direction = negate_vector(direction)
-    for k in simd_range(0, factor.size):
-        latest[k] = factor[k] < 1.0
-        is_touched[k] |= latest[k]
-        store_column(paths.displacement, k, times(get_column(paths.displacement, k), factor[k]))
+    for k in simd_range(0, path_factor.size):
+        was_touched[k] = path_factor[k] < 1.0
+        is_touched[k] |= was_touched[k]
+        store_column(paths.displacement, k, times(get_column(paths.displacement, k), path_factor[k]))
 
 
 @kernel

@@ -26,13 +26,13 @@ from antdsl.ground.plane import walk_straight
 from antdsl.machine_code.kernels import inlined, kernel, load3, prefetch, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
-from antdsl.runtime.moving.clearance.walls_ahead import MAX_TILT_DISTANCE_HALVES, compute_half_size
+from antdsl.runtime.moving.clearance.walls_ahead import MAX_TILT_DISTANCE_HALF_LENGTHS, compute_half_length
 from antdsl.runtime.moving.tilting import compute_stance
 from antdsl.runtime.moving.velocities import (
-    STANDING_STATE,
-    AgentAbilities,
-    AgentDrives,
+    STANDING_BODY_STATE,
     ArrivalArrays,
+    MotionInputs,
+    MotionLimits,
     PushTimes,
     apply_push,
     update_arrived_agent,
@@ -45,7 +45,7 @@ _FLOAT32_ZERO = _F(0)
 class IntendedMotion(NamedTuple):
     """The intended motion of agents in a substep.
 
-    `velocity`: in mm/s. `step`: the displacement in `dt` (mm). `length`: the length of the step (mm).
+    `velocity`: in mm/s. `step`: the displacement in `dt` (mm). `step_length`: the length of the step (mm).
     `level_heading`: heading along the ground, for agents that lean.
     `max_tilt`: the largest tilt (radians). `wall_reach`: how far ahead the agent searches for walls (mm).
     `state`: how the body stands, see `velocities`."""
@@ -53,13 +53,13 @@ class IntendedMotion(NamedTuple):
     velocity: VectorColumns
     step: VectorColumns
     level_heading: VectorColumns
-    length: Array1[F32]
+    step_length: Array1[F32]
     max_tilt: Array1[F32]
     wall_reach: Array1[F64]
     state: Array1[I32]
 
 
-class PendingWalks(NamedTuple):
+class PendingWalkStates(NamedTuple):
     """The agents that `walk_triangles` leaves to a later walk.
 
     `float_values`, `integer_values`: the states of their walks. `statuses`: the status of every agent."""
@@ -71,13 +71,13 @@ class PendingWalks(NamedTuple):
 
 @kernel
 def prepare_steps(
-    drive: AgentDrives,
-    abilities: AgentAbilities,
+    drive: MotionInputs,
+    abilities: MotionLimits,
     has_min_speed: BOOL,
     min_speed: Array1[F32],
     size: Array1[F32],
-    quarantined: Array1[BOOL],
-    times_of: PushTimes,
+    is_quarantined: Array1[BOOL],
+    push_times: PushTimes,
     motion: IntendedMotion,
     begin: I64,
     end: I64,
@@ -87,19 +87,19 @@ def prepare_steps(
 
     Returns the longest finite step and the greatest size (mm), -inf if there is no finite number."""
     heading, up, normal = drive.heading, drive.up, drive.ground_normal
-    max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, times_of.dt
+    max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, push_times.dt
     to, step, looking, long, most, reach, state = motion
     for i in simd_range(begin, end):
         u = load3(normal, i)
-        v = apply_push(drive, u, abilities, has_min_speed, min_speed, times_of, i)
-        if quarantined[i]:
+        v = apply_push(drive, u, abilities, has_min_speed, min_speed, push_times, i)
+        if is_quarantined[i]:
             v = (_FLOAT32_ZERO, _FLOAT32_ZERO, _FLOAT32_ZERO)
         displacement = times(v, dt)
         for k in range(3):
             to[k][i], step[k][i] = v[k], displacement[k]
         long[i] = np.sqrt(dot(displacement, displacement))
         compute_stance(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
-        reach[i] = MAX_TILT_DISTANCE_HALVES * compute_half_size(size[i])
+        reach[i] = MAX_TILT_DISTANCE_HALF_LENGTHS * compute_half_length(size[i])
     longest, greatest = _FLOAT32_ZERO, _F(-np.inf)
     for i in range(begin, end):
         longest = long[i] if long[i] > longest and np.isfinite(long[i]) else longest
@@ -108,9 +108,9 @@ def prepare_steps(
 
 
 @inlined
-def _level_heading(heading: VectorColumns, headings: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
+def _choose_level_heading(heading: VectorColumns, headings: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
     """Return the heading of agent i along the ground, in float64."""
-    if state[i] == STANDING_STATE:
+    if state[i] == STANDING_BODY_STATE:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
     return np.float64(headings[0][i]), np.float64(headings[1][i]), np.float64(headings[2][i])
 
@@ -124,7 +124,7 @@ def walk_triangles(
     normal: Array2[F32],
     level_heading: VectorColumns,
     arrival: ArrivalArrays,
-    pending_walks: PendingWalks,
+    pending_walks: PendingWalkStates,
     new_footing: FootingArrays,
     place: Array2[F64],
     begin: I64,
@@ -137,14 +137,14 @@ def walk_triangles(
     agents that wait for a later walk. Returns `begin`, and the numbers of waiting agents and of agents that are left out."""
     mesh, face, b1s, b2s, overs = footing
     first, step, how = surface.first, arrival.step, pending_walks.statuses
-    registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
+    registers, heading, state = arrival.registers, arrival.registers.heading, arrival.body_stances.state
     for group in range(begin - 8 * PREFETCH_GROUPS_AHEAD, end, 8):
         # Columns need explicit prefetches: there are more than a processor prefetches automatically.
         k = group + 8 * PREFETCH_GROUPS_AHEAD
         for columns in (arrival.velocity, step, *registers, arrival.limits):
             for each in columns:
                 prefetch(each, k)
-        for each in (arrival.bodies.max_tilt, size, state, b1s, b2s, overs, *new_footing):
+        for each in (arrival.body_stances.max_tilt, size, state, b1s, b2s, overs, *new_footing):
             prefetch(each, k)
         for axis in range(3):
             prefetch(place, k + axis * new_footing.b1.size)
@@ -165,7 +165,7 @@ def walk_triangles(
                 continue
             x, y, z = load3(normal, i)
             up = (np.float64(x), np.float64(y), np.float64(z))
-            long, look = np.float64(size[i]), _level_heading(heading, level_heading, state, i)
+            long, look = np.float64(size[i]), _choose_level_heading(heading, level_heading, state, i)
             f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
             walk = walk_agent(surface, clearances, True, f, weights, overs[i], long, displacement, look, up)
             if walk.stop.event:
@@ -191,11 +191,11 @@ def walk_plane(
     does.
 
     `plane`: the unit normal of the plane."""
-    at, step, heading, state = arrival.start, arrival.step, arrival.registers.heading, arrival.bodies.state
+    at, step, heading, state = arrival.start, arrival.step, arrival.registers.heading, arrival.body_stances.state
     up = (plane[0], plane[1], plane[2])
     for i in simd_range(begin, end):
         displacement = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
-        look = _level_heading(heading, level_heading, state, i)
+        look = _choose_level_heading(heading, level_heading, state, i)
         pose, _ = walk_straight(up, (at[i, 0], at[i, 1], at[i, 2]), displacement, look)
         for k in range(3):
             place[i, k] = pose.position[k]

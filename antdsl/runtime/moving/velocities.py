@@ -25,22 +25,22 @@ _HEADING_TURN_SECONDS = 0.1  # s; time constant of the heading towards the direc
 FACE_REGISTER = "~face.x"  # only species that use it have this register
 SLOW_SPEED_SHARE = _F(0.1)  # share of max_speed; below it, the heading follows more and more slowly
 BOUNCE_SPEED_SHARE = _F(0.3)  # share of the speed into the border of an open surface that is reflected
-TURN_SLACK_FACTOR = _F(1.005)  # factor of the largest turn; smaller excesses are rounding
+MAX_TURN_SLACK_FACTOR = _F(1.005)  # factor of the largest turn; smaller excesses are rounding
 MIN_FACE_SINE = _F(1e-3)  # sine of the angle between the body's up and a direction to face; a smaller one gives no heading
 MAX_INSTANT_RESPONSE_STEPS = _F(1.0001)  # steps; agents with a shorter response are kinematic
 MIN_SQUARED_TURN = _F(1e-12)  # rad2 above the largest turn; smaller excesses are rounding
 ANGLE_COEFFICIENT_1_12, ANGLE_COEFFICIENT_1_90 = _F(1 / 12), _F(1 / 90)  # coefficients of the series for a squared angle
 
-LEANING_STATE, STANDING_STATE, HURRYING_STATE = -1, -2, -3
+LEANING_BODY_STATE, STANDING_BODY_STATE, HURRYING_BODY_STATE = -1, -2, -3
 
 
 @cache
-def compute_heading_share(dt: np.float32) -> np.float32:
+def compute_heading_turn_share(dt: np.float32) -> np.float32:
     """Return the share of the turn towards the movement that is made in a substep of `dt` s."""
     return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_TURN_SECONDS))))
 
 
-class AgentDrives(NamedTuple):
+class MotionInputs(NamedTuple):
     """What determines the motion of agents: push, velocity (mm/s), heading, up, and the normals (n, 3) of the ground."""
 
     push: VectorColumns
@@ -50,7 +50,7 @@ class AgentDrives(NamedTuple):
     ground_normal: Array2[F32]
 
 
-class AgentAbilities(NamedTuple):
+class MotionLimits(NamedTuple):
     """Abilities of agents, with the names that programs use."""
 
     max_speed: Array1[F32]
@@ -128,9 +128,9 @@ class ArrivalArrays(NamedTuple):
     step: VectorColumns
     velocity: VectorColumns
     limits: SpeedAndTurnLimits
-    bodies: ArrivedBodies
+    body_stances: ArrivedBodies
     times: TurnTimes
-    gaze: FacingDirections
+    facing: FacingDirections
     registers: MotionRegisters
     normals: Array2[F32]
 
@@ -147,29 +147,29 @@ class WalkedPoses(NamedTuple):
 
 @inlined
 def apply_push(
-    drive: AgentDrives,
+    inputs: MotionInputs,
     up: Vec3F32,
-    abilities: AgentAbilities,
+    limits: MotionLimits,
     has_min_speed: BOOL,
     min_speed: Array1[F32],
-    times_of: PushTimes,
-    i: I64,
+    push_times: PushTimes,
+    row: I64,
 ) -> Vec3F32:
     """Return the velocity of agent i after its push along the ground, within the limits of speed and turn. `up`: normal of the
     ground.
 
     `has_min_speed`: whether `min_speed` applies."""
-    push, velocity, heading, _, _ = drive
-    max_speed, max_force, mass, response, max_turn = abilities
-    at_once, first, dt = times_of
-    wish = project_to_plane((push[0][i], push[1][i], push[2][i]), up)
+    push, velocity, heading, _, _ = inputs
+    max_speed, max_force, mass, response, max_turn = limits
+    at_once, first, dt = push_times
+    wish = project_to_plane((push[0][row], push[1][row], push[2][row]), up)
     wish = times(wish, _FLOAT32_ONE / maximum(length(wish), _FLOAT32_ONE))
-    previous_velocity = project_to_plane((velocity[0][i], velocity[1][i], velocity[2][i]), up)
-    time = first if response[i] <= at_once else dt
-    gain = max_force[i] / mass[i]
+    previous_velocity = project_to_plane((velocity[0][row], velocity[1][row], velocity[2][row]), up)
+    time = first if response[row] <= at_once else dt
+    gain = max_force[row] / mass[row]
     gain = (gain if np.isfinite(gain) else _FLOAT32_ZERO) * time
     v = plus(previous_velocity, times(wish, gain))
-    speed, most = length(v), maximum(max_speed[i], _FLOAT32_ZERO)
+    speed, most = length(v), maximum(max_speed[row], _FLOAT32_ZERO)
     if speed > most:
         v = times(v, most / (speed if speed > 0 else _FLOAT32_ONE))
     v = (
@@ -178,17 +178,17 @@ def apply_push(
         v[2] if np.isfinite(v[2]) else _FLOAT32_ZERO,
     )
     if has_min_speed:
-        least = _minimum(maximum(min_speed[i], _FLOAT32_ZERO), maximum(max_speed[i], _FLOAT32_ZERO))
-        v = _raise_speed(v, previous_velocity, project_to_plane((heading[0][i], heading[1][i], heading[2][i]), up), least)
-    if np.isfinite(max_turn[i]):
-        most = maximum(max_turn[i], _FLOAT32_ZERO) * time
+        least = _minimum(maximum(min_speed[row], _FLOAT32_ZERO), maximum(max_speed[row], _FLOAT32_ZERO))
+        v = _raise_speed(v, previous_velocity, project_to_plane((heading[0][row], heading[1][row], heading[2][row]), up), least)
+    if np.isfinite(max_turn[row]):
+        most = maximum(max_turn[row], _FLOAT32_ZERO) * time
         turn = min(most, _FLOAT32_PI)
         both = length(v) * length(previous_velocity)
         if not (
             dot(v, previous_velocity) > (compute_cos_and_sin(turn)[0] + _SAFE_COSINE_MARGIN) * both and both > _MIN_VECTOR_LENGTH
         ):
-            v = _limit_turn(
-                v, previous_velocity, up, most, length(v) if response[i] <= at_once else SLOW_SPEED_SHARE * max_speed[i]
+            v = _limit_velocity_turn(
+                v, previous_velocity, up, most, length(v) if response[row] <= at_once else SLOW_SPEED_SHARE * max_speed[row]
             )
     return v
 
@@ -213,7 +213,7 @@ def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32
 
 
 @kernel_helper
-def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_turn: F32, creep_speed: F32) -> Vec3F32:
+def _limit_velocity_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_turn: F32, creep_speed: F32) -> Vec3F32:
     """Return the velocity turned by at most `max_turn` (radians) from the previous one. From rest it may have any direction.
 
     It keeps only its component in that direction. So a push against the motion first brakes, and does not speed up an agent that
@@ -241,7 +241,7 @@ def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_
 
 
 @inlined
-def update_arrived_agent(i: I64, pose: AgentPose, is_blocked: BOOL, arrival: ArrivalArrays) -> None:
+def update_arrived_agent(row: I64, pose: AgentPose, is_blocked: BOOL, arrival: ArrivalArrays) -> None:
     """Write position, up, heading and direction of agent i after its walk, in float64, as `update_arrived_rows` describes."""
     place, above, ahead, direction = pose
     old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
@@ -251,36 +251,38 @@ def update_arrived_agent(i: I64, pose: AgentPose, is_blocked: BOOL, arrival: Arr
     faces, face, everyone = facing
     position, to, heading, up = registers
     u = (_F(above[0]), _F(above[1]), _F(above[2]))
-    v = (velocity[0][i], velocity[1][i], velocity[2][i])
+    v = (velocity[0][row], velocity[1][row], velocity[2][row])
     v = times((_F(direction[0]), _F(direction[1]), _F(direction[2])), length(v))
     if is_blocked:
         rate = _FLOAT32_ONE / dt
-        travel = (_F(place[0] - old[i, 0]), _F(place[1] - old[i, 1]), _F(place[2] - old[i, 2]))
+        travel = (_F(place[0] - old[row, 0]), _F(place[1] - old[row, 1]), _F(place[2] - old[row, 2]))
         travel = times(travel, rate)
-        lost = minus(times((step[0][i], step[1][i], step[2][i]), rate), travel)
+        lost = minus(times((step[0][row], step[1][row], step[2][row]), rate), travel)
         v = minus(travel, times(lost, BOUNCE_SPEED_SHARE))
     v = project_to_plane(v, u)
     h = (_F(ahead[0]), _F(ahead[1]), _F(ahead[2]))
-    previous_heading, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
+    previous_heading, was = (heading[0][row], heading[1][row], heading[2][row]), (up[0][row], up[1][row], up[2][row])
     chord = minus(u, was)
-    free = most[i] if state[i] == STANDING_STATE else _FLOAT32_ZERO
+    free = most[row] if state[row] == STANDING_BODY_STATE else _FLOAT32_ZERO
     square, limit = dot(chord, chord), free * free
-    tilt = _squared_angle(square)
+    tilt = _compute_squared_angle(square)
     hasty = tilt > limit
-    wish = (face[0][i], face[1][i], face[2][i])
-    h = _turn_heading(h, v, u, faces, wish, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, part)
+    wish = (face[0][row], face[1][row], face[2][row])
+    h = _turn_heading_to_velocity(
+        h, v, u, faces, wish, max_speed[row], max_turn[row], response[row] <= at_once, _minimum(tilt, limit), dt, part
+    )
     heading_change, aside = minus(h, previous_heading), minus(cross(u, h), cross(was, previous_heading))
     square = (dot(heading_change, heading_change) + dot(chord, chord) + dot(aside, aside)) * _FLOAT32_HALF
-    limit = maximum(max_turn[i], _FLOAT32_ZERO) * dt * TURN_SLACK_FACTOR
-    hasty = hasty or _squared_angle(square) > limit * limit + MIN_SQUARED_TURN
-    if (hasty or everyone) and state[i] == STANDING_STATE:
-        state[i] = HURRYING_STATE
-    if state[i] != STANDING_STATE:
+    limit = maximum(max_turn[row], _FLOAT32_ZERO) * dt * MAX_TURN_SLACK_FACTOR
+    hasty = hasty or _compute_squared_angle(square) > limit * limit + MIN_SQUARED_TURN
+    if (hasty or everyone) and state[row] == STANDING_BODY_STATE:
+        state[row] = HURRYING_BODY_STATE
+    if state[row] != STANDING_BODY_STATE:
         for k in range(3):
-            to_up[k][i], to_heading[k][i] = was[k], previous_heading[k]
+            to_up[k][row], to_heading[k][row] = was[k], previous_heading[k]
     for k in range(3):
-        to[k][i], heading[k][i], up[k][i], position[k][i] = v[k], h[k], u[k], _F(place[k])
-    store3(normals, i, u)
+        to[k][row], heading[k][row], up[k][row], position[k][row] = v[k], h[k], u[k], _F(place[k])
+    store3(normals, row, u)
 
 
 @kernel
@@ -288,8 +290,8 @@ def update_arrived_rows(rows: Array1[I64], walked_poses: WalkedPoses, arrival: A
     """Write velocity, heading, position and up of `rows` from `begin` to before `end` into the registers after the walk.
 
     The `state` of a body that is aligned with its feet becomes "hastens" in two cases: its up turns by more than `most`
-    (radians), or it turns more than `TURN_SLACK_FACTOR` times as fast as `max_turn` allows. For all other bodies, the previous up
-    and heading are stored in `bodies`."""
+    (radians), or it turns more than `MAX_TURN_SLACK_FACTOR` times as fast as `max_turn` allows. For all other bodies, the
+    previous up and heading are stored in `bodies`."""
     place, above, ahead, direction, blocked = walked_poses
     for j in range(begin, end):
         i = rows[j]
@@ -303,27 +305,18 @@ def update_arrived_rows(rows: Array1[I64], walked_poses: WalkedPoses, arrival: A
 
 
 @inlined
-def _squared_angle(square: F32) -> F32:
+def _compute_squared_angle(squared_chord: F32) -> F32:
     """Return the squared angle (rad²) between two unit vectors from their squared distance, by the first terms of its series.
 
     Beyond 1 rad the result is too small."""
-    return square * (_FLOAT32_ONE + square * (ANGLE_COEFFICIENT_1_12 + square * ANGLE_COEFFICIENT_1_90))
+    return squared_chord * (_FLOAT32_ONE + squared_chord * (ANGLE_COEFFICIENT_1_12 + squared_chord * ANGLE_COEFFICIENT_1_90))
 
 
 @inlined
-def _turn_heading(
-    heading: Vec3F32,
-    velocity: Vec3F32,
-    up: Vec3F32,
-    has_gaze: BOOL,
-    wish: Vec3F32,
-    max_speed: F32,
-    max_turn: F32,
-    is_immediate: BOOL,
-    tilt: F32,
-    dt: F32,
-    turn_share: F32,
-) -> Vec3F32:
+def _turn_heading_to_velocity(
+    heading: Vec3F32, velocity: Vec3F32, up: Vec3F32, has_facing: BOOL, facing_direction: Vec3F32, max_speed: F32,
+    max_turn: F32, is_immediate: BOOL, tilt: F32, dt: F32, turn_share: F32
+) -> Vec3F32:  # fmt: skip
     """Return the heading turned towards the movement, or towards the direction to face: completely or by the share `turn_share`.
 
     The turn and the tilt of the body (`tilt`, its squared angle) together are limited by `max_turn`. For more than a right angle,
@@ -335,8 +328,8 @@ def _turn_heading(
     if not good:
         direction = heading
     faced = False
-    if has_gaze:
-        facing, good = _normalise(wish)
+    if has_facing:
+        facing, good = _normalise(facing_direction)
         along = project_to_plane(facing if good else up, up)
         faced = length(along) > MIN_FACE_SINE
         facing, good = _normalise(along)

@@ -55,7 +55,7 @@ class NoteAgents:
         return self.population.ids[self.rows]
 
     def list_species(self) -> list[NoteAgents]:
-        """Return the agents of each species of the note, in the order of the names."""
+        """Return the agents of the note, separated by species."""
         return [replace(self, population=self.world.populations[name]) for name in sorted(self.active.rows)]
 
     def select(self, chosen: NDArray[Any]) -> NoteAgents:

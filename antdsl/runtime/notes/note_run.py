@@ -16,7 +16,7 @@ from antdsl.numerics.easing import compute_ease_weight
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
 from antdsl.runtime.moving.correction_walks import CorrectionWalker
-from antdsl.runtime.moving.pacing import Paces
+from antdsl.runtime.moving.pacing import SpeedShares
 from antdsl.runtime.notes.absences import remove_absent
 from antdsl.runtime.notes.active_notes import ActiveNote, NoteAgents, Rows, compute_weight
 from antdsl.runtime.notes.display_verbs import end_displays
@@ -47,7 +47,7 @@ class NoteRun:
     notes: Mapping[str, Note]
     memory: dict[str, NDArray[Any]] = field(default_factory=dict)
     active: list[ActiveNote] = field(default_factory=list)
-    paces: dict[str, Paces] = field(default_factory=dict)
+    paces: dict[str, SpeedShares] = field(default_factory=dict)
     missed_targets: list[MissedTarget] = field(default_factory=list)
     outlines: dict[tuple[str, int], list[Outline]] = field(default_factory=dict)
 
@@ -104,7 +104,7 @@ class NoteRun:
     def begin_move(self, world: World) -> None:
         """Prepare the species with agents that move at another speed."""
         for name, paces in self.paces.items():
-            paces.begin_move(world.populations[name])
+            paces.scale_limits(world.populations[name])
 
     def cut_steps(self, world: World, population: Population, motion: tuple[VectorArrays, VectorArrays], dt: float) -> None:
         """Cut the steps of a species, and its velocities, where notes forbid them. `motion`: steps (mm) and velocities (mm/s) of
@@ -141,12 +141,14 @@ class NoteRun:
                 back = allowed - (arrived[rows] - start[rows])
                 at = np.flatnonzero((np.abs(back) > _MIN_CUT_MM).any(axis=1))
                 if len(at):
-                    CorrectionWalker(crowd, starts, dt).walk(rows[at] + crowd.first[number], np.ascontiguousarray(back[at].T))
+                    CorrectionWalker(crowd, starts, dt).walk_corrections(
+                        rows[at] + crowd.first[number], np.ascontiguousarray(back[at].T)
+                    )
 
     def end_move(self, world: World) -> None:
         """Restore the limits of agents that moved at another speed, and record those that missed their target."""
         for name, paces in self.paces.items():
-            paces.end_move(world.populations[name])
+            paces.restore_limits(world.populations[name])
         missed = (find_missed_target(agents) for _, agents in self._iterate_agents(world))
         self.missed_targets += [each for each in missed if each is not None]
 
@@ -203,8 +205,8 @@ class NoteRun:
             own = shares.get(name, np.ones(len(population), np.float32))
             rows = np.flatnonzero((own != 1) | (previous != 1))
             if len(rows):
-                self.paces[name] = paces = Paces(rows, own[rows], previous[rows])
-                paces.restore_velocities(population)
+                self.paces[name] = paces = SpeedShares(rows, own[rows], previous[rows])
+                paces.restore_full_velocities(population)
                 slow = rows[own[rows] != 1]
                 slow = slow[np.argsort(population.ids[slow])]
                 self.memory[ids_name], self.memory[shares_name] = population.ids[slow], own[slow]

@@ -12,7 +12,7 @@ Shares = NDArray[np.float32]
 
 
 def hold_agents(agents: NoteAgents) -> Shares:
-    """Return the share of a `hold` or a `release`: none."""
+    """Return the speed share of agents that a `hold` or `release` note stops."""
     return _mix_shares(agents, 0.0)
 
 

@@ -23,7 +23,7 @@ def slow_in_region(agents: NoteAgents) -> Shares:
 
 
 def lead_out_of_region(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Lead agents out of the region of a `forbid`, and away from it in its falloff; of a `confine` into it."""
+    """Steer agents out of the region of a `forbid`, or into the region of a `confine`."""
     distances = measure_note_region(agents)
     assert distances is not None
     _wish_direction(agents, distances.outward_directions, compute_region_share(agents, distances.outside), register, is_final)

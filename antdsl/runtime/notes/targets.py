@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.casting.curves import SampledCurve
 from antdsl.casting.obstacle import Obstacle
 from antdsl.numerics.vector_rows import length
-from antdsl.runtime.moving.moving_geometry import compute_vertices, make_curve
+from antdsl.runtime.moving.moving_geometry import compute_vertices, make_sampled_curve
 from antdsl.runtime.notes.active_notes import NoteAgents
 from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
@@ -120,7 +120,7 @@ def _find_other_name(world: World, target: PointValue | AgentName) -> str:
 
 
 def find_item_points(world: World, name: str) -> TargetPoints:
-    """Return the points of an item, or of all items of a name; no points without such items."""
+    """Return the points of one item or of all items of a name."""
     for items_name, items in world.items.items():
         rows = np.arange(len(items)) if items_name == name else np.flatnonzero([each == name for each in items.names])
         if len(rows):
@@ -156,7 +156,9 @@ def find_curve(world: World, curve: str | tuple[PointValue, ...]) -> SampledCurv
     """Return a curve of the scene in its present position, or the curve through points."""
     if isinstance(curve, str):
         return world.curves[curve]
-    return make_curve(np.array([convert_point(point, world.setting.unit_mm) for point in curve], np.float64) - world.origin)
+    return make_sampled_curve(
+        np.array([convert_point(point, world.setting.unit_mm) for point in curve], np.float64) - world.origin
+    )
 
 
 def find_line(world: World, line: str | tuple[PointValue | AgentName, ...]) -> SampledCurve | None:
@@ -166,7 +168,7 @@ def find_line(world: World, line: str | tuple[PointValue | AgentName, ...]) -> S
         return find_curve(world, line)
     groups = (find_target(world, target).points for target in line)
     points = [group.mean(axis=0) for group in groups if len(group)]
-    return make_curve(np.array(points)) if len(points) > 1 else None
+    return make_sampled_curve(np.array(points)) if len(points) > 1 else None
 
 
 class OwnPoints(NamedTuple):

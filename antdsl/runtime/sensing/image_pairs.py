@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.numerics.periodic_box import PeriodicBox, measure_offset
 from antdsl.runtime.world import AXES, Items, Population, World
-from antdsl.senses.neighbours import CellGrid, FieldOfView, NeighbourPairs
+from antdsl.senses.neighbours import CellGrid, NeighbourPairs, ViewConeColumns
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]
@@ -57,7 +57,7 @@ def measure_pairs_within(
     own_positions: tuple[Floats, ...],
     ids: NDArray[np.int64] | None,
     radius: Any,
-    view: FieldOfView | None = None,
+    view: ViewConeColumns | None = None,
 ) -> PairColumns:
     """Return the pairs within a radius (mm) and in view by measuring all agents or items, each at its nearest image.
 

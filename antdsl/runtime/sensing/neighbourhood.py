@@ -19,8 +19,8 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.sensing.image_pairs import ImageGrid
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.clear_velocity import VelocityWishes, fill_clear_velocities, find_widest_gaps
-from antdsl.senses.nearest_others import CrowdTables, Requesters, fill_nearest_offsets, store_up_and_motion
+from antdsl.senses.clear_velocity import WishedVelocities, fill_clear_velocities, find_widest_gaps
+from antdsl.senses.nearest_others import CrowdTables, NeighbourRequests, fill_nearest_offsets, pack_up_and_motion
 from antdsl.senses.neighbours import CellGrid
 
 _MAX_COARSER_QUARTERS = 4  # cells may be wider than requested by this many quarters of an octave
@@ -40,7 +40,7 @@ def compute_clear_velocity(
     crowd, requesters = build_nearest_search(world, population, rows, radius, max_count)
     a, b, c = wish
     wished = np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b, np.float64), np.ascontiguousarray(c, np.float64)
-    wishes, velocities = VelocityWishes(wished, horizon, population.start["max_speed"]), np.empty((3, len(rows)), np.float32)
+    wishes, velocities = WishedVelocities(wished, horizon, population.start["max_speed"]), np.empty((3, len(rows)), np.float32)
     work = partial(fill_clear_velocities, crowd, requesters, wishes, world.dt, velocities)
     parallel.run_in_parts(work, len(rows), world.options.threads)
     return tuple(velocities)
@@ -65,13 +65,15 @@ def find_widest_gap(
 
 def build_nearest_search(
     world: World, population: Population, rows: Rows, radius: Floats, max_count: Floats
-) -> tuple[CrowdTables, Requesters]:
+) -> tuple[CrowdTables, NeighbourRequests]:
     """Return all agents as a crowd and the given agents as requesters, for a neighbour search."""
     widest = float(np.max(radius, initial=0.0, where=np.isfinite(radius)))
     grid = _find_grid(world, _ALL_SPECIES_GRID_NAME, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
     positions = grid.order.position_by_row.take(grid.first_rows[population.name] + rows)
-    return grid.crowd, Requesters(positions, rows, radius, max_count, vec.get_vector_registers(population.start, "heading"))
+    return grid.crowd, NeighbourRequests(
+        positions, rows, radius, max_count, vec.get_vector_registers(population.start, "heading")
+    )
 
 
 class _CrowdGrid(CellGrid):
@@ -104,7 +106,7 @@ class _CrowdGrid(CellGrid):
         ups, velocities = (tuple(map(add_images, join_vectors(name))) for name in ("up", "velocity"))
         sensed = ups, velocities, radius, numbers
         parallel.run_in_parts(
-            partial(store_up_and_motion, self.order.position_by_row, *sensed, up, motion),
+            partial(pack_up_and_motion, self.order.position_by_row, *sensed, up, motion),
             x.size,
             threads,
             parallel.MIN_LIGHT_ITEMS_PER_THREAD,
@@ -114,11 +116,11 @@ class _CrowdGrid(CellGrid):
             by_name = add_images(
                 join_arrays([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])
             )
-        self.crowd = CrowdTables(self.table(), up, motion, by_name)
+        self.crowd = CrowdTables(self.make_tables(), up, motion, by_name)
 
 
 def _find_first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:
-    """Return the first row of each species in an array of all species in the order of `names`."""
+    """Return the first row of each species if all species are joined in the order of `names`."""
     ends = accumulate(len(populations[name]) for name in names)
     return {name: end - len(populations[name]) for name, end in zip(names, ends, strict=True)}
 

@@ -22,7 +22,7 @@ from antdsl.runtime.sensing.item_pairs import find_items_within
 from antdsl.runtime.sensing.nearest_pairs import find_nearest_agents
 from antdsl.runtime.sensing.neighbourhood import find_species_grid
 from antdsl.runtime.world import AXES, Items, Population, World
-from antdsl.senses.neighbours import FieldOfView, TooManyNeighbours
+from antdsl.senses.neighbours import TooManyNeighboursError, ViewConeColumns
 from antdsl.source import Span
 
 Floats = NDArray[np.float32]
@@ -80,15 +80,15 @@ def find_pairs(
     view = None if node.attrs[1] else _read_view_cones(population, rows, cosine, len(own[0]))
     try:
         return _find_pairs_within(world, other, own, ids, radius, view, threads)
-    except TooManyNeighbours:
+    except TooManyNeighboursError:
         pass
     species = world.plan.species[population.name]
     count = count_nearest(species, node)
     try:
         if count is None:
-            raise TooManyNeighbours
+            raise TooManyNeighboursError
         return _find_pairs_within(world, other, own, ids, _shorten_radii(other, own, ids, radius, count), view, threads)
-    except TooManyNeighbours:
+    except TooManyNeighboursError:
         span = _find_set_use(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
         why = (
@@ -163,7 +163,7 @@ def _is_own_text(span: Span | None) -> bool:
     return span is not None and not span.source.path.startswith("<")
 
 
-def _read_view_cones(population: Population, rows: Any, cosine: Any, count: int) -> FieldOfView:
+def _read_view_cones(population: Population, rows: Any, cosine: Any, count: int) -> ViewConeColumns:
     """Return the heading of each requesting row, and the cosine of half its field of view."""
     hx, hy, hz = (population.start[f"heading.{axis}"][rows] for axis in AXES)
     return hx, hy, hz, np.full(count, cosine) if np.ndim(cosine) == 0 else cosine
@@ -175,7 +175,7 @@ def _find_pairs_within(
     own_positions: tuple[Floats, ...],
     ids: NDArray[np.int64] | None,
     radius: Any,
-    view: FieldOfView | None,
+    view: ViewConeColumns | None,
     threads: int,
 ) -> PairRows:
     """Return the pairs within a radius (mm) and in view, found with a cell grid."""

@@ -22,7 +22,7 @@ from antdsl.plan import ir
 from antdsl.runtime.clip_values import read_clip_value
 from antdsl.runtime.collisions import find_new_contacts
 from antdsl.runtime.moving import moving_geometry
-from antdsl.runtime.moving.clearance.obstacle_clearance import get_clearance, may_touch
+from antdsl.runtime.moving.clearance.obstacle_clearance import get_obstacle_clearance, is_contact_possible
 from antdsl.runtime.sensing.lamp_light import sense_light
 from antdsl.runtime.sensing.neighbourhood import compute_clear_velocity, find_widest_gap
 from antdsl.runtime.sensing.thing_senses import PLACED_THING_SENSES, Rows, SenseValue, count_rows, expand_to_rows, read_positions
@@ -166,7 +166,7 @@ def _sense_rays(world: World, population: Population, node: ir.PlanNode, rows: R
     feeler hits, the distance (mm) and the normal (x y z)."""
     name, start = node.attrs[0], population.start
     place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
-    clear = get_clearance(world, population, name)
+    clear = get_obstacle_clearance(world, population, name)
     levels = None if world.detail_levels is None else world.detail_levels.find_levels(world, population, name)
     which = [(world.obstacles[name], clear[rows])]
     if levels is not None and world.detail_levels is not None:
@@ -198,7 +198,7 @@ def _cast_remaining_feelers(
     with np.errstate(all="ignore"):
         wx, wy, wz, far = (np.concatenate([queries[each][1][k].take(rows) for each, rows in remaining_feelers]) for k in range(4))
         size = np.sqrt((wx * wx + wy * wy) + wz * wz)
-        near = (far > 0) & (far < np.inf) & may_touch(clear.take(row), far)
+        near = (far > 0) & (far < np.inf) & is_contact_possible(clear.take(row), far)
         sound = np.flatnonzero(near & (size > FLOAT32_MIN_VECTOR_LENGTH) & (size < np.inf))
         if not len(sound):
             return

@@ -84,7 +84,7 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
 
 
 def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
-    """Report a use of `light(THING)` if none of the items emits light, and lamps that a strength of 0 makes dark."""
+    """Report `light(THING)` without a light source, and lamps that a strength of 0 turns off."""
     lamps = [name for name, thing in scene.model.world.items() if _has_lamp(thing)]
     if scene.model.light.lamps == 0 and lamps:
         message = f"`lamps: 0` makes `{lamps[0]}` dark, in pictures and for `light({lamps[0]})`"

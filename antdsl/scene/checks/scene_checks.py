@@ -135,7 +135,7 @@ def _check_fields(scene: Scene, program: Program, report: Report) -> None:
 
 
 def resolve_layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
-    """Return the texts of a species' layers in the order of the scene, and the indices of the scene's wrong lines.
+    """Return a species' layers in the order of the scene, and the indices of wrong lines.
 
     A line is wrong if it matches no layer, or several. With wrong lines or missing layers, the texts are None."""
     layers = list(program.species[species].layers.layers)

@@ -44,7 +44,7 @@ def measure_closedness(corners: Index) -> tuple[int, bool]:
 
 
 def count_inward_pieces(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
-    """Return the number of closed pieces of a mesh that face inward, and of pieces with inconsistent orientation.
+    """Return how many closed pieces face inward, and how many have inconsistent orientation.
 
     A piece is connected across edges of two faces. An inward piece within the box of another piece is a hollow and not
     counted."""
@@ -112,7 +112,7 @@ def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
 
 @cached_per_mesh
 def _count_wrong_sides(mesh: MeshData) -> tuple[int, int]:
-    """Return the result of `count_inward_pieces` for a mesh: the numbers of inward and of inconsistent pieces."""
+    """Apply `count_inward_pieces` to a mesh."""
     return count_inward_pieces(mesh.vertices, mesh.faces)
 
 

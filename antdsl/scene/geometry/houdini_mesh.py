@@ -44,7 +44,7 @@ def read_houdini(data: bytes, notes: ImportNotes, group: str | None = None) -> P
 
 
 def read_houdini_by_name(data: bytes, notes: ImportNotes) -> dict[str, PolygonMesh]:
-    """Return the polygons of each value of the primitive attribute `name`, in the order of the file.
+    """Return the polygons for each value of the primitive attribute `name`.
 
     Names without polygons are left out. `notes` and errors are those of `read_houdini`."""
     document = HoudiniDocument(data)
@@ -245,7 +245,7 @@ def _turn_rows(vectors: Floats, matrix: Floats) -> Floats:
 
 
 def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: int) -> tuple[Integers, Integers]:
-    """Return the number of corners of each polygon of a primitive, and the vertices of all corners.
+    """Return the corner count of each polygon of a primitive, and the vertices of all corners.
 
     `number`: the number of polygons of a run. `vertex_count`: the number of vertices of the geometry."""
     none = np.zeros(0, np.int64)

@@ -327,7 +327,7 @@ _STRUCT_CODE_BY_DTYPE = {
 def _make_value_reader(
     order: str, kind: str, count: str | None
 ) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
-    """Return the number of bytes of a value, the reader of a list's length, and the number of bytes of this length.
+    """Return the size of a value in bytes, a reader for list lengths, and the size of a length.
 
     For a property that is no list, the last two are None and 0. `kind`, `count`: the types of the value and of the length."""
     read = None if count is None else struct.Struct(order + _STRUCT_CODE_BY_DTYPE[count])

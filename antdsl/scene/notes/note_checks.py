@@ -166,7 +166,7 @@ class _NoteCheck:
         self.report.warning("out-of-range", message, self.scene.span(*self.path, key), help)
 
     def _list_things(self, *groups: str) -> frozenset[str]:
-        """Return the names of the things of the world with data in some mappings of the setting."""
+        """Return the names of the world's things in some groups."""
         things = self.program.world.items()
         return frozenset(name for name, t in things if t.kind in SCENE_KINDS and SCENE_KINDS[t.kind].group in groups)
 

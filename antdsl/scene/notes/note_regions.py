@@ -46,7 +46,7 @@ _CurveOrTargets = Annotated[
 
 
 def _find_centre_tag(value: Any) -> str:
-    """Return the kind of a centre: a list of names is a list of agents, any other list is a point."""
+    """Return the kind of a centre. A list of names means agents, any other list is a point."""
     is_point = isinstance(value, list) and not all(isinstance(each, dict) or str(each)[:1].isalpha() for each in value)
     return "point" if is_point else "agents-or-item"
 

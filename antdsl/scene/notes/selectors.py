@@ -291,7 +291,7 @@ def find_problems(
     others: frozenset[str] = frozenset(),
     what: str = _NO_AGENTS,
 ) -> Iterator[SelectorProblem]:
-    """Yield the names of a selector, or of the selector keys of a line, that do not exist. `others` and `what`: as for
+    """Yield the unknown names of a selector or of its keys. `others` and `what`: as for
     `find_name_problems`, of a selector that is only a name."""
     if isinstance(selector, AgentName):
         yield from find_name_problems(selector, names, path, others, what)
@@ -322,7 +322,7 @@ def find_problems(
 def find_name_problems(
     name: AgentName, names: SelectorNames, path: tuple[PathKey, ...], others: frozenset[str] = frozenset(), what: str = _NO_AGENTS
 ) -> Iterator[SelectorProblem]:
-    """Yield the problem of a name that is neither of agents nor one of the `others`. `what`: the message before the name."""
+    """Yield a problem if a name is neither that of agents nor one of the `others`. `what`: the message before the name."""
     if name.first is None and name.name in others:
         return
     count = names.lines.get(name.name)

@@ -31,7 +31,7 @@ _MIX_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerprintColumn:
-    """One attribute of all agents of a species, all items of a name or all cells of a field. Agents are sorted by id.
+    """One attribute of all agents of a species, of all items of a name or of all cells of a field. Agents are sorted by id.
 
     `report_rank`: the order in reports. `is_opaque`: the values mean nothing to a reader. `item_names`: of items, by number."""
 
@@ -112,7 +112,7 @@ def build_columns(world: World, program: Program) -> dict[str, FingerprintColumn
             for key, amounts in sorted(items.amounts.items())
         ]
     for name, field in sorted(world.fields.items()):
-        values = np.asarray(field.values, np.float64)
+        values = np.asarray(field.amounts, np.float64)
         column_list.append(FingerprintColumn(name, "", 3, np.arange(len(values)), values))
     for name, parts in sorted(_compute_part_digests(world).items()):
         column_list.append(
@@ -128,7 +128,7 @@ def _compute_part_digests(world: World) -> dict[str, bytes]:
 
     digests = {name: volume.compute_digest() for name, volume in world.solids.items()}
     for name, flow in world.flows.items():
-        state = b"".join(key.encode() + array.tobytes() for key, array in sorted(flow.state().items()))
+        state = b"".join(key.encode() + array.tobytes() for key, array in sorted(flow.get_state().items()))
         if state:
             digests[name] = sha256(state).digest()
     return digests

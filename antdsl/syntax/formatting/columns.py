@@ -32,7 +32,7 @@ class LayoutRow:
 
 
 def split_cells(statement: LayoutStatement) -> tuple[str, list[Sequence[LayoutNode | LayoutBlock]]]:
-    """Return the kind of a one-line statement, and the parts of each of its cells. The last cell is the help text.
+    """Return the kind of a one-line statement, and its cells. The last cell is the help text.
 
     Statements of one kind are aligned with each other. A statement without marks has one cell."""
     parts, words = statement.parts, statement.first_words

@@ -77,7 +77,7 @@ def read_items(file: n.File) -> list[LayoutItem]:
 
 
 def _find_call_ends_and_minus_signs(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
-    """Return the end offsets of the names of called functions, and the offsets of minus signs with one operand."""
+    """Return the end offsets of called function names, and the offsets of unary minus signs."""
     calls: set[int] = set()
     minus: set[int] = set()
     stack: list[Any] = [file.items]

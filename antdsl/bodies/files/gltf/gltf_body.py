@@ -120,7 +120,7 @@ def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Ri
 
 
 def _replace_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
-    """Return a rig in which joints that `pose` has too, by name, have the rest pose of `pose`."""
+    """Replace the rest pose of each joint that also exists in `pose`. Return the new rig."""
     if pose is None:
         return rig
     rest, known = rig.rest.copy(), {name: number for number, name in enumerate(pose.names)}

@@ -274,7 +274,8 @@ def _read_capture(body: GltfBody, pieces: _MeshPieces, skin: dict[str, Any], nam
 def normalise_capture(
     joints: NDArray[np.int64], weights: Floats, count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
-    """Return joints int32[P, K], weights float32[P, K] that add up to 1, and the number of points that followed no joint.
+    """Scale the weights of each point to a sum of 1. Return joints int32[P, K], weights float32[P, K], and the number of points
+    without a joint.
 
     Unused columns are removed. A point without a joint follows joint 0. `count`: number of joints. Raises BodyError for a joint
     number out of range."""
@@ -290,7 +291,7 @@ def normalise_capture(
 
 
 def build_rigid_capture(joint: str, points: int) -> Capture:
-    """Return a capture in which all points follow one joint and have positions in the space of that joint.
+    """Return a capture that binds all points to one joint, with positions in the space of this joint.
 
     With it, a blended shape moves with the joint. `points`: number of points."""
     return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])

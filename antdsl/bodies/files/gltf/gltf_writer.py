@@ -48,7 +48,7 @@ class GltfWriter:
         return len(self._lists[key]) - 1
 
     def get_part(self, key: str, number: int) -> Entry:
-        """Return a part that was added, so that the caller can extend it."""
+        """Return a part that was added before. The caller may extend it."""
         return self._lists[key][number]
 
     def add_extension(self, name: str, entry: Entry) -> None:

@@ -59,7 +59,7 @@ def text(_: llvm_compiler.Target) -> str:
 
 
 def _render_reader(name: str, number: int) -> str:
-    """Return the text of a function `name` that returns entry `number` of the table of Python addresses."""
+    """Return the text of a function that returns entry `number` of the table of Python addresses."""
     return (
         f"define internal ptr @{name}(ptr %here) alwaysinline {{\n  %at = getelementptr ptr, ptr %here, i64 {number}\n"
         "  %found = load ptr, ptr %at\n  ret ptr %found\n}"

@@ -181,7 +181,7 @@ def find_matching_species(manifest: Manifest, other: Manifest) -> list[int]:
 
 
 def _describe_species(species: SpeciesEntry, manifest: Manifest) -> Any:
-    """Return a description of a species that is equal for species that can be merged."""
+    """Return a value that is equal for species that can be merged."""
     worn = species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)
     digests = [None if each.definition is None else manifest.bodies[each.definition].digest for each in worn]
     plain = species.model_dump(exclude={"definition", "bodies", "copies", "merged"})

@@ -41,7 +41,7 @@ _ROTATION_SIGN = np.array([-1.0, -1.0, 1.0, 1.0])  # of rotations there, x y z w
 
 @dataclass(frozen=True, eq=False)
 class MirrorLayer(EditLayer):
-    """A view of a cache in which some agents are mirrored, so that their left and right sides are exchanged.
+    """A view of a cache with some agents mirrored: left and right are exchanged.
 
     The ground is not mirrored: agents keep their height above it."""
 

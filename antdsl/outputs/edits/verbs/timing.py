@@ -72,7 +72,7 @@ class TimeMap:
     shift: float = 0.0
 
     def find_time(self, frame: float) -> tuple[float, float]:
-        """Return the time that a frame shows, in frames, and the speed at which time passes there."""
+        """Return the source time that a frame shows (in frames), and the speed of time there."""
         delay, slowness = self._find_delay(frame)
         return frame + self.shift - delay, 1.0 - slowness
 
@@ -113,7 +113,7 @@ def read_agents_at(cache: Cache, time: float, selection: Selection) -> dict[str,
 
 
 def read_shifted(cache: Cache, time_map: TimeMap, number: int, selection: Selection) -> dict[str, NDArray[Any]]:
-    """Return the selected agents at the time that a frame shows, with the velocities and events of that frame."""
+    """Return the selected agents at the time that a frame shows."""
     (time, speed), frames = time_map.find_time(number), cache.frames()
     agents = read_agents_at(cache, time, selection)
     speed = speed if frames[0] <= time <= frames[-1] else 0.0
@@ -146,7 +146,7 @@ class TimeLayer(EditLayer):
         return time != number or speed != 1.0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame in which the selected agents are those of the time that it shows."""
+        """Return a frame with the selected agents taken from the time that it shows."""
         agents = read_shifted(self.source, self.time_map, number, self.selection)
         others = keep_rows(arrays, self.manifest, lambda keys: ~self.selection.find(keys))
         return join_frames(others, agents, self.manifest)

@@ -16,7 +16,7 @@ AddressKey = tuple[Hashable, ...]
 
 @dataclass(slots=True, eq=False)
 class AddressLayout:
-    """The index of each input of a block's machine code, in a table of addresses and a table of numbers.
+    """The inputs of a block's machine code, numbered in a table of addresses and a table of numbers.
 
     `pointer_indices`: for each key, the index in the table of addresses. Entry 0 is the address of the table of numbers.
     `number_indices`: for each key, the index in the table of numbers, eight bytes each.
@@ -35,6 +35,6 @@ class AddressLayout:
         return self.number_indices.setdefault(key, len(self.number_indices))
 
     def find_array_index(self, slot: int, part: int, kind: str) -> int:
-        """Return the index of the address of the array in which part `part` of a slot's value is stored. `kind`: its kind."""
+        """Return the index of the address at which a part of a slot is stored. `kind`: its kind."""
         self.array_kinds[slot, part] = kind
         return self.find_pointer_index("array", slot, part)

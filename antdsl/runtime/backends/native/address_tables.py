@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.pheromone import PheromoneField
-from antdsl.fields.threshold_cells import CellsAboveThreshold
+from antdsl.fields.threshold_cells import CellsNearThreshold
 from antdsl.machine_code.memory import array_address
 from antdsl.numerics import randomness
 from antdsl.plan import ir
@@ -26,7 +26,7 @@ from antdsl.runtime.backends.native.block_writer import BlockCode
 from antdsl.runtime.backends.native.lane_memory import LaneMemories, LaneMemory
 from antdsl.runtime.backends.native.padded_arrays import PaddedArrays, PaddedCopy
 from antdsl.runtime.clip_values import find_table_starts, make_clip_table
-from antdsl.runtime.moving.clearance.obstacle_clearance import get_clearance
+from antdsl.runtime.moving.clearance.obstacle_clearance import get_obstacle_clearance
 from antdsl.runtime.world import Population, World
 
 AddressFinder = Callable[[World, Population], int]
@@ -36,7 +36,7 @@ TableWords = NDArray[np.int64]
 
 
 class WatchedArrays:
-    """The arrays of one object of the world, of which machine code needs the current addresses.
+    """Arrays of one world object. Machine code needs their current addresses.
 
     `find_holder`: returns the object. `get_arrays`: returns its arrays, or an object that changes when they change.
     `write_addresses`: writes the addresses, and may replace arrays by padded ones. It is called if the result of `get_arrays`
@@ -55,7 +55,7 @@ class WatchedArrays:
 
 
 class AddressTables:
-    """The inputs of the machine code of one block of one species.
+    """The inputs of the machine code of one block.
 
     They are the tables of addresses and numbers, which all threads read, and `lanes`, the memories of the block's parts."""
 
@@ -253,7 +253,7 @@ class AddressTables:
         return find_event_address
 
     def _make_sorted_ids_finder(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the address of the sorted ids of another species, or of the rows of these ids."""
+        """Return a function that finds the address of another species' sorted ids, or of their rows."""
         copy, species, which = self._padded_arrays.copy(*key), str(key[1]), key[2] != "sorted ids"
 
         def find_sorted_ids(world: World, population: Population) -> int:
@@ -264,7 +264,7 @@ class AddressTables:
 
     def _make_clearance_finder(self, key: AddressKey) -> AddressFinder:
         copy, name = self._get_copy(key), str(key[1])
-        return lambda world, population: copy.update(get_clearance(world, population, name), np.float32)
+        return lambda world, population: copy.update(get_obstacle_clearance(world, population, name), np.float32)
 
     def _make_clip_finder(self, key: AddressKey) -> AddressFinder:
         copy, what = self._get_copy(key), str(key[1])
@@ -283,14 +283,14 @@ class AddressTables:
         """Return a function that finds the address of the counts that tell near which cells a field reaches a threshold."""
         _, name, count, bound = key
         numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.find_number_index("node", bound)
-        reached: CellsAboveThreshold | None = None
+        reached: CellsNearThreshold | None = None
 
         def find_threshold_cells(world: World, population: Population) -> int:
             nonlocal reached
             field, least = world.fields[str(name)], numbers[place]
-            if reached is None or not reached.matches(field, least):
-                reached = CellsAboveThreshold(field, least, int(str(count)))
-            return array_address(reached.get_current_counts(world.options.threads))
+            if reached is None or not reached.has_same_settings(field, least):
+                reached = CellsNearThreshold(field, least, int(str(count)))
+            return array_address(reached.update_counts(world.options.threads))
 
         return find_threshold_cells
 

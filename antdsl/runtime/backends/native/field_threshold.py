@@ -16,7 +16,7 @@ _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge"))
 
 
 def read_own_cell(w: Any, field: str) -> Lanes:
-    """Return the cell of each of the eight agents in a field; the number of cells for an agent without a cell."""
+    """Return the field cell of each of the eight agents. Agents without a cell get the number of cells."""
     cell = w.builder.load_lanes(w.array_address("cell", field), w.row, I32)
     cell_number: Lanes = w.builder.select_lanes(cell < 0, w.read_uniform(I32, "cells", field), cell)
     return cell_number

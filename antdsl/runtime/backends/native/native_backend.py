@@ -161,7 +161,7 @@ class NativeBackend(NumpyBackend):
         for lane in tables.lanes.every:
             for field, laid in lane.deposit_flags.items():
                 if laid[0]:
-                    world.fields[field].mark_pending()
+                    world.fields[field].mark_deposits_pending()
                     laid[0] = False
         for number in range(len(near)):
             key, widest = (name, block, number), [lane.max_radii[number] for lane in tables.lanes.every]

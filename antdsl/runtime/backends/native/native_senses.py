@@ -17,7 +17,7 @@ from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND
 from antdsl.runtime.backends.native.block_writer import FunctionWriter, NodeLowerer
 from antdsl.runtime.backends.native.field_threshold import read_own_cell
 from antdsl.runtime.backends.native.float4 import load_quadruples
-from antdsl.runtime.moving.clearance.obstacle_clearance import may_touch
+from antdsl.runtime.moving.clearance.obstacle_clearance import is_contact_possible
 from antdsl.runtime.sensing.world_senses import NO_HIT
 from antdsl.runtime.world import AXES
 
@@ -320,7 +320,7 @@ def _emit_may_hit(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
     """Return the mask of agents that may hit the obstacle with a ray."""
     reach = args[3]
     clear = w.builder.load_lanes(w.array_address("clear", node.attrs[0]), w.row, F32)
-    is_near: Lanes = (reach > 0) & (reach < np.inf) & may_touch(clear, reach)
+    is_near: Lanes = (reach > 0) & (reach < np.inf) & is_contact_possible(clear, reach)
     return is_near
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.fields.pheromone import DEPOSIT_UNIT, MAX_DEPOSIT
+from antdsl.fields.pheromone import DEPOSIT_QUANTUM, MAX_DEPOSIT
 from antdsl.machine_code.lanes import Lanes
 from antdsl.machine_code.number_kinds import F32, F64, FLOAT_KINDS, I8, I32, I64, LANE_COUNT
 from antdsl.plan import ir
@@ -32,7 +32,7 @@ def _emit_deposit(b: BlockWriter, instruction: BlockInstruction, statement: ir.R
     with e.write_if(e.any_lane(laid)):
         wide = e.clamp(e.convert(amount, F64), e.make_constant(-MAX_DEPOSIT, F64), e.make_constant(MAX_DEPOSIT, F64))
         amounts, cells = e.allocate_slot(I64, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT)
-        e.store_number(amounts, e.to_int64(wide / DEPOSIT_UNIT))
+        e.store_number(amounts, e.to_int64(wide / DEPOSIT_QUANTUM))
         e.store_number(cells, cell)
         bits = e.mask_to_i64(laid)
         pending = b.array_address("field", name, "pending_deposits")

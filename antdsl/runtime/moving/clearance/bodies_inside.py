@@ -9,7 +9,7 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
-from antdsl.runtime.moving.clearance.body_tables import body_shapes, contact_faces
+from antdsl.runtime.moving.clearance.body_tables import compute_unit_shapes, make_contact_faces
 from antdsl.runtime.moving.clearance.clearance_kernels import shift_bodies
 from antdsl.runtime.world import Population, World
 
@@ -33,7 +33,7 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     is also inside if a face is nearer to the axis than the radius, less 1 % of the body length. It is inside a solid if the solid
     is that near to an end or the middle of the axis."""
     now, count = population.now, len(rows)
-    size, (shapes, body) = now["size"].take(rows).astype(np.float64), body_shapes(world, population, 0.0)
+    size, (shapes, body) = now["size"].take(rows).astype(np.float64), compute_unit_shapes(world, population, 0.0)
     depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)
     poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
     zero = np.zeros(len(population), np.float32)
@@ -45,7 +45,7 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
         limits = BodyLimits(zero, zero, _F(1), now["size"], zero, shapes, body, np.inf, np.inf)
         old = vec.take_rows(lift, rows)
         shift_bodies(
-            *contact_faces(world, walk, count, 1),
+            *make_contact_faces(world, walk, count, 1),
             rows,
             BodyStances(population.position, population.normal, poses),
             limits,

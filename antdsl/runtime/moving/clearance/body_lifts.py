@@ -20,72 +20,74 @@ from antdsl.machine_code.kernels import kernel, kernel_helper, load_consecutive,
 from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, dot, load_vector, minus, plus, times
 from antdsl.runtime.moving.body_records import (
-    MAX_LIFT_PER_BODY,
+    MAX_LIFT_BODY_LENGTHS,
     SHARP_BEND_LEVEL,
     BodyLimits,
     BodyPoses,
     BodyRegisters,
-    get_shape,
+    compute_body_shape,
 )
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 from antdsl.runtime.moving.postures import read_vector
-from antdsl.runtime.moving.velocities import HURRYING_STATE, STANDING_STATE
+from antdsl.runtime.moving.velocities import HURRYING_BODY_STATE, STANDING_BODY_STATE
 
 _F = np.float32
 
 
 @kernel
-def select_rows(
-    levels: Array1[U8],
+def select_bodies_near_bends(
+    bend_levels: Array1[U8],
     heading: VectorColumns,
     state: Array1[I32],
-    looking: VectorColumns,
-    retained: BodyRegisters,
+    level_headings: VectorColumns,
+    registers: BodyRegisters,
     rows: Array1[I64],
-    row_levels: Array1[U8],
+    selected_bend_levels: Array1[U8],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Write the agents from `begin` to before `end` that may need shorter steps to `rows`, from index `begin` on.
 
-    Returns `begin` and their number. `levels`: how sharply the ground around each agent bends, 0 if it does not.
-    All agents on ground that bends get a `state` that aligns their bodies after the walk. `looking` receives their headings.
-    `row_levels` receives the `levels` of the written agents."""
+    Returns `begin` and their number. `bend_levels`: how sharply the ground around each agent bends, 0 if it does not.
+    All agents on ground that bends get a `state` that aligns their bodies after the walk. `level_headings` receives their
+    headings.
+    `selected_bend_levels` receives the `bend_levels` of the written agents."""
     count = begin
     for i in range(begin, end):
-        if levels[i] > 0 and state[i] == STANDING_STATE:
-            state[i] = HURRYING_STATE
+        if bend_levels[i] > 0 and state[i] == STANDING_BODY_STATE:
+            state[i] = HURRYING_BODY_STATE
             for k in range(3):
-                looking[k][i] = heading[k][i]
+                level_headings[k][i] = heading[k][i]
         waits = (
-            retained.wait_share[i] != 0
-            or retained.outward_direction[0][i] != 0
-            or retained.outward_direction[1][i] != 0
-            or retained.outward_direction[2][i] != 0
+            registers.wait_share[i] != 0
+            or registers.outward_direction[0][i] != 0
+            or registers.outward_direction[1][i] != 0
+            or registers.outward_direction[2][i] != 0
         )
-        if levels[i] == SHARP_BEND_LEVEL or waits:
-            rows[count], row_levels[count] = i, levels[i]
+        if bend_levels[i] == SHARP_BEND_LEVEL or waits:
+            rows[count], selected_bend_levels[count] = i, bend_levels[i]
             count += 1
     return begin, count - begin
 
 
 class LiftLists(NamedTuple):
-    """The lists that `list_bodies` writes: `rows` with their bend `levels`, and `climbers`. `kind`: a work buffer."""
+    """The lists that `list_bodies_to_lift` writes: `rows` with their bend `bend_levels`, and `climbers`. `list_kinds`: a work
+    buffer."""
 
     rows: Array1[I64]
-    levels: Array1[U8]
+    bend_levels: Array1[U8]
     climbers: Array1[I64]
-    kind: Array1[U8]
+    list_kinds: Array1[U8]
 
 
 @kernel
-def list_bodies(
+def list_bodies_to_lift(
     surface: SurfaceTables,
     feet: FootingArrays,
     has_bend: Array1[BOOL],
     state: Array1[I32],
-    levels: Array1[U8],
-    retained: BodyRegisters,
+    bend_levels: Array1[U8],
+    registers: BodyRegisters,
     lists: LiftLists,
     begin: I64,
     end: I64,
@@ -99,20 +101,20 @@ def list_bodies(
         climbs = False
         if feet.mesh[row] >= 0 and feet.face[row] >= 0:
             climbs = has_bend[first[feet.mesh[row]] + feet.face[row]]
-        x, y, z = retained.lift[0][row], retained.lift[1][row], retained.lift[2][row]
-        shifted = (x != 0) | (y != 0) | (z != 0) | (retained.depth[row] != 0) | (retained.wait_share[row] != 0)
-        is_listed = (levels[row] > 0) | (shifted & (not climbs) & (state[row] != STANDING_STATE))
+        x, y, z = registers.lift[0][row], registers.lift[1][row], registers.lift[2][row]
+        shifted = (x != 0) | (y != 0) | (z != 0) | (registers.penetration_depth[row] != 0) | (registers.wait_share[row] != 0)
+        is_listed = (bend_levels[row] > 0) | (shifted & (not climbs) & (state[row] != STANDING_BODY_STATE))
         kind[row] = 1 if is_listed else 2 if climbs else 0
         if is_listed:
-            state[row] = STANDING_STATE
+            state[row] = STANDING_BODY_STATE
         elif shifted:
-            retained.depth[row], retained.wait_share[row] = _F(0), _F(0)
+            registers.penetration_depth[row], registers.wait_share[row] = _F(0), _F(0)
             if not climbs:
                 for axis in range(3):
-                    retained.lift[axis][row] = _F(0)
+                    registers.lift[axis][row] = _F(0)
     count, raised = begin, begin
     for row in range(begin, end):
-        rows[count], row_levels[count], climbers[raised] = row, levels[row], row
+        rows[count], row_levels[count], climbers[raised] = row, bend_levels[row], row
         count += kind[row] == 1
         raised += kind[row] == 2
     return begin, count - begin, raised - begin
@@ -124,7 +126,7 @@ def lift_bodies(
     feet: FootingArrays,
     pose: BodyPoses,
     limits: BodyLimits,
-    retained: BodyRegisters,
+    registers: BodyRegisters,
     rows: Array1[I64],
     begin: I64,
     end: I64,
@@ -135,25 +137,25 @@ def lift_bodies(
         size, up, heading = np.float64(limits.size[i]), read_vector(pose.up, i), read_vector(pose.heading, i)
         has_face = feet.mesh[i] >= 0 and feet.face[i] >= 0
         f, weights = surface.first[max(feet.mesh[i], 0)] + max(feet.face[i], 0), (feet.b1[i], feet.b2[i])
-        rise = _face_lift(surface.table, surface.link, f, weights, get_shape(limits, i, size), up, heading)
-        old = read_vector(retained.lift, i)
-        change = minus(times(up, min(rise, MAX_LIFT_PER_BODY * size) if has_face else 0.0), old)
-        lift = plus(old, times(change, min(limits.ease * size / max(np.sqrt(dot(change, change)), 1e-300), 1.0)))
+        rise = _compute_face_lift(surface.table, surface.link, f, weights, compute_body_shape(limits, i, size), up, heading)
+        old = read_vector(registers.lift, i)
+        change = minus(times(up, min(rise, MAX_LIFT_BODY_LENGTHS * size) if has_face else 0.0), old)
+        lift = plus(old, times(change, min(limits.voluntary_shift * size / max(np.sqrt(dot(change, change)), 1e-300), 1.0)))
         for axis in range(3):
-            retained.lift[axis][i] = _F(lift[axis])
+            registers.lift[axis][i] = _F(lift[axis])
 
 
 @kernel_helper
-def _face_lift(
-    table: Array1[F64], link: Array2[I32], f: I64, weights: TriangleWeights, shape: BodyShape, up: Vec3, heading: Vec3
+def _compute_face_lift(
+    table: Array1[F64], link: Array2[I32], face: I64, weights: TriangleWeights, shape: BodyShape, up: Vec3, heading: Vec3
 ) -> F64:
     """Return how far (mm) both ends of a body must rise along its up, to clear its face and the faces that rise beyond its
     edges."""
-    row, lift = ROW_FLOATS * f, 0.0
+    row, lift = ROW_FLOATS * face, 0.0
     own = load_vector(table, row + NORMAL_OFFSET)
     side = -1.0 if dot(own, up) < 0 else 1.0
     own, place = times(own, side), position_on_face(table, row, weights, side)
-    middle = plus(times(up, shape.height), times(heading, shape.ahead))
+    middle = plus(times(up, shape.middle_height), times(heading, shape.middle_forward_offset))
     _, along, slant, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
     for edge in range(4):
         normal, corner = own, place
@@ -164,10 +166,10 @@ def _face_lift(
                 weight, x, y = weights[0], along, -shear
             if edge == 2:
                 weight, x, y = weights[1], 0.0, slant
-            reach = shape.half + shape.radius + abs(shape.ahead)
+            reach = shape.axis_half_length + shape.radius + abs(shape.middle_forward_offset)
             if weight * weight > (x * x + y * y) * reach * reach:
                 continue
-            beyond = np.int64(link[1 if side < 0 else 0, 3 * f + edge])
+            beyond = np.int64(link[1 if side < 0 else 0, 3 * face + edge])
             if beyond < 0:
                 continue
             other = ROW_FLOATS * (beyond >> 3)
@@ -181,7 +183,7 @@ def _face_lift(
             if dot(minus(center, corner), normal) <= 0:
                 continue
         for end in range(2):
-            tip = plus(middle, times(heading, shape.half if end == 0 else -shape.half))
+            tip = plus(middle, times(heading, shape.axis_half_length if end == 0 else -shape.axis_half_length))
             gap = dot(minus(plus(place, tip), corner), normal)
             lift = max(lift, (shape.radius - gap) / max(dot(normal, up), 0.5))
     return lift

@@ -22,75 +22,80 @@ from antdsl.numerics.kernel_vectors import Vec3, clamp_weights, cross, dot, load
 _F = np.float32
 MAX_VALLEY_TURN = 2.0  # radians; a valley with a larger turn is a wall
 MAX_PATH_EDGES = 16  # maximum number of edges that a path crosses on each side of the feet
-POINT_FLOATS = 8  # floats of a path point: position, normal of the face that begins there, distance, whether that face rises
-NORMAL_AT, DISTANCE_AT, RISE_AT = 3, 6, 7
-PATH_FLOATS = POINT_FLOATS * (MAX_PATH_EDGES + 2)  # points of one side: the feet, the edges, and the end
+FLOATS_PER_PATH_POINT = (
+    8  # floats of a path point: position, normal of the face that begins there, distance, whether that face rises
+)
+NORMAL_OFFSET_IN_POINT, DISTANCE_OFFSET_IN_POINT, RISE_OFFSET_IN_POINT = 3, 6, 7
+FLOATS_PER_PATH = FLOATS_PER_PATH_POINT * (MAX_PATH_EDGES + 2)  # points of one side: the feet, the edges, and the end
 
 
 class GroundBend(NamedTuple):
     """The mean rotation of the ground's normal along a path, and the size of the path's height profile.
 
     `roll`, `pitch`: the components of the rotation vector (radians), along the path and to the left.
-    `count`: the number of points of the profile."""
+    `point_count`: the number of points of the profile."""
 
     roll: F64
     pitch: F64
-    count: I64
+    point_count: I64
 
 
 class BodyShape(NamedTuple):
     """The capsule of a trunk (mm): half the length of its axis, its radius, and the position of its middle.
 
-    `height`, `ahead`: how far the middle is above the feet, and ahead of them."""
+    `middle_height`, `middle_forward_offset`: how far the middle is above the feet, and ahead of them."""
 
-    half: F64
+    axis_half_length: F64
     radius: F64
-    height: F64
-    ahead: F64
+    middle_height: F64
+    middle_forward_offset: F64
 
 
 @inlined
-def put_point(points: Array1[F64], k: I64, place: Vec3, normal: Vec3, distance: F64, rise: F64) -> None:
-    """Write point `k` of a path to `points`: its position, its normal, its distance along the path, and its height `rise`."""
-    row = POINT_FLOATS * k
-    points[row], points[row + 1], points[row + 2] = place
+def write_path_point(points: Array1[F64], index: I64, position: Vec3, normal: Vec3, distance: F64, rise: F64) -> None:
+    """Write point `index` of a path to `points`: its position, its normal, its distance along the path, and its height `rise`."""
+    row = FLOATS_PER_PATH_POINT * index
+    points[row], points[row + 1], points[row + 2] = position
     points[row + 3], points[row + 4], points[row + 5] = normal
     points[row + 6], points[row + 7] = distance, rise
 
 
 class FacesNearby(NamedTuple):
-    """The first `count` faces of the list `faces`, which are near a body. The other fields are as in `FaceSearch`."""
+    """The first `face_count` faces of the list `faces`, which are near a body. The other fields are as in `FaceSearch`."""
 
-    boxes: BoxTree
+    box_tree: BoxTree
     faces: FaceList
-    count: I64
-    pieces: Array1[I32]
-    cuts: Array1[I64]
+    face_count: I64
+    piece_numbers: Array1[I32]
+    cut_starts: Array1[I64]
 
 
 @inlined
-def is_crossing(nearby_faces: FacesNearby, f: I64, other: I64) -> BOOL:
-    """Return whether face `other` may cross face `f`: it is of another mesh piece, or faces of their piece cut both."""
-    pieces, cuts = nearby_faces.pieces, nearby_faces.cuts
-    return pieces[f] != pieces[other] or (cuts[f + 1] > cuts[f] and cuts[other + 1] > cuts[other] and f != other)
+def may_faces_cross(nearby_faces: FacesNearby, face: I64, other_face: I64) -> BOOL:
+    """Return whether face `other_face` may cross face `face`: it is of another mesh piece, or faces of their piece cut both."""
+    pieces, cuts = nearby_faces.piece_numbers, nearby_faces.cut_starts
+    return pieces[face] != pieces[other_face] or (
+        cuts[face + 1] > cuts[face] and cuts[other_face + 1] > cuts[other_face] and face != other_face
+    )
 
 
 @kernel_helper
-def trace_bends(
-    surface: SurfaceTables, nearby_faces: FacesNearby, start: FaceWalker, window: F64, eye: F64, points: Array1[F64]
+def measure_ground_bend(
+    surface: SurfaceTables, nearby_faces: FacesNearby, start: FaceWalker, path_length: F64, probe_height: F64, points: Array1[F64]
 ) -> GroundBend:
-    """Walk a path of length `window` (mm). Return the turn of the ground along it, as a mean over the path and its mirror image.
+    """Walk a path of length `path_length` (mm). Return the turn of the ground along it, as a mean over the path and its mirror
+    image.
 
-    If a face of `nearby_faces` crosses the path at the height `eye` (mm), the path continues on that face. `points` receives the
-    positions of the feet, of the edges and of the end of the path."""
+    If a face of `nearby_faces` crosses the path at the height `probe_height` (mm), the path continues on that face. `points`
+    receives the positions of the feet, of the edges and of the end of the path."""
     table, link, forked, _ = surface
-    walker, left, roll, pitch, count, climb, walks = start, window, 0.0, 0.0, 0, 0.0, True
+    walker, left, roll, pitch, count, climb, walks = start, path_length, 0.0, 0.0, 0, 0.0, True
     normal = times(load_vector(table, ROW_FLOATS * start.face + NORMAL_OFFSET), start.side)
     while walks:
         f, (b1, b2), side, (c, s), heading = walker
         row = ROW_FLOATS * f
         place = position_on_face(table, row, (b1, b2), side)
-        put_point(points, count, place, normal, window - left, climb)
+        write_path_point(points, count, place, normal, path_length - left, climb)
         count += 1
         _, along, slant, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
         rate1, rate2 = c * along - s * shear, s * slant
@@ -110,17 +115,17 @@ def trace_bends(
         axis1, axis2 = load_vector(table, row + AXIS1_OFFSET), load_vector(table, row + AXIS2_OFFSET)
         travel = plus(times(axis1, c), times(axis2, s))
         meets = False
-        if nearby_faces.count > 0 and count <= MAX_PATH_EDGES:
+        if nearby_faces.face_count > 0 and count <= MAX_PATH_EDGES:
             hit = find_first_hit(
                 table,
-                nearby_faces.boxes,
+                nearby_faces.box_tree,
                 nearby_faces.faces,
-                nearby_faces.count,
-                plus(place, times(normal, eye)),
+                nearby_faces.face_count,
+                plus(place, times(normal, probe_height)),
                 times(travel, length),
                 0.0,
             )
-            if hit.face >= 0 and is_crossing(nearby_faces, f, hit.face):
+            if hit.face >= 0 and may_faces_cross(nearby_faces, f, hit.face):
                 meets, walks = True, True
                 length = hit.path_fraction * length
                 other = load_vector(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
@@ -144,7 +149,7 @@ def trace_bends(
         is_wall = walks and turn * aside < 0 and abs(turn) > MAX_VALLEY_TURN
         if is_wall or not walks:
             end = position_on_face(table, row, weights, side)
-            put_point(points, count, end, normal, window - max(left, 0.0), -1.0 if is_wall else 0.0)
+            write_path_point(points, count, end, normal, path_length - max(left, 0.0), -1.0 if is_wall else 0.0)
             count += 1
             walks = False
         else:
@@ -152,22 +157,24 @@ def trace_bends(
             pitch += turn * aside * left
             climb = max(-turn * aside, 0.0)
             normal = other
-    share = 0.5 / window
+    share = 0.5 / path_length
     return GroundBend(roll * share, pitch * share, count)
 
 
 @kernel_helper
-def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3, up: Vec3, heading: Vec3, max_rise: F64) -> F64:
+def compute_lift_over_profile(
+    points: Array1[F64], count: I64, shape: BodyShape, position: Vec3, up: Vec3, heading: Vec3, max_rise: F64
+) -> F64:
     """Return how far (mm) a body must rise along its up to clear the profile below it, at most `max_rise`.
 
-    The body stands at `place`. The capsule must clear each point of the profile. Its ends must also clear the lines between the
-    points."""
+    The body stands at `position`. The capsule must clear each point of the profile. Its ends must also clear the lines between
+    the points."""
     lift = 0.0
     old_x, old_y = 0.0, 0.0
     for k in range(count):
-        away = minus(load_vector(points, POINT_FLOATS * k), place)
-        x, y = dot(away, heading) - shape.ahead, dot(away, up) - shape.height
-        off = max(abs(x) - shape.half, 0.0)
+        away = minus(load_vector(points, FLOATS_PER_PATH_POINT * k), position)
+        x, y = dot(away, heading) - shape.middle_forward_offset, dot(away, up) - shape.middle_height
+        off = max(abs(x) - shape.axis_half_length, 0.0)
         if off < shape.radius:
             lift = max(lift, y + np.sqrt(shape.radius * shape.radius - off * off))
         if k > 0:
@@ -180,7 +187,7 @@ def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3,
                 if ny < 0:
                     nx, ny = -nx, -ny
                 for end in range(2):
-                    center = shape.half if end == 0 else -shape.half
+                    center = shape.axis_half_length if end == 0 else -shape.axis_half_length
                     ex, ey = center - old_x, -old_y
                     if ny > 0.1:
                         rise = (shape.radius - (ex * nx + ey * ny)) / ny

@@ -21,13 +21,13 @@ from antdsl.runtime.world import Population, World
 
 ROWS_PER_THREAD = 32  # fewer rows are not worth another thread
 _F = np.float32
-_MARGIN_PER_BODY = 0.04  # body lengths that are added at both ends of the capsule
+_MARGIN_BODY_LENGTHS = 0.04  # body lengths that are added at both ends of the capsule
 
 Rows = NDArray[np.int64]
-Stands = tuple[Footing, NDArray[np.float64], NDArray[np.float32]]  # footings, positions and normals
+SurfaceStances = tuple[Footing, NDArray[np.float64], NDArray[np.float32]]  # footings, positions and normals
 
 
-def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
+def make_face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
     """Return the tables for a search of faces for `count` rows."""
     several = parallel.count_parts(count, threads, ROWS_PER_THREAD)
     table, boxes = walk.walk.table, walk.boxes
@@ -36,7 +36,7 @@ def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
     return FaceSearch(several, near, table.piece, table.cuts.first, boxes.to_box_tree(), buffers)
 
 
-def contact_faces(world: World, walk: CrowdWalk, count: int, threads: int) -> tuple[ContactFaces, ContactFaces]:
+def make_contact_faces(world: World, walk: CrowdWalk, count: int, threads: int) -> tuple[ContactFaces, ContactFaces]:
     """Return the faces of the ground and those of all obstacles, with buffers for `count` rows."""
     several, table = parallel.count_parts(count, threads, ROWS_PER_THREAD), walk.walk.table
     sets = ((walk.build_tables()[0].table, table.piece, walk.boxes.to_box_tree()), find_obstacle_faces(world))
@@ -47,8 +47,8 @@ def contact_faces(world: World, walk: CrowdWalk, count: int, threads: int) -> tu
     return ground, things
 
 
-def body_shapes(
-    world: World, population: Population, margin: float = _MARGIN_PER_BODY
+def compute_unit_shapes(
+    world: World, population: Population, margin: float = _MARGIN_BODY_LENGTHS
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Return the capsules (k, 4) of a species' bodies, and the index of each agent's body, uint8[n].
 
@@ -61,34 +61,36 @@ def body_shapes(
     return np.array(shapes, np.float64), find_body_numbers(population, world.setting)
 
 
-def take_stands(stands: Stands, which: NDArray[np.int64] | NDArray[np.bool_]) -> Stands:
-    """Return the rows `which` of footings, positions and normals."""
-    which = np.flatnonzero(which) if which.dtype == np.bool_ else which
-    return stands[0].take_rows(which), stands[1][which], stands[2][which]
+def select_stances(stances: SurfaceStances, selection: NDArray[np.int64] | NDArray[np.bool_]) -> SurfaceStances:
+    """Return the rows `selection` of footings, positions and normals."""
+    selection = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
+    return stances[0].take_rows(selection), stances[1][selection], stances[2][selection]
 
 
-def dot_rows(columns: Sequence[NDArray[np.float32]], vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+def compute_row_dots(columns: Sequence[NDArray[np.float32]], vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the dot products of vectors, given as three columns, with vectors (k, 3)."""
     result: NDArray[np.float32] = (columns[0] * vectors[:, 0] + columns[1] * vectors[:, 1]) + columns[2] * vectors[:, 2]
     return result
 
 
-def read_lift(population: Population, rows: Rows) -> VectorArrays:
+def read_lifts(population: Population, rows: Rows) -> VectorArrays:
     return vec.take_rows(vec.get_vector_registers(population.now, "~lift"), rows)
 
 
-def count_idle(population: Population, rows: Rows, outset: NDArray[np.float64], dt: np.float32) -> NDArray[np.float32]:
+def update_idle_times(
+    population: Population, rows: Rows, start_positions: NDArray[np.float64], dt: np.float32
+) -> NDArray[np.float32]:
     """Add `dt` seconds to the times for which the feet of `rows` have not moved although they should. Return these times.
 
-    `outset` (n, 3) mm: positions of all agents before the step."""
+    `start_positions` (n, 3) mm: positions of all agents before the step."""
     now, position = population.now, population.position
     walks = vec.length(vec.take_rows(vec.get_vector_registers(now, "velocity"), rows)) != 0
-    walks &= (position[rows] == outset[rows]).all(axis=1)
+    walks &= (position[rows] == start_positions[rows]).all(axis=1)
     now["~idle"][rows] = idle = np.where(walks, now["~idle"][rows] + dt, _F(0))
     return idle
 
 
-def read_registers(population: Population) -> BodyRegisters:
+def read_body_registers(population: Population) -> BodyRegisters:
     now = population.now
     lift, out = vec.get_vector_registers(now, "~lift"), vec.get_vector_registers(now, "~out")
     return BodyRegisters(lift, now["~wait"], now["~depth"], out, now["~idle"])

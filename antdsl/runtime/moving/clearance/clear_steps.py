@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +20,19 @@ from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.body_records import SHARP_BEND_LEVEL, BodyLimits, BodyPoses, BodyRows, BodyStances, FaceSearch
-from antdsl.runtime.moving.clearance.body_lifts import LiftLists, lift_bodies, list_bodies, select_rows
+from antdsl.runtime.moving.clearance.body_lifts import LiftLists, lift_bodies, list_bodies_to_lift, select_bodies_near_bends
 from antdsl.runtime.moving.clearance.body_tables import (
     ROWS_PER_THREAD,
     Rows,
-    Stands,
-    body_shapes,
-    contact_faces,
-    count_idle,
-    dot_rows,
-    face_search,
-    read_lift,
-    read_registers,
-    take_stands,
+    SurfaceStances,
+    compute_row_dots,
+    compute_unit_shapes,
+    make_contact_faces,
+    make_face_search,
+    read_body_registers,
+    read_lifts,
+    select_stances,
+    update_idle_times,
 )
 from antdsl.runtime.moving.clearance.clearance_kernels import aim_bodies, limit_steps, shift_bodies
 from antdsl.runtime.moving.clearance.obstacle_clearance import mark_near_obstacles
@@ -48,19 +49,19 @@ _MAX_DEPTH = _F(0.008)  # body lengths; a shallower overlap has no effect
 _YIELD_DEPTH = _F(0.003)
 _STRANDED_DEPTH = _F(0.08)  # body lengths; a body this deep inside moves freely
 _MIN_LEAN_COSINE = _F(0.5)  # cosine of the angle between body and ground; contacts cannot tilt a body further
-_LOST_COSINE = _F(-0.087)  # of the angle between body and ground, 95 degrees, that no body has after a step over an edge
+_MIN_RECOVERABLE_COSINE = _F(-0.087)  # the same at 95 degrees, an angle that no body has after a step over an edge
 _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("up", "heading", "~lift") for axis in AXES)
 # body lengths per second; a body shifts at the first speed by choice, and never faster than the second
 _SHIFT_SPEED, _JUMP_SPEED = 3.6, 8.4
 # At birth, a body that does not fit tries so many directions, then steps of these lengths (body lengths) into each of them
-_SETTLING_REACHES = (0.0, 0.5, 1.0, 1.5, 2.5, 4.0)
-_SETTLING_WAYS = ((1, 0), (0, 1), (-1, 0), (0, -1), (0.707, 0.707), (-0.707, 0.707), (-0.707, -0.707), (0.707, -0.707))
+_SETTLING_DISTANCES = (0.0, 0.5, 1.0, 1.5, 2.5, 4.0)
+_SETTLING_DIRECTIONS = ((1, 0), (0, 1), (-1, 0), (0, -1), (0.707, 0.707), (-0.707, 0.707), (-0.707, -0.707), (0.707, -0.707))
 
 # Directions (back, to the left) of steps of bodies that can neither walk nor turn, and the share of the largest step
-_ESCAPES = ((-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0))
+_ESCAPE_DIRECTIONS = ((-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0))
 _ESCAPE_SHARE = 0.5
 _MAX_IDLE = _F(0.15)  # seconds; feet that cannot follow their velocity for longer step aside
-_MAX_YIELD = _F(0.012)  # body lengths; a body that is stuck may become so deep
+_MAX_YIELD_DISTANCE = _F(0.012)  # body lengths; a body that is stuck may become so deep
 
 
 def has_clearance(world: World, population: Population) -> bool:
@@ -73,7 +74,7 @@ def has_clearance(world: World, population: Population) -> bool:
 
 
 @dataclass(slots=True)
-class ClearStep:
+class BodyClearanceStep:
     """The substep of the bodies of a species.
 
     `walk`: the tables of the ground. `rows`: agents on ground with bends, and agents that are not aligned with their feet.
@@ -89,22 +90,19 @@ class ClearStep:
     all_bend_levels: NDArray[np.uint8] = field(init=False)
     has_bend: NDArray[np.bool_] = field(init=False)
     state: NDArray[np.int32] = field(init=False)
-    previous: BodyPoses = field(init=False)
-    outset_positions: NDArray[np.float64] = field(init=False)
+    previous_poses: BodyPoses = field(init=False)
+    start_positions: NDArray[np.float64] = field(init=False)
     level_headings: tuple[NDArray[np.float32], ...] = field(init=False)
     lifts: VectorArrays = field(init=False)
     climbers: Rows = field(init=False)
     climber_positions: NDArray[np.float64] = field(init=False)
-    recorded: tuple[tuple[Footing, NDArray[np.float64], NDArray[np.float32]], list[NDArray[np.float32]]] = field(init=False)
+    recorded_stances: tuple[tuple[Footing, NDArray[Any], NDArray[Any]], list[NDArray[np.float32]]] = field(init=False)
 
     @staticmethod
     def build(
-        world: World,
-        population: Population,
-        walk: CrowdWalk,
-        stance: tuple[NDArray[np.int32], VectorArrays],
-        limits: tuple[NDArray[np.float32], NDArray[np.float32], np.float32],
-    ) -> ClearStep:
+        world: World, population: Population, walk: CrowdWalk, stance: tuple[NDArray[np.int32], VectorArrays],
+        limits: tuple[NDArray[np.float32], NDArray[np.float32], np.float32]
+    ) -> BodyClearanceStep:  # fmt: skip
         """List the rows with bodies that need more than their feet.
 
         `stance`: the states of bodies, and the headings along the ground of leaning bodies. `limits`: tilt and turn limits, and
@@ -116,56 +114,60 @@ class ClearStep:
         has_bend = world.ground.mark_bends(population.footing, population.position, size, levels, threads)
         mark_near_obstacles(world, population, SHARP_REACH * size, levels, SHARP_BEND_LEVEL)
         (rows,), heading = population.get_buffers("uneven", 1, (n,), np.int64), vec.get_vector_registers(now, "heading")
-        work = partial(select_rows, levels, heading, *stance, read_registers(population), rows, row_levels)
+        work = partial(select_bodies_near_bends, levels, heading, *stance, read_body_registers(population), rows, row_levels)
         rows, row_levels = parallel.join_parts(parallel.run_in_parts(work, n, threads), rows, row_levels)
         dt = float(limits[2])
         bounds = BodyLimits(
-            *limits, now["size"], now["max_speed"], *body_shapes(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt
+            *limits, now["size"], now["max_speed"], *compute_unit_shapes(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt
         )
-        step = ClearStep(world, population, walk, bounds, threads, rows, row_levels)
+        step = BodyClearanceStep(world, population, walk, bounds, threads, rows, row_levels)
         step.all_bend_levels, step.has_bend, step.state = levels, has_bend, stance[0]
         return step
 
-    def limit(self, step: VectorArrays, velocity: VectorArrays) -> None:
+    def limit_steps(self, step: VectorArrays, velocity: VectorArrays) -> None:
         """Shorten the steps (mm) and velocities of agents so that their bodies can follow."""
         if len(self.rows):
             p = self.population
             poses = BodyPoses(vec.get_vector_registers(p.now, "up"), vec.get_vector_registers(p.now, "heading"))
             at = get_footing_arrays(p.footing)
-            inputs = (at, BodyRows(self.rows, self.bend_levels), poses, p.normal, step, velocity, self.limits, read_registers(p))
-            self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
+            inputs = (
+                at, BodyRows(self.rows, self.bend_levels), poses, p.normal, step, velocity, self.limits,
+                read_body_registers(p)
+            )  # fmt: skip
+            self._run_kernel(partial(limit_steps, self._surface, self._make_face_search(len(self.rows)), *inputs), len(self.rows))
 
-    def follow(self, previous_poses: BodyPoses, outset: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
-        """Turn and shift bodies after the walk. `previous_poses`: poses before it. `outset`: footings, positions and normals
-        before it."""
+    def turn_bodies_after_walk(
+        self, previous_poses: BodyPoses, start_stances: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]
+    ) -> None:
+        """Turn and shift bodies after the walk. `previous_poses`: poses before it. `start_stances`: footings, positions and
+        normals before it."""
         p, now, n = self.population, self.population.now, len(self.population)
-        self.previous, self.outset_positions = previous_poses, outset[1]
+        self.previous_poses, self.start_positions = previous_poses, start_stances[1]
         (rows,), (climbers,) = (p.get_buffers(name, 1, (n,), np.int64) for name in ("uneven", "climbers"))
         (levels,), (kind,) = (p.get_buffers(name, 1, (n,), np.uint8) for name in ("bends of rows", "lifts"))
         lists = LiftLists(rows, levels, climbers, kind)
-        feet = get_footing_arrays(p.footing)
-        inputs = (feet, self.has_bend, self.state, self.all_bend_levels, read_registers(p), lists)
-        parts = parallel.run_in_parts(partial(list_bodies, self._surface, *inputs), n, self.threads)
+        inputs = (get_footing_arrays(p.footing), self.has_bend, self.state, self.all_bend_levels, read_body_registers(p), lists)
+        parts = parallel.run_in_parts(partial(list_bodies_to_lift, self._surface, *inputs), n, self.threads)
         (self.climbers,) = parallel.join_parts([(begin, count) for begin, _, count in parts], climbers)
         rows, levels = parallel.join_parts(parts, rows, levels)
         order = np.argsort(p.footing.face.take(rows))  # neighbours one after another: they read the same faces
         self.rows, self.bend_levels = rows, levels = rows.take(order), levels.take(order)
         if not len(rows):
             return
-        self.lifts = read_lift(p, rows)
-        held, depths = (
-            (*vec.take_rows(previous_poses.up, rows), *vec.take_rows(previous_poses.heading, rows), *self.lifts),
-            now["~depth"].take(rows),
-        )
+        self.lifts = read_lifts(p, rows)
+        held = (*vec.take_rows(previous_poses.up, rows), *vec.take_rows(previous_poses.heading, rows), *self.lifts)
+        depths = now["~depth"].take(rows)
         self.level_headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
         idle_times = now["~idle"].take(rows)
-        idle = count_idle(p, rows, outset[1], self.limits.dt) > _MAX_IDLE
-        self._aim(rows, self.bend_levels, previous_poses)
+        idle = update_idle_times(p, rows, start_stances[1], self.limits.dt) > _MAX_IDLE
+        self._aim_bodies(rows, self.bend_levels, previous_poses)
         uneven = np.flatnonzero(self.bend_levels == SHARP_BEND_LEVEL)
-        old, footing, (position, normal) = depths[uneven], outset[0], (each[rows[uneven]] for each in outset[1:])
+        old, footing, (position, normal) = depths[uneven], start_stances[0], (each[rows[uneven]] for each in start_stances[1:])
         depth, out = self._shift_bodies(rows[uneven], vec.take_rows(self.lifts, uneven), position)
-        cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
-        is_lost = (cosine < _LOST_COSINE) & (dot_rows(vec.take_rows(previous_poses.up, rows[uneven]), normal) >= _LOST_COSINE)
+        cosine = compute_row_dots(vec.take_rows(vec.get_vector_registers(now, "up"), rows[uneven]), p.normal[rows[uneven]])
+        is_lost = (cosine < _MIN_RECOVERABLE_COSINE) & (
+            compute_row_dots(vec.take_rows(previous_poses.up, rows[uneven]), normal) >= _MIN_RECOVERABLE_COSINE
+        )
         out[:, is_lost] = (position - p.position[rows[uneven]])[is_lost].T
         too_deep = is_lost | ((depth > np.maximum(old, _MAX_DEPTH)) & (old < _STRANDED_DEPTH))
         deeper = np.flatnonzero(too_deep | idle[uneven])
@@ -177,7 +179,7 @@ class ClearStep:
             for k, axis in enumerate(AXES):
                 now[f"~out.{axis}"][rows[uneven[too_deep]]] = out[k, too_deep]
             self._stand_up(at)
-            self._aim(back, self.bend_levels[at], previous_poses)
+            self._aim_bodies(back, self.bend_levels[at], previous_poses)
             turned, _ = self._shift_bodies(back, vec.take_rows(self.lifts, at))
             worse = np.flatnonzero((turned > np.maximum(old[deeper], _MAX_DEPTH)) | idle[at])
             outset_rows = footing.take_rows(back[worse]), position[deeper[worse]], normal[deeper[worse]]
@@ -190,63 +192,64 @@ class ClearStep:
         """Lift the bodies of `rows`, which have no level but stand on a wide face that bends, once their poses are final."""
         p, now = self.population, self.population.now
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
-        inputs = (get_footing_arrays(p.footing), poses, self.limits, read_registers(p), rows)
-        self._run(partial(lift_bodies, self._surface, *inputs), len(rows))
+        inputs = (get_footing_arrays(p.footing), poses, self.limits, read_body_registers(p), rows)
+        self._run_kernel(partial(lift_bodies, self._surface, *inputs), len(rows))
 
     def _move_stuck_bodies(
-        self, subset: Rows, old: NDArray[np.float32], turned: NDArray[np.float32], held: list[NDArray[np.float32]], outset: Stands
-    ) -> NDArray[np.float32]:
+        self, subset: Rows, previous_depths: NDArray[np.float32], turned_depths: NDArray[np.float32],
+        previous_poses: list[NDArray[np.float32]], start_stances: SurfaceStances
+    ) -> NDArray[np.float32]:  # fmt: skip
         """Step back or aside with bodies that can neither walk nor turn. Return their remaining depths.
 
-        A body that cannot do that either keeps its pose. `subset`: indices among `rows`. `old`: depths before the step. `turned`:
-        depths of the bodies where they stand. `held`: poses before the step. `outset`: footings, positions and normals before
-        it."""
-        p, now, most = self.population, self.population.now, np.maximum(old, _MAX_DEPTH)
-        depths = np.where(turned > most, np.minimum(most + _YIELD_DEPTH, _MAX_YIELD), turned)
-        depths[old > _MAX_YIELD] = _STRANDED_DEPTH
+        A body that cannot do that either keeps its pose. `subset`: indices among `rows`. `previous_depths`: depths before the
+        step. `turned_depths`: depths of the bodies where they stand. `previous_poses`: poses before the step. `start_stances`:
+        footings, positions and normals before it."""
+        p, now, most = self.population, self.population.now, np.maximum(previous_depths, _MAX_DEPTH)
+        depths = np.where(turned_depths > most, np.minimum(most + _YIELD_DEPTH, _MAX_YIELD_DISTANCE), turned_depths)
+        depths[previous_depths > _MAX_YIELD_DISTANCE] = _STRANDED_DEPTH
         left = np.arange(len(subset))
-        for back, aside in _ESCAPES:
+        for back, aside in _ESCAPE_DIRECTIONS:
             if not left.size:
                 break
-            rows, (footing, position, normal) = self.rows[subset[left]], take_stands(outset, left)
-            self._restore_poses(rows, left, held)
-            up, heading = normal.T.astype(np.float64), np.stack([each[left] for each in held[3:6]]).astype(np.float64)
+            rows, (footing, position, normal) = self.rows[subset[left]], select_stances(start_stances, left)
+            self._restore_poses(rows, left, previous_poses)
+            up, heading = normal.T.astype(np.float64), np.stack([each[left] for each in previous_poses[3:6]]).astype(np.float64)
             along = heading - up * vec.dot(up, heading)
             reach = np.nan_to_num(_ESCAPE_SHARE * now["max_speed"][rows].astype(np.float64) * self.limits.dt, posinf=0.0)
             step = (along * back + vec.compute_stacked_cross(up, along) * aside) * np.maximum(reach, 0.0)
-            step = self._slide(rows, step, up)
+            step = self._slide_along_obstacles(rows, step, up)
             size = now["size"][rows].astype(np.float64)
             moved = self.world.ground.move(footing, step, along.T, up.T, size, self.threads)
             self._restore_rows(rows, (moved.footing, moved.position, moved.up.astype(np.float32)))
             for k, axis in enumerate(AXES):
                 now[f"up.{axis}"][rows], now[f"heading.{axis}"][rows] = moved.up[:, k], moved.heading[:, k]
-            self._aim(rows, self.bend_levels[subset[left]], self.previous)
+            self._aim_bodies(rows, self.bend_levels[subset[left]], self.previous_poses)
             depth, _ = self._shift_bodies(rows, vec.take_rows(self.lifts, subset[left]), position)
-            cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), rows), p.normal[rows])
+            cosine = compute_row_dots(vec.take_rows(vec.get_vector_registers(now, "up"), rows), p.normal[rows])
             is_free = (depth <= most[left]) & (cosine >= _MIN_LEAN_COSINE) & ~moved.is_blocked
             depths[left[is_free]] = depth[is_free]
-            self._restore_rows(rows[~is_free], take_stands((footing, position, normal), ~is_free))
+            self._restore_rows(rows[~is_free], select_stances((footing, position, normal), ~is_free))
             left = left[~is_free]
-        self._restore_poses(self.rows[subset[left]], left, held)
+        self._restore_poses(self.rows[subset[left]], left, previous_poses)
         now["~wait"][self.rows[subset[left]]] = 0
         return depths
 
-    def _slide(self, rows: Rows, step: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _slide_along_obstacles(self, rows: Rows, step: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the steps (k, 3) of (3, k) mm along obstacles ahead."""
         short, above = step.astype(np.float32), up.astype(np.float32)
         slid = slide_rows(self.world, self.population, rows, tuple(short), tuple(above))
         return np.stack(slid, axis=1).astype(np.float64)
 
-    def _restore_poses(self, rows: Rows, which: Rows, held: list[NDArray[np.float32]]) -> None:
-        for name, values in zip(_POSE_REGISTERS, held, strict=True):
-            self.population.now[name][rows] = values[which]
+    def _restore_poses(self, rows: Rows, selection: Rows, previous_poses: list[NDArray[np.float32]]) -> None:
+        for name, values in zip(_POSE_REGISTERS, previous_poses, strict=True):
+            self.population.now[name][rows] = values[selection]
 
-    def record(self) -> None:
+    def record_stances(self) -> None:
         """Record positions and poses before contacts move agents."""
         p, rows = self.population, self.rows
         self.climber_positions = p.position.take(self.climbers, axis=0)
         columns = [p.now[name].take(rows) for name in (*_POSE_REGISTERS, "~wait", "~depth")]
-        self.recorded = (p.footing.take_rows(rows), p.position[rows], p.normal[rows]), columns
+        self.recorded_stances = (p.footing.take_rows(rows), p.position[rows], p.normal[rows]), columns
 
     def correct_moved_bodies(self) -> None:
         """Turn and shift the bodies that contacts have moved.
@@ -255,7 +258,7 @@ class ClearStep:
         allowed."""
         p, now, rows, climbers = self.population, self.population.now, self.rows, self.climbers
         self.lift_climbers(climbers[(p.position.take(climbers, axis=0) != self.climber_positions).any(axis=1)])
-        (footing, position, normal), columns = self.recorded
+        (footing, position, normal), columns = self.recorded_stances
         at = np.flatnonzero((p.position[rows] != position).any(axis=1))
         if not at.size:
             return
@@ -263,12 +266,12 @@ class ClearStep:
         for values, axis in zip(self.level_headings, AXES, strict=True):
             values[at] = now[f"heading.{axis}"][moved]  # contacts may have turned bodies back
         self._stand_up(at)
-        self._aim(moved, levels, self.previous)
+        self._aim_bodies(moved, levels, self.previous_poses)
         sharp, depth = np.flatnonzero(levels == SHARP_BEND_LEVEL), np.zeros(len(at), np.float32)
-        outset = self.outset_positions[moved[sharp]]
+        outset = self.start_positions[moved[sharp]]
         depth[sharp], _ = self._shift_bodies(moved[sharp], vec.take_rows(self.lifts, at[sharp]), outset)
-        cosine = dot_rows(vec.take_rows(vec.get_vector_registers(now, "up"), moved), p.normal[moved])
-        old_cosine = dot_rows([c[at] for c in columns[:3]], normal[at])
+        cosine = compute_row_dots(vec.take_rows(vec.get_vector_registers(now, "up"), moved), p.normal[moved])
+        old_cosine = compute_row_dots([c[at] for c in columns[:3]], normal[at])
         old = columns[-1][at]
         bad = (depth > np.maximum(old, _MAX_DEPTH)) | (cosine < np.minimum(old_cosine, _MIN_LEAN_COSINE))
         now["~depth"][moved] = depth
@@ -278,7 +281,7 @@ class ClearStep:
             now[name][back] = values[at]
 
     def _stand_up(self, subset: Rows) -> None:
-        """Set the poses of some of `rows` to the poses of the feet, so that bodies can be turned towards the feet again."""
+        """Set some bodies to the poses of their feet, so that they can be turned again."""
         p, rows = self.population, self.rows[subset]
         for k, axis in enumerate(AXES):
             p.now[f"up.{axis}"][rows] = p.normal[rows, k]
@@ -300,20 +303,20 @@ class ClearStep:
         p, now, rows, n = self.population, self.population.now, self.rows, len(self.rows)
         heading = np.stack([now[f"heading.{axis}"].take(rows) for axis in AXES])
         best, pose = np.full(n, np.inf, np.float32), [now[name].take(rows) for name in _POSE_REGISTERS]
-        stands = take_stands((p.footing, p.position, p.normal), rows)
-        for reach in _SETTLING_REACHES:
-            for along, aside in _SETTLING_WAYS:
+        stands = select_stances((p.footing, p.position, p.normal), rows)
+        for reach in _SETTLING_DISTANCES:
+            for along, aside in _SETTLING_DIRECTIONS:
                 left = np.flatnonzero(best > _MAX_DEPTH)
                 if not left.size:
                     break
-                own, (footing, position, normal) = rows[left], take_stands(stands, left)
+                own, (footing, position, normal) = rows[left], select_stances(stands, left)
                 up = normal.T
                 ahead = heading[:, left] * _F(along) + vec.compute_stacked_cross(up, heading[:, left]) * _F(aside)
                 place = footing, position, normal
                 if reach > 0:
                     size = now["size"][own].astype(np.float64)
                     step = ahead.T * (reach * np.where(np.isfinite(size), np.maximum(size, 0.0), 0.0))[:, None]
-                    step = self._slide(own, step.T, up.astype(np.float64))
+                    step = self._slide_along_obstacles(own, step.T, up.astype(np.float64))
                     moved = self.world.ground.move(footing, step, ahead.T, up.T.astype(np.float64), size, self.threads)
                     place, ahead = (moved.footing, moved.position, moved.up.astype(np.float32)), moved.heading.T
                 self._restore_rows(own, place)
@@ -323,13 +326,14 @@ class ClearStep:
                 previous = BodyPoses(
                     vec.copy(vec.get_vector_registers(now, "up")), vec.copy(vec.get_vector_registers(now, "heading"))
                 )
-                self._aim(own, self.bend_levels[left], previous)
-                depth, _ = self._shift_bodies(own, read_lift(p, own))
+                self._aim_bodies(own, self.bend_levels[left], previous)
+                depth, _ = self._shift_bodies(own, read_lifts(p, own))
                 better = depth < best[left] if reach == 0 else depth <= _MAX_DEPTH
                 best[left[better]] = depth[better]
                 for name, values in zip(_POSE_REGISTERS, pose, strict=True):
                     values[left[better]] = now[name][own[better]]
-                self._restore_rows(own[~better] if reach > 0 else own, take_stands(stands, left[~better] if reach > 0 else left))
+                undone = ~better if reach > 0 else slice(None)
+                self._restore_rows(own[undone], select_stances(stands, left[undone]))
         self._restore_poses(rows, np.arange(n), pose)
         now["~depth"][rows], now["~wait"][rows] = best, 0
 
@@ -337,47 +341,42 @@ class ClearStep:
     def _surface(self) -> SurfaceTables:
         return self.walk.build_tables()[0]
 
-    def _search(self, count: int) -> FaceSearch:
-        return face_search(self.walk, count, self.threads)
+    def _make_face_search(self, count: int) -> FaceSearch:
+        return make_face_search(self.walk, count, self.threads)
 
-    def _aim(self, rows: Rows, levels: NDArray[np.uint8], previous_poses: BodyPoses) -> None:
+    def _aim_bodies(self, rows: Rows, levels: NDArray[np.uint8], previous_poses: BodyPoses) -> None:
         p, now = self.population, self.population.now
         at = get_footing_arrays(p.footing)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
-        inputs = (at, BodyRows(rows, levels), previous_poses, poses, self.limits, read_registers(p))
-        self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))
+        inputs = (at, BodyRows(rows, levels), previous_poses, poses, self.limits, read_body_registers(p))
+        self._run_kernel(partial(aim_bodies, self._surface, self._make_face_search(len(rows)), *inputs), len(rows))
 
     def _shift_bodies(
-        self, rows: Rows, old: VectorArrays, outset: NDArray[np.float64] | None = None
+        self, rows: Rows, previous_lifts: VectorArrays, start_positions: NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Shift bodies outside the faces around them. Return the remaining depths and the directions out (3, k).
 
-        `old`: shifts before the step. `outset` (k, 3) mm: positions before it, if feet have moved."""
+        `previous_lifts`: shifts before the step. `start_positions` (k, 3) mm: positions before it, if feet have moved."""
         p, now = self.population, self.population.now
-        if outset is not None:
-            old = vec.split_columns((np.stack(old, axis=1) - p.position[rows]) + outset, np.float32)
+        if start_positions is not None:
+            lifts = (np.stack(previous_lifts, axis=1) - p.position[rows]) + start_positions
+            previous_lifts = vec.split_columns(lifts, np.float32)
         depths, outs = np.zeros(len(rows), np.float32), np.zeros((3, len(rows)), np.float32)
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (
-            rows,
-            BodyStances(p.position, p.normal, poses),
-            self.limits,
-            vec.get_vector_registers(now, "~lift"),
-            old,
-            depths,
-            outs,
-            MAX_SHIFT_ROUNDS,
-        )
-        ground, things = contact_faces(self.world, self.walk, len(rows), self.threads)
-        self._run(partial(shift_bodies, ground, things, *inputs), len(rows))
+            rows, BodyStances(p.position, p.normal, poses), self.limits, vec.get_vector_registers(now, "~lift"),
+            previous_lifts, depths, outs, MAX_SHIFT_ROUNDS
+        )  # fmt: skip
+        ground, things = make_contact_faces(self.world, self.walk, len(rows), self.threads)
+        self._run_kernel(partial(shift_bodies, ground, things, *inputs), len(rows))
         return depths, outs
 
-    def _run(self, work: partial[object], count: int) -> None:
+    def _run_kernel(self, work: partial[object], count: int) -> None:
         if count:
             parallel.run_in_parts(work, count, self.threads, ROWS_PER_THREAD)
 
 
-def settle_clear(world: World, population: Population, rows: Rows) -> bool:
+def settle_bodies_outside_ground(world: World, population: Population, rows: Rows) -> bool:
     """Turn and shift new bodies at once, so that they are outside their ground.
 
     Returns False if the bodies of the species need not stay outside, or if the ground does not consist of triangles."""
@@ -390,10 +389,11 @@ def settle_clear(world: World, population: Population, rows: Rows) -> bool:
         return False
     free = np.full(n, np.inf, np.float32)
     limits = BodyLimits(
-        np.full(n, np.pi, np.float32), free, _F(1), now["size"], free, *body_shapes(world, population), np.inf, np.inf
+        np.full(n, np.pi, np.float32), free, _F(1), now["size"], free, *compute_unit_shapes(world, population), np.inf, np.inf
     )
     levels = np.full(len(rows), SHARP_BEND_LEVEL, np.uint8)
-    ClearStep(world, population, walk, limits, world.options.threads, np.asarray(rows, np.int64), levels).settle_new_bodies()
+    step = BodyClearanceStep(world, population, walk, limits, world.options.threads, np.asarray(rows, np.int64), levels)
+    step.settle_new_bodies()
     for name in ("up", "heading", "position"):
         for axis in AXES:
             population.start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows]

@@ -17,7 +17,7 @@ from antdsl.runtime.world import Population, World
 _ROUNDING_SLACK = np.float32(ROUNDING_BOUND)
 
 
-def get_clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
+def get_obstacle_clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
     """Return a distance (mm, float32[n]) within which no face of the obstacle lies; 0 for agents near it. Cached for the step."""
     key = (population.name, obstacle, population.version)
     distances = world.clearances.get(key)
@@ -28,7 +28,7 @@ def get_clearance(world: World, population: Population, obstacle: str) -> NDArra
     return distances
 
 
-def may_touch(clearance: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:
+def is_contact_possible(clearance: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which agents may have a face within `reach` (mm). `clearance`: the result of `get_clearance`."""
     return clearance <= reach * (1 + _ROUNDING_SLACK) + _ROUNDING_SLACK
 
@@ -42,11 +42,11 @@ def mark_near_obstacles(
         now, start = (vec.get_vector_registers(registers, "position") for registers in (population.now, population.start))
         drift = vec.length(vec.subtract(now, start))
         for name in names:
-            levels[may_touch(get_clearance(world, population, name) - drift, reach.astype(np.float32))] = level
+            levels[is_contact_possible(get_obstacle_clearance(world, population, name) - drift, reach.astype(np.float32))] = level
 
 
 def find_obstacle_faces(world: World) -> tuple[NDArray[np.float64], NDArray[np.int32], BoxTree]:
-    """Return the faces of all obstacles as kernels read those of a ground: their table, their pieces and a tree of boxes.
+    """Return the faces of all obstacles in the form that kernels read.
 
     They are computed again after an obstacle has moved."""
     scenes = tuple(world.obstacles[name] for name in _list_obstacles(world))

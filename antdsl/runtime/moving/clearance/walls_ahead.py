@@ -15,7 +15,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.elementary_loops import atan2
 from antdsl.numerics.kernel_vectors import VectorColumns, cross, dot, get_column, minus, plus, times
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.moving.velocities import FACE_REGISTER, STANDING_STATE
+from antdsl.runtime.moving.velocities import FACE_REGISTER, STANDING_BODY_STATE
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
@@ -25,10 +25,10 @@ WallRays = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[
 _F = np.float32
 # cosine of the smallest turn of the ground that counts as a wall; less is smooth, or a slope
 _WALL_TURN_COSINE = 0.7071067811865476
-_EYE_HEIGHT_PER_BODY = 0.03  # body lengths; height above the feet of a ray that searches for walls
+_RAY_HEIGHT_BODY_LENGTHS = 0.03  # body lengths; height above the feet of a ray that searches for walls
 _SAME_RAY_COSINE = 0.97  # cosine of the angle between heading and step; above it, one ray serves both
 _MIN_BUFFER_AGENTS = 512  # buffers have space for at least this number of agents
-MAX_TILT_DISTANCE_HALVES = 3.0  # half bodies; a body tilts within this distance before a wall, at most
+MAX_TILT_DISTANCE_HALF_LENGTHS = 3.0  # half bodies; a body tilts within this distance before a wall, at most
 
 
 class WallsAhead(NamedTuple):
@@ -95,7 +95,7 @@ def find_walls(
 
 
 @inlined
-def compute_half_size(size: F32) -> F64:
+def compute_half_length(size: F32) -> F64:
     """Return half of a body's size (mm), 0 for a size that is not a valid number."""
     long = np.float64(_F(0) if size <= 0 else size)
     return long / 2 if np.isfinite(long) else 0.0
@@ -105,21 +105,21 @@ def compute_half_size(size: F32) -> F64:
 def write_wall_reach(size: Array1[F32], reach: Array1[F64]) -> None:
     """Write how far ahead (mm) bodies of the given sizes (mm) search for walls."""
     for i in simd_range(0, size.size):
-        reach[i] = MAX_TILT_DISTANCE_HALVES * compute_half_size(size[i])
+        reach[i] = MAX_TILT_DISTANCE_HALF_LENGTHS * compute_half_length(size[i])
 
 
 class BodyDirections(NamedTuple):
     """Directions of agents.
 
     `heading`: headings. `level_heading`: headings along the ground, for agents that lean according to `state`.
-    `step`: steps (mm). `faces`: whether `face` contains directions to face."""
+    `step`: steps (mm). `has_facing`: whether `facing` contains directions to face."""
 
     heading: VectorColumns
     level_heading: VectorColumns
     state: Array1[I32]
     step: VectorColumns
-    faces: BOOL
-    face: VectorColumns
+    has_facing: BOOL
+    facing: VectorColumns
 
 
 @kernel
@@ -131,7 +131,7 @@ def write_wall_rays(
     directions: BodyDirections,
     wall_rays: WallRays,
     origin: Array2[F64],
-    ray: Array2[F64],
+    displacement: Array2[F64],
 ) -> I64:
     """Write the rays (3, ..) with which agents search for walls, and their data `wall_rays`; return their number.
 
@@ -142,8 +142,8 @@ def write_wall_rays(
     heading, looking, state, step, faces, face = directions
     count = rows.size
     for k in range(rows.size):
-        i, half = rows[k], compute_half_size(size[rows[k]])
-        if state[i] == STANDING_STATE:
+        i, half = rows[k], compute_half_length(size[rows[k]])
+        if state[i] == STANDING_BODY_STATE:
             looking[0][i], looking[1][i], looking[2][i] = heading[0][i], heading[1][i], heading[2][i]
         up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
         ahead = (np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i]))
@@ -160,15 +160,15 @@ def write_wall_rays(
         if aside and faces and same < 0 and (face[0][i] != 0 or face[1][i] != 0 or face[2][i] != 0):
             aside = False
         place = (position[i, 0], position[i, 1], position[i, 2])
-        start = plus(place, times(up, 2 * _EYE_HEIGHT_PER_BODY * half))
-        reach = MAX_TILT_DISTANCE_HALVES * half
+        start = plus(place, times(up, 2 * _RAY_HEIGHT_BODY_LENGTHS * half))
+        reach = MAX_TILT_DISTANCE_HALF_LENGTHS * half
         at = k
         for turn in range(2):
             if turn == 0 or aside:
                 which[at], halves[at], sizes[at] = i, half, step_length
                 for axis in range(3):
                     aheads[axis, at], normals[axis, at] = ahead[axis], up[axis]
-                    origin[axis, at], ray[axis, at] = start[axis], ahead[axis] * reach
+                    origin[axis, at], displacement[axis, at] = start[axis], ahead[axis] * reach
             if turn == 0 and aside:
                 at = count
                 count += 1
@@ -178,47 +178,47 @@ def write_wall_rays(
 
 @kernel
 def write_walls(
-    first: I64,
+    heading_ray_count: I64,
     wall_rays: WallRays,
-    hit: Array1[I64],
-    part: Array1[F64],
+    hit_rays: Array1[I64],
+    hit_fractions: Array1[F64],
     hit_normals: Strided2[F64],
-    wall: Array2[F64],
-    ahead: Array2[F64],
-    angle: Array1[F64],
+    wall_normals: Array2[F64],
+    wall_directions: Array2[F64],
+    wall_angles: Array1[F64],
     distances: Array1[F64],
-    lengths: Array1[F64],
-    half: Array1[F64],
+    tilt_distances: Array1[F64],
+    half_lengths: Array1[F64],
     state: Array1[I32],
 ) -> I64:
     """Write the `WallsAhead` of agents with a wall ahead, and return their number.
 
-    `hit`: ascending indices of the rays that hit something; the `first` rays are along the heading.
+    `hit_rays`: ascending indices of the rays that hit something; the `heading_ray_count` rays are along the heading.
     Of two walls, the one that needs more tilt is used. Its number is written to `state`."""
     which, halves, sizes, aheads, normals = wall_rays
     middle = 0
-    while middle < hit.size and hit[middle] < first:
+    while middle < hit_rays.size and hit_rays[middle] < heading_ray_count:
         middle += 1
     one, two, count = 0, middle, 0
-    while one < middle or two < hit.size:
+    while one < middle or two < hit_rays.size:
         row = 0
-        if one < middle and (two >= hit.size or which[hit[one]] <= which[hit[two]]):
-            row = which[hit[one]]
+        if one < middle and (two >= hit_rays.size or which[hit_rays[one]] <= which[hit_rays[two]]):
+            row = which[hit_rays[one]]
         else:
-            row = which[hit[two]]
+            row = which[hit_rays[two]]
         best, has_wall = 0.0, False
         for turn in range(2):
             k, own = -1, False
             if turn == 0:
-                own = one < middle and which[hit[one]] == row
+                own = one < middle and which[hit_rays[one]] == row
                 k = one
                 one += 1 if own else 0
             else:
-                own = two < hit.size and which[hit[two]] == row
+                own = two < hit_rays.size and which[hit_rays[two]] == row
                 k = two
                 two += 1 if own else 0
             if own:
-                h = hit[k]
+                h = hit_rays[k]
                 direction, up = get_column(aheads, h), get_column(normals, h)
                 normal = get_column(hit_normals, k)
                 if dot(normal, direction) > 0:
@@ -226,15 +226,20 @@ def write_walls(
                 cosine, aside = dot(up, normal), cross(up, normal)
                 sine = max(np.sqrt(dot(aside, aside)), 1e-6)
                 turned = np.float64(atan2(_F(sine), _F(cosine)))
-                long = halves[h] * min(max(turned / sine, 2.0), MAX_TILT_DISTANCE_HALVES)
-                high, reach = 2 * _EYE_HEIGHT_PER_BODY * halves[h], MAX_TILT_DISTANCE_HALVES * halves[h]
-                away = max(part[k] * reach - high * cosine / sine, 0.0)
+                long = halves[h] * min(max(turned / sine, 2.0), MAX_TILT_DISTANCE_HALF_LENGTHS)
+                high, reach = 2 * _RAY_HEIGHT_BODY_LENGTHS * halves[h], MAX_TILT_DISTANCE_HALF_LENGTHS * halves[h]
+                away = max(hit_fractions[k] * reach - high * cosine / sine, 0.0)
                 tilt = (1.0 - away / long) * turned
                 if cosine < _WALL_TURN_COSINE and away < long + 2 * sizes[h] and (not has_wall or tilt > best):
                     best, has_wall = tilt, True
-                    angle[count], distances[count], lengths[count], half[count] = turned, away, long, halves[h]
+                    wall_angles[count], distances[count], tilt_distances[count], half_lengths[count] = (
+                        turned,
+                        away,
+                        long,
+                        halves[h],
+                    )
                     for axis in range(3):
-                        wall[axis, count], ahead[axis, count] = normal[axis], direction[axis]
+                        wall_normals[axis, count], wall_directions[axis, count] = normal[axis], direction[axis]
         if has_wall:
             state[row] = count
             count += 1

@@ -13,16 +13,16 @@ from antdsl.numerics.kernel_vectors import Vec3, dot, find_nearest_weights, load
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 
 MAX_SHIFT_ROUNDS = 4  # shifts of a body out of its contacts before the depth is measured
-_ANCHOR_HEIGHT_PER_BODY = 0.004  # body lengths above the feet; the middle must be visible from this point
-_AXIS_POINTS = 9  # points on the axis of a capsule from which the nearest face is searched
-_SLACK_PER_BODY = 0.004  # body lengths; a shallower overlap needs no shift
-_MARGIN_PER_BODY = 0.3  # body lengths around a body within which faces are searched
+_ANCHOR_HEIGHT_BODY_LENGTHS = 0.004  # body lengths above the feet; the middle must be visible from this point
+_AXIS_POINT_COUNT = 9  # points on the axis of a capsule from which the nearest face is searched
+_SLACK_BODY_LENGTHS = 0.004  # body lengths; a shallower overlap needs no shift
+_MARGIN_BODY_LENGTHS = 0.3  # body lengths around a body within which faces are searched
 
 
 class BodyStance(NamedTuple):
-    """A body of `size` mm that stands at `place` on ground with a `normal`."""
+    """A body of `size` mm that stands at `position` on ground with a `normal`."""
 
-    place: Vec3
+    position: Vec3
     normal: Vec3
     up: Vec3
     heading: Vec3
@@ -33,83 +33,90 @@ class BodyShift(NamedTuple):
     """The shift of a body from its stance (mm), its remaining depth inside a surface (mm), and the direction out."""
 
     shift: Vec3
-    depth: F64
+    remaining_depth: F64
     outward_direction: Vec3
 
 
 @inlined
-def _get_axis_point(middle: Vec3, heading: Vec3, half: F64, point: I64) -> Vec3:
-    """Return the `point`-th of the points at which a capsule's axis is sampled."""
-    return plus(middle, times(heading, half * (2.0 * np.float64(point) / (_AXIS_POINTS - 1) - 1.0)))
+def _get_axis_point(middle: Vec3, heading: Vec3, half_length: F64, index: I64) -> Vec3:
+    """Return the `index`-th of the points at which a capsule's axis is sampled."""
+    return plus(middle, times(heading, half_length * (2.0 * np.float64(index) / (_AXIS_POINT_COUNT - 1) - 1.0)))
 
 
 @kernel_helper
-def _touches_face(
-    table: Array1[F64], boxes: BoxTree, faces: FaceList, count: I64, shape: BodyShape, anchor: Vec3, middle: Vec3, heading: Vec3
+def _is_body_touching_face(
+    table: Array1[F64],
+    box_tree: BoxTree,
+    faces: FaceList,
+    count: I64,
+    shape: BodyShape,
+    anchor: Vec3,
+    middle: Vec3,
+    heading: Vec3,
 ) -> BOOL:
     """Return whether one of the first `count` faces of a list touches a capsule.
 
     A face touches it if it crosses the capsule's axis or the line from `anchor` to it, or if it is nearer to the axis than the
     radius."""
-    half, radius = times(heading, shape.half), shape.radius
-    tip = times(heading, shape.half + radius)
+    half, radius = times(heading, shape.axis_half_length), shape.radius
+    tip = times(heading, shape.axis_half_length + radius)
     one, two = minus(middle, half), plus(middle, half)
     low_x, low_y, low_z = min(one[0], two[0]) - radius, min(one[1], two[1]) - radius, min(one[2], two[2]) - radius
     high_x, high_y, high_z = max(one[0], two[0]) + radius, max(one[1], two[1]) + radius, max(one[2], two[2]) + radius
-    if find_first_hit(table, boxes, faces, count, anchor, minus(middle, anchor), 0.0).face >= 0:
+    if find_first_hit(table, box_tree, faces, count, anchor, minus(middle, anchor), 0.0).face >= 0:
         return True
     for k in range(count):
         b = faces.numbers[faces.begin + k]
-        if is_disjoint(boxes.bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+        if is_disjoint(box_tree.bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
             continue
-        row = ROW_FLOATS * boxes.triangle_order[b]
+        row = ROW_FLOATS * box_tree.triangle_order[b]
         corner, normal = load_vector(table, row + CORNER_OFFSET), load_vector(table, row + NORMAL_OFFSET)
         at_one, at_two = dot(minus(one, corner), normal), dot(minus(two, corner), normal)
         if min(at_one, at_two) >= radius or max(at_one, at_two) <= -radius:
             continue
         edge1, edge2 = load_vector(table, row + EDGE1_OFFSET), load_vector(table, row + EDGE2_OFFSET)
-        for point in range(_AXIS_POINTS):
-            v = minus(_get_axis_point(middle, heading, shape.half, point), corner)
+        for point in range(_AXIS_POINT_COUNT):
+            v = minus(_get_axis_point(middle, heading, shape.axis_half_length, point), corner)
             if abs(dot(v, normal)) < radius and find_nearest_weights(edge1, edge2, v)[2] < radius:
                 return True
         if at_one * at_two < 0:
             for end in range(2):
                 step = tip if end == 0 else times(tip, -1.0)
-                if find_first_hit(table, boxes, faces, count, middle, step, 0.0).face >= 0:
+                if find_first_hit(table, box_tree, faces, count, middle, step, 0.0).face >= 0:
                     return True
     return False
 
 
 @kernel_helper
-def shift_outside(
+def shift_body_outside_faces(
     table: Array1[F64],
     pieces: Array1[I32],
-    boxes: BoxTree,
+    box_tree: BoxTree,
     faces: FaceList,
     shape: BodyShape,
     stance: BodyStance,
     shift: Vec3,
     max_shift: F64,
-    turns: I64,
+    max_rounds: I64,
 ) -> BodyShift:
     """Return the shift that brings a capsule outside all faces around it, starting from `shift`, and its remaining depth.
 
-    `turns`: the number of iterations. Each first moves the body off the faces that its axis crosses, then off the faces nearer
-    than its radius. With 0 iterations, only the depth is measured. The shift is at most `max_shift` mm."""
+    `max_rounds`: the number of iterations. Each first moves the body off the faces that its axis crosses, then off the faces
+    nearer than its radius. With 0 iterations, only the depth is measured. The shift is at most `max_shift` mm."""
     place, normal, up, heading, size = stance
-    rest = plus(place, plus(times(up, shape.height), times(heading, shape.ahead)))
-    tip = times(heading, shape.half + shape.radius)
-    anchor = plus(place, times(normal, _ANCHOR_HEIGHT_PER_BODY * size))
+    rest = plus(place, plus(times(up, shape.middle_height), times(heading, shape.middle_forward_offset)))
+    tip = times(heading, shape.axis_half_length + shape.radius)
+    anchor = plus(place, times(normal, _ANCHOR_HEIGHT_BODY_LENGTHS * size))
     middle = plus(rest, shift)
     away = minus(anchor, middle)
     near = max(shape.radius, np.sqrt(dot(away, away)))
-    n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), near, -1, -1, faces)
-    if not _touches_face(table, boxes, faces, n, shape, anchor, middle, heading):
+    n = gather_faces(pieces, box_tree, minus(middle, tip), plus(middle, tip), near, -1, -1, faces)
+    if not _is_body_touching_face(table, box_tree, faces, n, shape, anchor, middle, heading):
         return BodyShift(shift, 0.0, (0.0, 0.0, 0.0))
-    wide = max(shape.radius + _MARGIN_PER_BODY * size, near)
-    n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), wide, -1, -1, faces)
+    wide = max(shape.radius + _MARGIN_BODY_LENGTHS * size, near)
+    n = gather_faces(pieces, box_tree, minus(middle, tip), plus(middle, tip), wide, -1, -1, faces)
     depth, out = 0.0, (0.0, 0.0, 0.0)
-    for turn in range(turns + 1):
+    for turn in range(max_rounds + 1):
         depth = 0.0
         for part in range(3):
             middle = plus(rest, shift)
@@ -118,7 +125,7 @@ def shift_outside(
                 start, step, extra = anchor, minus(middle, anchor), shape.radius
             if part == 2:
                 step = times(tip, -1.0)
-            hit = find_first_hit(table, boxes, faces, n, start, step, 0.0)
+            hit = find_first_hit(table, box_tree, faces, n, start, step, 0.0)
             if hit.face >= 0:
                 m = load_vector(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
                 along = dot(m, step)
@@ -127,13 +134,13 @@ def shift_outside(
                 over = (1.0 - min(hit.path_fraction, 1.0)) * -along + extra
                 if over > depth:
                     depth, out = over, m
-                if turn < turns:
+                if turn < max_rounds:
                     shift = plus(shift, times(m, over))
-        for point in range(_AXIS_POINTS):
-            center = _get_axis_point(plus(rest, shift), heading, shape.half, point)
+        for point in range(_AXIS_POINT_COUNT):
+            center = _get_axis_point(plus(rest, shift), heading, shape.axis_half_length, point)
             best, away = shape.radius, (0.0, 0.0, 0.0)
             for k in range(n):
-                row = ROW_FLOATS * boxes.triangle_order[faces.numbers[faces.begin + k]]
+                row = ROW_FLOATS * box_tree.triangle_order[faces.numbers[faces.begin + k]]
                 v = minus(center, load_vector(table, row + CORNER_OFFSET))
                 # All points of a face are at least as far away as its plane.
                 if abs(dot(v, load_vector(table, row + NORMAL_OFFSET))) >= best:
@@ -146,9 +153,9 @@ def shift_outside(
                 over = shape.radius - best
                 if over > depth and best > 1e-9:
                     depth, out = over, times(away, 1.0 / best)
-                if turn < turns and best > 1e-9:
+                if turn < max_rounds and best > 1e-9:
                     shift = plus(shift, times(away, over / best))
-        if depth <= _SLACK_PER_BODY * size:
+        if depth <= _SLACK_BODY_LENGTHS * size:
             break
         long = np.sqrt(dot(shift, shift))
         if long > max_shift:

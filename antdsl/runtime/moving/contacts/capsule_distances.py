@@ -13,15 +13,15 @@ from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, get_column,
 from antdsl.numerics.sorting import compact_indices
 
 # radii around the axis within which neighbours are searched; more than 1, because the agent may still be moved
-_SEARCH_RADII = 1.6
+_SEARCH_DISTANCE_RADII = 1.6
 _CANDIDATE_DISTANCE_WIDTHS = 1.5  # widths; pairs farther apart cannot touch in this substep
 _OPPOSITE_SIDES_COSINE = -0.5  # cosine between two up directions; below it, the agents are on opposite sides of something
 _COINCIDENT_AXES_WIDTHS = 1e-6  # widths; two axes this near to each other define no direction
 _FLOAT32_ZERO = np.float32(0)
 _AGENTS_PER_BATCH = 64  # agents with bounds computed in SIMD lanes
-_EMPTY_EXTREMES = np.repeat([np.inf, -np.inf, 0.0], [4 * _AGENTS_PER_BATCH, 4 * _AGENTS_PER_BATCH, _AGENTS_PER_BATCH]).reshape(
-    9, _AGENTS_PER_BATCH
-)
+_EMPTY_PARTIAL_BOUNDS = np.repeat(
+    [np.inf, -np.inf, 0.0], [4 * _AGENTS_PER_BATCH, 4 * _AGENTS_PER_BATCH, _AGENTS_PER_BATCH]
+).reshape(9, _AGENTS_PER_BATCH)
 _PREFETCH_GROUP_SIZE = 32  # number of pairs with rows prefetched before they are measured
 _MAY_TOUCH_FLAG, _NO_AXIS_FLAG = 1, 2  # flags of a pair: it may touch; it has no separation axis
 _NEAR_OVERLAP_FLAG, _OVERLAPPING_FLAG = 1, 2  # flags of a row: a neighbour overlaps another; the row itself overlaps another
@@ -33,13 +33,13 @@ NO_PERIOD = np.zeros(6)
 class CapsuleArrays(NamedTuple):
     """Capsules of some rows.
 
-    `middle`, `ahead`, `up` (3, k): middle of the axis (mm), and unit vectors. `half`, `radius` (k): half length and radius
-        (mm). `period` (6): widths (mm) of a periodic world, and their inverses; 0 along axes that do not wrap."""
+    `middle`, `axis_direction`, `up` (3, k): middle of the axis (mm), and unit vectors. `half_length`, `radius` (k): half length
+        and radius (mm). `period` (6): widths (mm) of a periodic world, and their inverses; 0 along axes that do not wrap."""
 
     middle: Strided2[F64]
-    ahead: Strided2[F64]
+    axis_direction: Strided2[F64]
     up: Strided2[F64]
-    half: Array1[F64]
+    half_length: Array1[F64]
     radius: Array1[F64]
     period: Array1[F64] = NO_PERIOD
 
@@ -48,9 +48,9 @@ class CrowdCapsules(NamedTuple):
     """Capsules of all agents. Vectors have the layout of registers."""
 
     middle: Array2[F64]
-    ahead: VectorColumns
+    axis_direction: VectorColumns
     up: VectorColumns
-    half: Array1[F64]
+    half_length: Array1[F64]
     radius: Array1[F64]
     period: Array1[F64] = NO_PERIOD
 
@@ -58,21 +58,23 @@ class CrowdCapsules(NamedTuple):
 class CapsuleShape(NamedTuple):
     """The capsule of a species, in body lengths.
 
-    `length`, `width`: size of the capsule. `height`: height of its axis above the feet. `ahead`: distance of its middle ahead
+    `length`, `width`: size of the capsule. `height`: height of its axis above the feet. `forward_offset`: distance of its
+    middle ahead
         of the feet."""
 
     length: F64
     width: F64
     height: F64
-    ahead: F64
+    forward_offset: F64
 
 
 class TrunkCapsules(NamedTuple):
-    """Capsules of all agents, as in `capsules.CapsuleCrowd`. `shift`: the distance (mm) of each middle ahead of the feet."""
+    """Capsules of all agents, as in `capsules.CapsuleCrowd`. `forward_offset`: the distance (mm) of each middle ahead of the
+    feet."""
 
-    half: Array1[F64]
+    half_length: Array1[F64]
     radius: Array1[F64]
-    shift: Array1[F64]
+    forward_offset: Array1[F64]
     reach: Array1[F64]
     middle: Array2[F64]
 
@@ -87,12 +89,12 @@ class CrowdBounds(NamedTuple):
 class TouchingPairCounts(NamedTuple):
     """Counts of the pairs of agents that may touch.
 
-    `pair_count`: the number of pairs. `row_count`: the number of agents in pairs. `without_axis`: the number of pairs without a
-    separation axis. `max_radius`: the largest radius (mm) of an agent in a pair."""
+    `pair_count`: the number of pairs. `row_count`: the number of agents in pairs. `pairs_without_axis`: the number of pairs
+    without a separation axis. `max_radius`: the largest radius (mm) of an agent in a pair."""
 
     pair_count: I64
     row_count: I64
-    without_axis: I64
+    pairs_without_axis: I64
     max_radius: F64
 
 
@@ -102,72 +104,93 @@ def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
-def empty_extremes() -> NDArray[np.float64]:
+def make_empty_partial_bounds() -> NDArray[np.float64]:
     """Return initial bounds for `place_trunks`: +inf for minima, -inf for maxima, and 0 for the count of values that are not
     finite."""
-    return _EMPTY_EXTREMES.copy()
+    return _EMPTY_PARTIAL_BOUNDS.copy()
 
 
 @kernel
 def place_trunks(
-    place: Array2[F64],
+    position: Array2[F64],
     heading: VectorColumns,
     up: VectorColumns,
     size: Array1[F32],
     shape: CapsuleShape,
-    first: I64,
+    first_index: I64,
     trunks: TrunkCapsules,
-    extremes: Array2[F64],
+    partial_bounds: Array2[F64],
 ) -> CrowdBounds:
-    """Compute the capsules of a species at positions (3, n) mm, and store them from index `first` on.
+    """Compute the capsules of a species at positions (3, n) mm, and store them from index `first_index` on.
 
     Returns the bounds of this species and all earlier ones.
-    `extremes` (9, 64): partial bounds, one column for every 64th agent; initially from `empty_extremes`."""
+    `partial_bounds` (9, 64): partial bounds, one column for every 64th agent; initially from `make_empty_partial_bounds`."""
     length, width, height, ahead = shape
     half, radius, shift, reach, middle = trunks
     for begin in range(0, size.size, _AGENTS_PER_BATCH):
         for i in simd_range(begin, min(begin + _AGENTS_PER_BATCH, size.size)):
-            row, column = first + i, i - begin
+            row, column = first_index + i, i - begin
             wide = np.float64(_FLOAT32_ZERO if size[i] <= 0 else size[i])
             radius[row] = wide * width * 0.5
             half[row] = max(wide * length * 0.5 - radius[row], 0.0)
-            reach[row] = half[row] + radius[row] * _SEARCH_RADII
+            reach[row] = half[row] + radius[row] * _SEARCH_DISTANCE_RADII
             high, shift[row] = wide * height, wide * ahead
             above, forward = _read_vector(up, i), _read_vector(heading, i)
             for k in range(3):
-                middle[k, row] = (place[k, i] + above[k] * high) + forward[k] * shift[row]
+                middle[k, row] = (position[k, i] + above[k] * high) + forward[k] * shift[row]
             numbers = (middle[0, row], middle[1, row], middle[2, row], reach[row])
             for k in range(4):
-                extremes[k, column] = min(extremes[k, column], numbers[k])
-                extremes[4 + k, column] = max(extremes[4 + k, column], numbers[k])
-                extremes[8, column] += numbers[k] - numbers[k]
-    x, y, z, far = extremes[0, 0], extremes[1, 0], extremes[2, 0], extremes[3, 0]
-    u, v, w, wide, unknown = extremes[4, 0], extremes[5, 0], extremes[6, 0], extremes[7, 0], extremes[8, 0]
+                partial_bounds[k, column] = min(partial_bounds[k, column], numbers[k])
+                partial_bounds[4 + k, column] = max(partial_bounds[4 + k, column], numbers[k])
+                partial_bounds[8, column] += numbers[k] - numbers[k]
+    x, y, z, far = partial_bounds[0, 0], partial_bounds[1, 0], partial_bounds[2, 0], partial_bounds[3, 0]
+    u, v, w, wide, unknown = (
+        partial_bounds[4, 0],
+        partial_bounds[5, 0],
+        partial_bounds[6, 0],
+        partial_bounds[7, 0],
+        partial_bounds[8, 0],
+    )
     for k in range(1, _AGENTS_PER_BATCH):
-        x, y, z, far = min(x, extremes[0, k]), min(y, extremes[1, k]), min(z, extremes[2, k]), min(far, extremes[3, k])
-        u, v, w, wide = max(u, extremes[4, k]), max(v, extremes[5, k]), max(w, extremes[6, k]), max(wide, extremes[7, k])
-        unknown += extremes[8, k]
+        x, y, z, far = (
+            min(x, partial_bounds[0, k]),
+            min(y, partial_bounds[1, k]),
+            min(z, partial_bounds[2, k]),
+            min(far, partial_bounds[3, k]),
+        )
+        u, v, w, wide = (
+            max(u, partial_bounds[4, k]),
+            max(v, partial_bounds[5, k]),
+            max(w, partial_bounds[6, k]),
+            max(wide, partial_bounds[7, k]),
+        )
+        unknown += partial_bounds[8, k]
     return CrowdBounds((x + unknown, y + unknown, z + unknown, far + unknown), (u, v, w, wide))
 
 
 @inlined
-def mean_up(first: Vec3, second: Vec3) -> Vec3:
+def compute_mean_up(first_up: Vec3, second_up: Vec3) -> Vec3:
     """Return the unit vector between two up directions; zero if the agents are on opposite sides of something."""
-    between = plus(first, second)
-    factor = 0.0 if dot(first, second) < _OPPOSITE_SIDES_COSINE else 1 / np.sqrt(max(dot(between, between), 1e-12))
+    between = plus(first_up, second_up)
+    factor = 0.0 if dot(first_up, second_up) < _OPPOSITE_SIDES_COSINE else 1 / np.sqrt(max(dot(between, between), 1e-12))
     return times(between, factor)
 
 
 @inlined
-def find_separation(offset: Vec3, a: Vec3, b: Vec3, normal: Vec3, reach: F64, length: F64) -> tuple[Vec3, F64, Vec3]:
+def find_separation_axis(
+    offset: Vec3, first_axis: Vec3, second_axis: Vec3, normal: Vec3, reach: F64, length: F64
+) -> tuple[Vec3, F64, Vec3]:
     """Return the separation of two capsule axes: the vector between their nearest points, perpendicular to `normal`.
 
     Also returns the height of that vector along `normal`, and the vector between both middles, perpendicular to `normal`. The
     nearest points of two
     segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. `offset`: from the second
-    middle to the first. `a`, `b`: unit vectors along the axes. `reach`, `length`: their half lengths."""
+    middle to the first. `first_axis`, `second_axis`: unit vectors along the axes. `reach`, `length`: their half lengths."""
     flat = minus(offset, times(normal, dot(offset, normal)))
-    one, other = minus(a, times(normal, dot(a, normal))), minus(b, times(normal, dot(b, normal)))
+    one, other = (
+        minus(first_axis, times(normal, dot(first_axis, normal))),
+        minus(second_axis, times(normal, dot(second_axis, normal))),
+    )
     aa, bb, ab = max(dot(one, one), 1e-9), max(dot(other, other), 1e-9), dot(one, other)
     c, f = dot(one, flat), dot(other, flat)
     skew = aa * bb - ab * ab
@@ -175,19 +198,21 @@ def find_separation(offset: Vec3, a: Vec3, b: Vec3, normal: Vec3, reach: F64, le
     s = min(max(s, -reach), reach)
     t = min(max((ab * s + f) / bb, -length), length)
     s = min(max((ab * t - c) / aa, -reach), reach)
-    separation = minus(plus(offset, times(a, s)), times(b, t))
+    separation = minus(plus(offset, times(first_axis, s)), times(second_axis, t))
     over = dot(separation, normal)
     return minus(separation, times(normal, over)), over, flat
 
 
 @kernel_helper
-def _measure_gap(
-    offset: Vec3, a: Vec3, b: Vec3, first_up: Vec3, second_up: Vec3, reach: F64, length: F64, radius_sum: F64
+def _measure_capsule_gap(
+    offset: Vec3, first_axis: Vec3, second_axis: Vec3, first_up: Vec3, second_up: Vec3, reach: F64, length: F64, radius_sum: F64
 ) -> tuple[F64, Vec3, BOOL]:
     """Return the gap (mm) and separation axis of a pair, and whether the pair has no axis because both positions are equal.
 
     If the capsule axes cross, the separation axis is the direction between the middles."""
-    separation, over, flat = find_separation(offset, a, b, mean_up(first_up, second_up), reach, length)
+    separation, over, flat = find_separation_axis(
+        offset, first_axis, second_axis, compute_mean_up(first_up, second_up), reach, length
+    )
     distance = np.sqrt(dot(separation, separation))
     margin = radius_sum * radius_sum - over * over
     gap = distance - np.sqrt(margin) if margin > 0 else np.inf
@@ -200,7 +225,7 @@ def _measure_gap(
 
 
 @inlined
-def _wrap(offset: Vec3, period: Array1[F64]) -> Vec3:
+def _wrap_offset(offset: Vec3, period: Array1[F64]) -> Vec3:
     """Return the nearest image of an offset. Without a period, it keeps its bits."""
     return (
         offset[0] - period[0] * np.floor(offset[0] * period[3] + 0.5),
@@ -210,26 +235,19 @@ def _wrap(offset: Vec3, period: Array1[F64]) -> Vec3:
 
 
 @inlined
-def _measure_rows(bodies: CapsuleArrays, offset: Vec3, p: I64, q: I64) -> tuple[F64, Vec3, BOOL]:
-    """Return what `_measure_gap` does, for rows p and q with an `offset` of their middles."""
+def _measure_row_gap(bodies: CapsuleArrays, offset: Vec3, p: I64, q: I64) -> tuple[F64, Vec3, BOOL]:
+    """Return what `_measure_capsule_gap` does, for rows p and q with an `offset` of their middles."""
     _, ahead, up, half, radius, period = bodies
     a, b, u, v = get_column(ahead, p), get_column(ahead, q), get_column(up, p), get_column(up, q)
-    return _measure_gap(_wrap(offset, period), a, b, u, v, half[p], half[q], radius[p] + radius[q])
+    return _measure_capsule_gap(_wrap_offset(offset, period), a, b, u, v, half[p], half[q], radius[p] + radius[q])
 
 
 @kernel_helper
-def measure_listed(
-    bodies: CapsuleArrays,
-    displacement: Any,
-    i: Array1[I64],
-    j: Array1[I64],
-    gap: Array1[F64],
-    direction: Array2[F64],
-    pair_numbers: Array1[I64],
-    count: I64,
-    lost_pairs: Array1[I64],
-) -> I64:
-    """Measure the first `count` pairs in `pair_numbers`, as `measure_changed` does."""
+def measure_listed_pairs(
+    bodies: CapsuleArrays, displacement: Any, i: Array1[I64], j: Array1[I64], gap: Array1[F64], direction: Array2[F64],
+    pair_numbers: Array1[I64], count: I64, lost_pairs: Array1[I64]
+) -> I64:  # fmt: skip
+    """Measure the first `count` pairs in `pair_numbers`, as `measure_pairs_of_changed_rows` does."""
     middle = bodies.middle
     for n in simd_range(0, count):
         pair = pair_numbers[n]
@@ -237,7 +255,7 @@ def measure_listed(
         away = minus(
             plus(get_column(middle, p), get_column(displacement, p)), plus(get_column(middle, q), get_column(displacement, q))
         )
-        gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_rows(bodies, away, p, q)
+        gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_row_gap(bodies, away, p, q)
         lost_pairs[n] = 1 if nowhere else 0
     without = compact_indices(lost_pairs, count)
     for n in range(without):
@@ -246,30 +264,23 @@ def measure_listed(
 
 
 @kernel
-def measure_changed(
-    bodies: CapsuleArrays,
-    displacement: Strided2[F64],
-    i: Array1[I64],
-    j: Array1[I64],
-    changed: Array1[BOOL],
-    gap: Array1[F64],
-    direction: Array2[F64],
-    pair_numbers: Array1[I64],
-    lost_pairs: Array1[I64],
-) -> I64:
-    """Write `gap` and `direction` of the pairs with a `changed` row, as described for `capsules.NearbyPairs.measure`.
+def measure_pairs_of_changed_rows(
+    bodies: CapsuleArrays, displacement: Strided2[F64], i: Array1[I64], j: Array1[I64], changed: Array1[BOOL],
+    gap: Array1[F64], direction: Array2[F64], pair_numbers: Array1[I64], lost_pairs: Array1[I64]
+) -> I64:  # fmt: skip
+    """Write `gap` and `direction` of the pairs with a `changed` row, as described for `capsules.NearbyCapsulePairs.measure`.
 
     Returns the number of pairs without a separation axis; these are listed at the start of `lost_pairs`. `pair_numbers`: a work
     buffer."""
     for pair in simd_range(0, i.size):
         pair_numbers[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
-    return measure_listed(
+    return measure_listed_pairs(
         bodies, displacement, i, j, gap, direction, pair_numbers, compact_indices(pair_numbers, i.size), lost_pairs
     )
 
 
 @kernel
-def measure_before_step(
+def measure_pairs_before_step(
     bodies: CapsuleArrays,
     travel: Strided2[F64],
     i: Array1[I64],
@@ -279,7 +290,7 @@ def measure_before_step(
     depth: Array1[F64],
     lost_pairs: Array1[I64],
 ) -> I64:
-    """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyPairs.measure_before_step`.
+    """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyCapsulePairs.measure_before_step`.
 
     Returns the number of pairs without a separation axis; these are listed at the start of `lost_pairs`."""
     middle, ahead, up, half, radius, _ = bodies
@@ -295,7 +306,9 @@ def measure_before_step(
         for pair in simd_range(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
             p, q = i[pair], j[pair]
             away = minus(minus(get_column(middle, p), get_column(travel, p)), minus(get_column(middle, q), get_column(travel, q)))
-            gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_rows(bodies, away, p, q)
+            gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_row_gap(
+                bodies, away, p, q
+            )
             lost_pairs[pair] = 1 if nowhere else 0
     depth[:] = 0.0
     for pair in range(i.size):
@@ -307,21 +320,12 @@ def measure_before_step(
 
 @kernel
 def select_touching_pairs(
-    crowd: CrowdCapsules,
-    key: Array1[I64],
-    i: Array1[I64],
-    j: Array1[I64],
-    gap: Array1[F64],
-    direction: Array2[F64],
-    flags: Array1[I64],
-    rows: Array1[I64],
-    number: Array1[I64],
-    all_pairs: BOOL,
-    dead_zone_share: F64,
-) -> TouchingPairCounts:
+    crowd: CrowdCapsules, pair_keys: Array1[I64], i: Array1[I64], j: Array1[I64], gap: Array1[F64], direction: Array2[F64],
+    flags: Array1[I64], rows: Array1[I64], row_indices: Array1[I64], all_pairs: BOOL, dead_zone_share: F64
+) -> TouchingPairCounts:  # fmt: skip
     """Select the pairs (`i`, `j`) that may touch, for `capsules.find_near_pairs`. Move them to the front of all pair arrays.
 
-    `flags`: receives the indices of pairs without a separation axis. `number`: a work buffer.
+    `flags`: receives the indices of pairs without a separation axis. `row_indices`: a work buffer.
     `all_pairs`: if False, select only pairs with a row that overlaps another row. The overlap must exceed `dead_zone_share` times
     the sum of both radii."""
     middle, ahead, up, half, radius, period = crowd
@@ -330,22 +334,22 @@ def select_touching_pairs(
             for side in range(2):
                 row = j[pair] if side else i[pair]
                 for axis in range(3):
-                    prefetch(middle, axis * key.size + row)
+                    prefetch(middle, axis * pair_keys.size + row)
                     prefetch(ahead[axis], row)
                     prefetch(up[axis], row)
                 prefetch(half, row)
                 prefetch(radius, row)
-                prefetch(key, row)
+                prefetch(pair_keys, row)
         for pair in simd_range(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
             p, q = i[pair], j[pair]
-            if key[p] > key[q]:
+            if pair_keys[p] > pair_keys[q]:
                 p, q = j[pair], i[pair]
-            away, wide = _wrap(minus(get_column(middle, p), get_column(middle, q)), period), radius[p] + radius[q]
+            away, wide = _wrap_offset(minus(get_column(middle, p), get_column(middle, q)), period), radius[p] + radius[q]
             a, b, u, w = _read_vector(ahead, p), _read_vector(ahead, q), _read_vector(up, p), _read_vector(up, q)
-            far, v, nowhere = _measure_gap(away, a, b, u, w, half[p], half[q], wide)
+            far, v, nowhere = _measure_capsule_gap(away, a, b, u, w, half[p], half[q], wide)
             i[pair], j[pair], gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]) = p, q, far, v
             flags[pair] = (_NO_AXIS_FLAG if nowhere else _MAY_TOUCH_FLAG) if far < wide * _CANDIDATE_DISTANCE_WIDTHS else 0
-    number[:] = 0
+    row_indices[:] = 0
     pairs, lost, widest = 0, 0, 0.0
     for pair in range(i.size):  # stored unconditionally: the branch would be hard to predict
         p, q, state = i[pair], j[pair], flags[pair]
@@ -357,7 +361,7 @@ def select_touching_pairs(
         p, q = i[pair], j[pair]
         widest = max(max(widest, radius[p]), radius[q])
         if all_pairs or gap[pair] < (radius[p] + radius[q]) * -dead_zone_share:
-            number[p], number[q] = _OVERLAPPING_FLAG, _OVERLAPPING_FLAG
+            row_indices[p], row_indices[q] = _OVERLAPPING_FLAG, _OVERLAPPING_FLAG
     if not all_pairs:
         near = pairs
         pairs = 0
@@ -366,17 +370,17 @@ def select_touching_pairs(
             v = get_column(direction, pair)
             i[pairs], j[pairs], gap[pairs], flags[pairs] = p, q, gap[pair], state
             direction[0, pairs], direction[1, pairs], direction[2, pairs] = v
-            one, other = number[p], number[q]
+            one, other = row_indices[p], row_indices[q]
             if one == _OVERLAPPING_FLAG or other == _OVERLAPPING_FLAG:
-                number[p], number[q] = max(one, _NEAR_OVERLAP_FLAG), max(other, _NEAR_OVERLAP_FLAG)
+                row_indices[p], row_indices[q] = max(one, _NEAR_OVERLAP_FLAG), max(other, _NEAR_OVERLAP_FLAG)
                 pairs += 1
     count = 0
-    for k in range(number.size):
-        mark = number[k]
-        rows[count], number[k] = k, count
+    for k in range(row_indices.size):
+        mark = row_indices[k]
+        rows[count], row_indices[k] = k, count
         count += 1 if mark != 0 else 0
     for pair in range(pairs):
-        i[pair], j[pair] = number[i[pair]], number[j[pair]]
+        i[pair], j[pair] = row_indices[i[pair]], row_indices[j[pair]]
         nowhere = flags[pair] == _NO_AXIS_FLAG
         flags[lost] = pair
         lost += 1 if nowhere else 0
@@ -389,6 +393,7 @@ def gather_capsules(rows: Array1[I64], crowd: CrowdCapsules, target: CapsuleArra
     middle, ahead, up, half, radius, _ = crowd
     for k in simd_range(0, rows.size):
         row = rows[k]
-        target.half[k], target.radius[k] = half[row], radius[row]
+        target.half_length[k], target.radius[k] = half[row], radius[row]
         for axis in range(3):
-            target.middle[axis, k], target.ahead[axis, k], target.up[axis, k] = middle[axis, row], ahead[axis][row], up[axis][row]
+            target.middle[axis, k] = middle[axis, row]
+            target.axis_direction[axis, k], target.up[axis, k] = ahead[axis][row], up[axis][row]

@@ -25,14 +25,14 @@ from antdsl.runtime.moving.contacts.capsule_distances import (
     CapsuleShape,
     CrowdCapsules,
     TrunkCapsules,
-    empty_extremes,
     gather_capsules,
-    measure_before_step,
-    measure_changed,
+    make_empty_partial_bounds,
+    measure_pairs_before_step,
+    measure_pairs_of_changed_rows,
     place_trunks,
     select_touching_pairs,
 )
-from antdsl.runtime.moving.contacts.loads import LOAD_REGISTER, extend_trunks
+from antdsl.runtime.moving.contacts.loads import LOAD_REGISTER, extend_trunks_over_loads
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.body_choice import find_species_of_key
 from antdsl.scene.library_bodies import (
@@ -42,7 +42,7 @@ from antdsl.scene.library_bodies import (
     TrunkCapsule,
     find_body_for_species,
 )
-from antdsl.senses.touching import Bounds, find_touching
+from antdsl.senses.touching import Bounds, find_touching_pairs
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -63,22 +63,22 @@ def find_capsule(world: World, key: str) -> TrunkCapsule:
     if own is not None:
         capsule = TrunkCapsule(own.length, own.width, own.height, own.forward_offset)
     else:
-        capsule = (WHOLE_CAPSULE_BY_BODY if is_whole else CAPSULE_BY_BODY)[_library_body(world, species)]
+        capsule = (WHOLE_CAPSULE_BY_BODY if is_whole else CAPSULE_BY_BODY)[_find_library_body(world, species)]
     return replace(capsule, height=max(capsule.height, capsule.width / 2 + _GROUND_GAP)) if is_whole else capsule
 
 
-def _library_body(world: World, species: str) -> str:
+def _find_library_body(world: World, species: str) -> str:
     """Return the name of the library body of a species."""
     bodies = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
     return next(bodies, None) or find_body_for_species(species)
 
 
-def _load_front(world: World, species: str) -> float | None:
+def _find_load_front(world: World, species: str) -> float | None:
     """Return how far (body lengths) the front of a load is ahead of the feet. Return None if agents of the species hold no loads
     with a size."""
     if world.setting.body_capsules.get(species) is not None or not world.plan.species[species].has_whole_body:
         return None
-    return LOAD_FRONT_BY_BODY.get(_library_body(world, species))
+    return LOAD_FRONT_BY_BODY.get(_find_library_body(world, species))
 
 
 class CapsuleCrowd:
@@ -102,7 +102,10 @@ class CapsuleCrowd:
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
         has_loads = False
-        capsules, extremes = TrunkCapsules(self.half, self.radius, self.ahead, self.reach, self.middle), empty_extremes()
+        capsules, extremes = (
+            TrunkCapsules(self.half, self.radius, self.ahead, self.reach, self.middle),
+            make_empty_partial_bounds(),
+        )
         bounds: Any = ()
         for population, first in zip(self.species, self.first.tolist(), strict=False):
             own = self._select_registers(population)
@@ -114,19 +117,19 @@ class CapsuleCrowd:
                 if rows is None:
                     bounds = place_trunks(*stands, shape, first, capsules, extremes)
                 else:
-                    bounds = _place_some_trunks(stands, rows, shape, first, capsules, extremes)
-            front = _load_front(self.world, population.name)
+                    bounds = _place_trunks_of_rows(stands, rows, shape, first, capsules, extremes)
+            front = _find_load_front(self.world, population.name)
             if front is not None and LOAD_REGISTER in own:
-                has_loads |= extend_trunks(own[LOAD_REGISTER], stands[1], own["size"], front, first, capsules)
+                has_loads |= extend_trunks_over_loads(own[LOAD_REGISTER], stands[1], own["size"], front, first, capsules)
         return None if has_loads else list(zip(bounds[:4], bounds[4:], strict=True))
 
     def __len__(self) -> int:
         return int(self.first[-1])
 
-    def concatenate_species(self, read_column: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
+    def concatenate_species(self, read_column: Callable[[Population], NDArray[Any]], row_axis: int = 0) -> NDArray[Any]:
         """Apply `read_column` to each species, and return the results concatenated along an axis."""
         arrays = [read_column(population) for population in self.species]
-        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=row_axis)
 
     def split_rows(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
         """Yield each species with its part of the given ascending rows. The parts are counted from the first agent of the
@@ -147,46 +150,47 @@ class CapsuleCrowd:
         return population.start if self._start else population.now
 
 
-def _place_some_trunks(
+def _place_trunks_of_rows(
     stances: tuple[Floats, vec.VectorArrays, vec.VectorArrays, NDArray[np.float32]],
     rows: Rows,
     shape: CapsuleShape,
-    first: int,
+    first_index: int,
     capsules: TrunkCapsules,
-    extremes: Floats,
+    partial_bounds: Floats,
 ) -> Any:
-    """Compute the capsules of some rows of a species, as `place_trunks` does for all, and store them from index `first` on.
+    """Compute the capsules of some rows of a species, as `place_trunks` does for all, and store them from index `first_index` on.
 
     Returns the bounds, as `place_trunks` does."""
     place, heading, up, size = stances
     half, radius, ahead, reach = np.empty((4, len(rows)))
     subset = TrunkCapsules(half, radius, ahead, reach, np.empty((3, len(rows))))
     own = np.ascontiguousarray(place.take(rows, axis=1)), vec.take_rows(heading, rows), vec.take_rows(up, rows), size.take(rows)
-    bounds = place_trunks(*own, shape, 0, subset, extremes)
+    bounds = place_trunks(*own, shape, 0, subset, partial_bounds)
     for column, part in zip(capsules, subset, strict=True):
-        column[..., first + rows] = part
+        column[..., first_index + rows] = part
     return bounds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NearbyPairs:
+class NearbyCapsulePairs:
     """Pairs of capsules that are near each other. Lengths are in mm.
 
     - `rows`: ascending rows of the crowd that occur in a pair.
-    - `i`, `j`: indices of both agents in `rows`. The first agent comes first by species and id.
-    - `middle`, `ahead`, `up` (3, k); `half`, `radius` (k): the capsule of each row when the pairs were listed. `max_radius`: the
+    - `first_indices`, `second_indices`: indices of both agents in `rows`. The first agent comes first by species and id.
+    - `middle`, `axis_directions`, `up` (3, k); `half_lengths`, `radius` (k): the capsule of each row when the pairs were
+    listed. `max_radius`: the
       largest radius.
     - `gap` (m): last measured distance to contact of each pair, negative for overlaps.
     - `direction` (3, m): last measured separation axis, a unit vector from the second agent to the first."""
 
     crowd: CapsuleCrowd
     rows: Rows
-    i: Rows
-    j: Rows
+    first_indices: Rows
+    second_indices: Rows
     middle: Floats
-    ahead: Floats
+    axis_directions: Floats
     up: Floats
-    half: Floats
+    half_lengths: Floats
     radius: Floats
     max_radius: float
     gap: Floats
@@ -194,32 +198,44 @@ class NearbyPairs:
     period: Floats = field(default_factory=lambda: NO_PERIOD)  # as in `CapsuleArrays`
 
     @property
-    def bodies(self) -> CapsuleArrays:
+    def capsules(self) -> CapsuleArrays:
         """Return the capsules of the rows as kernels read them."""
-        return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius, self.period)
+        return CapsuleArrays(self.middle, self.axis_directions, self.up, self.half_lengths, self.radius, self.period)
 
     def measure_before_step(self, travel: Floats) -> tuple[Floats, Floats, Floats]:
         """Return gaps and separation axes of all pairs before the rows `travel` (3, k) mm, with current headings.
 
         Also returns the greatest overlap (k) mm of each row."""
-        pairs, rows = len(self.i), len(self.rows)
+        pairs, rows = len(self.first_indices), len(self.rows)
         gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
-        count = measure_before_step(self.bodies, travel, self.i, self.j, gap, direction, depth, lost)
-        self.draw_directions(direction, lost[:count])
+        count = measure_pairs_before_step(
+            self.capsules, travel, self.first_indices, self.second_indices, gap, direction, depth, lost
+        )
+        self.draw_missing_axes(direction, lost[:count])
         return gap, direction, depth
 
-    def measure(self, displacement: Floats, changed: Flags) -> None:
-        """Measure all pairs with a row that has `changed` (k), after displacements of the rows by (3, k) mm."""
-        pair_numbers, lost = np.empty((2, len(self.i)), np.intp)
-        count = measure_changed(self.bodies, displacement, self.i, self.j, changed, self.gap, self.direction, pair_numbers, lost)
-        self.draw_directions(self.direction, lost[:count])
+    def measure_gaps(self, displacement: Floats, changed_rows: Flags) -> None:
+        """Measure all pairs with a row that has `changed_rows` (k), after displacements of the rows by (3, k) mm."""
+        pair_numbers, lost = np.empty((2, len(self.first_indices)), np.intp)
+        count = measure_pairs_of_changed_rows(
+            self.capsules,
+            displacement,
+            self.first_indices,
+            self.second_indices,
+            changed_rows,
+            self.gap,
+            self.direction,
+            pair_numbers,
+            lost,
+        )
+        self.draw_missing_axes(self.direction, lost[:count])
 
-    def draw_directions(self, direction: Floats, pair_indices: Rows) -> None:
+    def draw_missing_axes(self, direction: Floats, pair_indices: Rows) -> None:
         """Draw separation axes (3, m) for pairs with equal positions. Each lies along the ground of the first agent and
         depends on the seed and both ids."""
         if not len(pair_indices):
             return
-        crowd, i, j = self.crowd, self.i.take(pair_indices), self.j.take(pair_indices)
+        crowd, i, j = self.crowd, self.first_indices.take(pair_indices), self.second_indices.take(pair_indices)
         first, second = (crowd.agent_keys.take(self.rows.take(k)) for k in (i, j))
         kinds = (first // _SPECIES_KEY_STEP) * len(crowd.species) + second // _SPECIES_KEY_STEP
         turn = np.empty(len(i), np.float32)
@@ -236,13 +252,13 @@ class NearbyPairs:
         )
 
 
-def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -> NearbyPairs:
+def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -> NearbyCapsulePairs:
     """Return the pairs of a crowd that may touch.
 
     With `dead_zone_share`, return only pairs with a row that overlaps another row by more than this share of both radii."""
     x, y, z = crowd.middle
     if crowd.world.periodic is None:
-        pairs = find_touching((x, y, z), crowd.reach, crowd.agent_keys, crowd.bounds)
+        pairs = find_touching_pairs((x, y, z), crowd.reach, crowd.agent_keys, crowd.bounds)
         i, j = parallel.make_contiguous(pairs.i, pairs.j)
     else:
         i, j = _find_pairs_of_images(crowd, crowd.world.periodic.box)
@@ -256,8 +272,10 @@ def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -
     rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
     own = CapsuleArrays(middle, ahead, up, half, radius)
     gather_capsules(rows, stand, own)
-    near = NearbyPairs(crowd, rows, i[:m], j[:m], *own[:5], widest, gap[:m], np.ascontiguousarray(direction[:, :m]), crowd.period)
-    near.draw_directions(near.direction, known[:lost])
+    near = NearbyCapsulePairs(
+        crowd, rows, i[:m], j[:m], *own[:5], widest, gap[:m], np.ascontiguousarray(direction[:, :m]), crowd.period
+    )
+    near.draw_missing_axes(near.direction, known[:lost])
     return near
 
 
@@ -268,7 +286,7 @@ def _find_pairs_of_images(crowd: CapsuleCrowd, box: PeriodicBox) -> tuple[Rows, 
     sources, position = box.find_image_rows((x, y, z), 2 * widest)
     order = np.empty(len(sources), np.int64)
     order[np.lexsort((np.arange(len(sources)), crowd.agent_keys.take(sources)))] = np.arange(len(sources))
-    pairs = find_touching((position[0], position[1], position[2]), crowd.reach.take(sources), order)
+    pairs = find_touching_pairs((position[0], position[1], position[2]), crowd.reach.take(sources), order)
     i, j = sources.take(pairs.i), sources.take(pairs.j)
     # A pair at the seam occurs for several images of both.
     pair_rows = np.stack([np.minimum(i, j), np.maximum(i, j)], axis=1)[i != j]
@@ -282,13 +300,13 @@ def measure_overlap_depths(world: World) -> Floats:
     crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     depth = np.zeros(len(crowd))
-    depth[near.rows] = find_greatest_depths(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
+    depth[near.rows] = find_greatest_depths(len(near.rows), near.first_indices, near.second_indices, near.gap) / (2 * near.radius)
     return depth
 
 
-def find_greatest_depths(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
-    """Return the greatest overlap (mm) of each of `count` rows, from the gaps of pairs; 0 without overlap."""
+def find_greatest_depths(count: int, first_indices: Rows, second_indices: Rows, gap: Floats) -> Floats:
+    """Return the greatest overlap (mm) of each row, from the gaps of its pairs. It is 0 without overlap."""
     depth, inside = np.zeros(count), np.flatnonzero(gap < 0)
-    for k in (i.take(inside), j.take(inside)):
+    for k in (first_indices.take(inside), second_indices.take(inside)):
         np.maximum.at(depth, k, -gap.take(inside))
     return depth

@@ -24,8 +24,8 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays, dot
 from antdsl.runtime.moving import correction_walks
 from antdsl.runtime.moving.contacts import step_clamping
-from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
-from antdsl.runtime.moving.contacts.long_steps import StartPositions, find_long_steps, stop_long_steps
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyCapsulePairs, find_near_pairs
+from antdsl.runtime.moving.contacts.long_steps import StartPositions, find_long_steps, stop_long_steps_at_impacts
 from antdsl.runtime.moving.contacts.separation import DEAD_ZONE_SHARE, SUM_BITS, make_buffers, restore_headings, separate_pairs
 from antdsl.runtime.moving.correction_walks import CorrectionWalker, SpeciesStances, write_approach, write_stances
 from antdsl.runtime.world import PUSHED_REGISTER, World
@@ -39,7 +39,7 @@ _SOFT_CONTACT_SECONDS = 0.1  # time constant of soft contacts
 
 
 @dataclass(frozen=True, slots=True)
-class SolverEffort:
+class SolverIterations:
     """The number of iterations against overlaps in a substep.
 
     `outer_iterations`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement. `passes`: the
@@ -50,20 +50,23 @@ class SolverEffort:
     passes: int
 
     @property
-    def is_single(self) -> bool:
+    def has_one_iteration(self) -> bool:
         """Return whether there is one outer iteration, one sweep and one pass. Then only agents that overlap at the first
         measurement move."""
         return self.outer_iterations == self.sweeps == self.passes == 1
 
 
-SOLVER_EFFORTS: Mapping[str, SolverEffort] = {"soft": SolverEffort(1, 1, 1), "hard": SolverEffort(12, 4, 3)}
+SOLVER_ITERATIONS_BY_EFFORT: Mapping[str, SolverIterations] = {
+    "soft": SolverIterations(1, 1, 1),
+    "hard": SolverIterations(12, 4, 3),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartStances(StartPositions):
     """Positions and ground normals of agents at the start of a substep, by species; with hard contacts also their headings."""
 
-    headings: Mapping[str, VectorArrays]
+    heading_by_species: Mapping[str, VectorArrays]
 
 
 def record_stances(world: World) -> StartStances | None:
@@ -81,38 +84,39 @@ def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
     """Separate overlapping agents after a substep of `dt` s. `step_start`: the stances at its start."""
     if len(world) < 2:
         return
-    effort, crowd = SOLVER_EFFORTS[world.setting.contacts], CapsuleCrowd(world)
+    effort, crowd = SOLVER_ITERATIONS_BY_EFFORT[world.setting.contacts], CapsuleCrowd(world)
     is_hard = world.setting.contacts == "hard"
     long = find_long_steps(crowd, step_start) if is_hard else None
-    near = find_near_pairs(crowd, DEAD_ZONE_SHARE if effort.is_single else None)
-    if not len(near.i) and long is None:
+    near = find_near_pairs(crowd, DEAD_ZONE_SHARE if effort.has_one_iteration else None)
+    if not len(near.first_indices) and long is None:
         return
     share = 1.0 if is_hard else 1.0 - float(elementary.exp(_F(-dt / _SOFT_CONTACT_SECONDS)))
-    agents, walked = _PairAgents.build(crowd, near, step_start, dt)
+    agents, walked = _ContactAgents.build(crowd, near, step_start, dt)
     gap, direction, depth = near.measure_before_step(walked)
     cut = np.zeros_like(near.middle)
-    if is_hard and len(near.i):
-        cut, stopped, changed = step_clamping.clamp_steps(
-            near, _find_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction
+    if is_hard and len(near.first_indices):
+        cut, stopped, changed = step_clamping.clamp_approaching_steps(
+            near, _compute_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction
         )
-        _restore_headings(crowd, near, stopped, step_start.headings)
-    if long is not None and stop_long_steps(world, step_start, long, near, cut, dt):
+        _restore_headings(crowd, near, stopped, step_start.heading_by_species)
+    if long is not None and stop_long_steps_at_impacts(world, step_start, long, near, cut, dt):
         crowd = CapsuleCrowd(world)
         near = find_near_pairs(crowd)
-        agents, walked = _PairAgents.build(crowd, near, step_start, dt)
+        agents, walked = _ContactAgents.build(crowd, near, step_start, dt)
         _, _, depth = near.measure_before_step(walked)
         cut = np.zeros_like(near.middle)
-    elif is_hard and len(near.i):
-        near.measure(cut, changed)
-    if not len(near.i):
+    elif is_hard and len(near.first_indices):
+        near.measure_gaps(cut, changed)
+    if not len(near.first_indices):
         return
-    which, held, walking = np.ones(len(near.i), np.bool_), agents.is_frozen, CorrectionWalker(crowd, step_start.positions, dt)
-    work = make_buffers(len(near.rows), len(near.i))
+    which = np.ones(len(near.first_indices), np.bool_)
+    held, walking = agents.is_frozen, CorrectionWalker(crowd, step_start.positions, dt)
+    work = make_buffers(len(near.rows), len(near.first_indices))
     for left in range(effort.passes - 1, -1, -1):
         asked = _solve_separation(near, agents, which, held, walked, depth, effort, share, cut, work)
-        moved_rows, requested_moves = correction_walks.select_displaced(asked)
+        moved_rows, requested_moves = correction_walks.select_corrected_rows(asked)
         rows = near.rows.take(moved_rows)
-        got = walking.walk(rows, requested_moves)
+        got = walking.walk_corrections(rows, requested_moves)
         _record_pushes(crowd, rows, cut, moved_rows, requested_moves, got)
         if not left:
             break
@@ -120,16 +124,18 @@ def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
         touched = correction_walks.find_unresolved_rows(near, moved_rows, requested_moves, got, held)
         if not touched.any():
             break
-        near.measure(cut, touched)
+        near.measure_gaps(cut, touched)
         visible_pairs = correction_walks.find_overlapping_pairs(near, touched)
         if visible_pairs is None:
             break
         which = visible_pairs
         at = [population.position[own].T for population, own in crowd.split_rows(rows)]
-        walked[:, moved_rows] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(moved_rows, axis=1)
+        walked[:, moved_rows] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start_position.take(
+            moved_rows, axis=1
+        )
 
 
-def _find_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
+def _compute_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
     """Return the previous displacement (3, k) mm of the given rows: their velocity before this substep times `dt`."""
     first, displacement = 0, np.empty((3, len(rows)))
     for population, own in crowd.split_rows(rows):
@@ -139,16 +145,16 @@ def _find_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
 
 
 def _record_pushes(
-    crowd: CapsuleCrowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats
+    crowd: CapsuleCrowd, rows: Rows, own_corrections: Floats, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats
 ) -> None:
     """Add the distance that each row was pushed in this step, for species with a program that reads it.
 
-    Only displacements by other agents count. The correction `cut` (3, k) of the row's own step does not.
+    Only displacements by other agents count. The correction `own_corrections` (3, k) of the row's own step does not.
     `rows`: ascending rows of the crowd. `moved_rows`: indices of moved rows among these.
     `requested_moves` (3, k) mm: the requested displacements. `reached_moves`: the actual displacements; only these count."""
     if not any(PUSHED_REGISTER in population.now for population in crowd.species):
         return
-    pushed = requested_moves - cut.take(moved_rows, axis=1)
+    pushed = requested_moves - own_corrections.take(moved_rows, axis=1)
     short = np.where((pushed == 0).all(axis=0), 0.0, reached_moves - (requested_moves - pushed))
     far = np.sqrt(dot(short, short)).astype(_F)
     first = 0
@@ -159,14 +165,14 @@ def _record_pushes(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PairAgents:
+class _ContactAgents:
     """Values of the rows in pairs for one substep.
 
-    `start` (3, k) mm: positions at the start. `max_travel` (k) mm: the distance that each row may walk.
+    `start_position` (3, k) mm: positions at the start. `max_travel` (k) mm: the distance that each row may walk.
     `mass`: masses. `push_share`: limits the distance that neighbours can push a row; at most 1.
     `normal` (3, k): normals of the ground below the feet. `is_frozen`: stopped by a fault."""
 
-    start: Floats
+    start_position: Floats
     max_travel: Floats
     mass: Floats
     push_share: Floats
@@ -175,8 +181,8 @@ class _PairAgents:
 
     @staticmethod
     def build(
-        crowd: CapsuleCrowd, nearby_pairs: NearbyPairs, start_stances: StartStances, dt: float
-    ) -> tuple[_PairAgents, Floats]:
+        crowd: CapsuleCrowd, nearby_pairs: NearbyCapsulePairs, start_stances: StartStances, dt: float
+    ) -> tuple[_ContactAgents, Floats]:
         """Return the values of the rows in `nearby_pairs`, and the displacement (3, k) mm of each row from its start."""
         rows = nearby_pairs.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
@@ -190,45 +196,50 @@ class _PairAgents:
             len(rows) and mass.min() < mass.max()
         ):  # otherwise the sweeps would push a heavy agent as often as a light one cannot move away
             yields[:] = 0.0
-            for k, other in ((nearby_pairs.i, nearby_pairs.j), (nearby_pairs.j, nearby_pairs.i)):
+            for k, other in (
+                (nearby_pairs.first_indices, nearby_pairs.second_indices),
+                (nearby_pairs.second_indices, nearby_pairs.first_indices),
+            ):
                 one, two = mass.take(k), mass.take(other)
                 np.maximum.at(yields, k, np.minimum(2 * two / (one + two), 1.0))
-        return _PairAgents(
+        return _ContactAgents(
             start, reach, mass, yields, normal, crowd.concatenate_species(lambda p: p.quarantined).take(rows)
         ), walked
 
 
 def _solve_separation(
-    nearby_pairs: NearbyPairs,
-    agents: _PairAgents,
+    nearby_pairs: NearbyCapsulePairs,
+    agents: _ContactAgents,
     is_selected: Flags,
     is_held: Flags,
     travel: Floats,
     depth: Floats,
-    effort: SolverEffort,
-    share: float,
-    cut: Floats,
-    work: tuple[Any, ...],
+    effort: SolverIterations,
+    mobility_share: float,
+    own_corrections: Floats,
+    work_buffers: tuple[Any, ...],
 ) -> Floats:
     """Return the displacements (3, k) mm of rows that separate the pairs flagged in `is_selected` (m).
 
-    Pairs are measured after steps were changed by `cut` (3, k) mm. `is_held`: rows that must not move farther.
+    Pairs are measured after steps were changed by `own_corrections` (3, k) mm. `is_held`: rows that must not move farther.
     `travel` (3, k) mm: the displacement of each row. `depth` (k) mm: the overlap of each row before the step.
-    `work`: buffers for kernels."""
+    `work_buffers`: buffers for kernels."""
     magic = np.ldexp(1.5, int(np.frexp(nearby_pairs.max_radius)[1]) + 1 - SUM_BITS + 52)
-    is_selected, displacement = is_selected.copy(), cut.copy()
-    looks, lost = effort.outer_iterations, np.empty(len(nearby_pairs.i), np.intp)
-    bodies = nearby_pairs.bodies
-    pairs = (nearby_pairs.i, nearby_pairs.j, nearby_pairs.gap, nearby_pairs.direction, is_selected)
-    stand = (agents.mass, agents.push_share, agents.max_travel, depth, is_held, agents.normal, travel, cut)
+    is_selected, displacement = is_selected.copy(), own_corrections.copy()
+    looks, lost = effort.outer_iterations, np.empty(len(nearby_pairs.first_indices), np.intp)
+    bodies = nearby_pairs.capsules
+    pairs = (nearby_pairs.first_indices, nearby_pairs.second_indices, nearby_pairs.gap, nearby_pairs.direction, is_selected)
+    stand = (agents.mass, agents.push_share, agents.max_travel, depth, is_held, agents.normal, travel, own_corrections)
     while looks:
-        looks, count = separate_pairs(bodies, pairs, stand, displacement, magic, looks, effort.sweeps, share, lost, work)
-        nearby_pairs.draw_directions(nearby_pairs.direction, lost[:count])
+        looks, count = separate_pairs(
+            bodies, pairs, stand, displacement, magic, looks, effort.sweeps, mobility_share, lost, work_buffers
+        )
+        nearby_pairs.draw_missing_axes(nearby_pairs.direction, lost[:count])
     return displacement
 
 
 def _restore_headings(
-    crowd: CapsuleCrowd, nearby_pairs: NearbyPairs, stopped_rows: Rows, facing: Mapping[str, VectorArrays]
+    crowd: CapsuleCrowd, nearby_pairs: NearbyCapsulePairs, stopped_rows: Rows, previous_headings: Mapping[str, VectorArrays]
 ) -> None:
     """Reset the headings of the `stopped_rows` rows of `nearby_pairs` to those before the substep.
 
@@ -236,7 +247,16 @@ def _restore_headings(
     rows, last = nearby_pairs.rows.take(stopped_rows), 0
     for population, own in crowd.split_rows(rows):
         first, last = last, last + len(own)
-        vectors = (facing[population.name], *(vec.get_vector_registers(population.now, name) for name in ("up", "heading")))
+        vectors = (
+            previous_headings[population.name],
+            *(vec.get_vector_registers(population.now, name) for name in ("up", "heading")),
+        )
         restore_headings(
-            own, stopped_rows[first:last], rows[first:last], *vectors, crowd.ahead, nearby_pairs.ahead, nearby_pairs.middle
+            own,
+            stopped_rows[first:last],
+            rows[first:last],
+            *vectors,
+            crowd.ahead,
+            nearby_pairs.axis_directions,
+            nearby_pairs.middle,
         )

@@ -13,23 +13,23 @@ LOAD_REGISTER = "wear#load"  # whether the body of an agent shows its load
 
 
 @kernel
-def extend_trunks(
-    carries: Array1[BOOL], heading: VectorColumns, size: Array1[F32], front: F64, first: I64, trunks: TrunkCapsules
+def extend_trunks_over_loads(
+    is_carrying: Array1[BOOL], heading: VectorColumns, size: Array1[F32], load_front: F64, first_index: I64, trunks: TrunkCapsules
 ) -> BOOL:
-    """Extend the capsules of the agents of a species that carry a load, to `front` body lengths ahead of the feet.
+    """Extend the capsules of agents that carry a load to `load_front` body lengths ahead of the feet.
 
-    Return whether any agent carries a load. The capsules are those from index `first` on, as `place_trunks` stored them."""
+    Return whether any agent carries a load. The capsules are those from index `first_index` on, as `place_trunks` stored them."""
     half, radius, shift, reach, middle = trunks
     has_loads = False
     for i in simd_range(0, size.size):
-        row = first + i
+        row = first_index + i
         wide = np.float64(np.float32(0) if size[i] <= np.float32(0) else size[i])
-        longer = max(wide * front - (shift[row] + half[row] + radius[row]), 0.0) * (0.5 if carries[i] else 0.0)
+        longer = max(wide * load_front - (shift[row] + half[row] + radius[row]), 0.0) * (0.5 if is_carrying[i] else 0.0)
         half[row] += longer
         shift[row] += longer
         reach[row] += longer
         for axis in range(3):
             middle[axis, row] += np.float64(heading[axis][i]) * longer
     for i in range(size.size):
-        has_loads |= carries[i]
+        has_loads |= is_carrying[i]
     return has_loads

@@ -22,13 +22,13 @@ from antdsl.machine_code.kernels import (
 )
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, get_column, minus, plus, store_column, times
 from antdsl.numerics.sorting import compact_indices
-from antdsl.runtime.moving.contacts.capsule_distances import CapsuleArrays, measure_listed
-from antdsl.runtime.moving.contacts.step_clamping import add_rounded, negate_vector
+from antdsl.runtime.moving.contacts.capsule_distances import CapsuleArrays, measure_listed_pairs
+from antdsl.runtime.moving.contacts.step_clamping import add_rounded_vector, negate_vector
 
 DEAD_ZONE_SHARE = 5e-4  # share of both collision radii; smaller overlaps move no agent, so that resting agents stay at rest
 SUM_BITS = 40  # bits of a term in a sum, below the largest overlap
 _SHARE_RESOLUTION = 1 << 20  # shares are multiples of 1 / this number
-_LOCK_SPREAD_CONTACTS = 3  # number of contacts along which lock values spread
+_CONTACTS_OF_DENSE_AGENT = 3  # number of contacts along which lock values spread
 _OUTER_SHARE_FACTOR = 10.0  # in a dense cluster, the outer agent moves more by this factor of the difference
 # The same for agents that hardly overlap. There it must be small, because a pressing crowd must not be thrown about.
 _SHALLOW_OUTER_SHARE_FACTOR = 1.0
@@ -41,12 +41,12 @@ _CLUSTER_DEPTH_RADII = 0.4
 _RESTING_DISTANCE_SHARE = 0.01  # share of the allowed distance; an agent that moves less rests and presses no other
 _FREE_AGENT_PUSH_SHARE = 0.3  # share of the allowed distance that others push an agent that was free
 _FLOAT32_ONE, _MIN_VECTOR_LENGTH = np.float32(1), np.float32(1e-12)  # as in `vectors.normalise_or_fallback`
-_ROUNDING_MAGIC = 1.5 * 2.0 ** (52 - SUM_BITS)
+_ROUNDING_CONSTANT = 1.5 * 2.0 ** (52 - SUM_BITS)
 
 # i, j, gap, direction, and which pairs count
-PairArrays = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]
+ContactPairArrays = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]
 # Masses, mobilities, reaches, depths and held flags; normals of the ground, `walked` and `cut`, as in `contacts`
-AgentArrays = tuple[
+ContactAgentArrays = tuple[
     Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
 ]  # fmt: skip
 # Work buffers. For rows: two vectors, seven numbers, three integers and a condition. For pairs: six numbers, two vectors and four
@@ -57,9 +57,12 @@ SolverBuffers = tuple[
 ]  # fmt: skip
 
 # rows of the float buffer of agents
-_WEIGHT_ROW, _LOCKED_ROW, _SPREAD_ROW, _INVERSE_MASS_ROW, _CLUSTER_SHARE_ROW, _MAX_CORRECTION_ROW, _PUSH_LIMIT_ROW = range(7)
-_NUMBER_ROW, _ROW_LIST_ROW, _CONTACTS_ROW = 0, 1, 2  # rows of the integer buffer of agents
-_NO_ROW = -1  # a row that occurs in no pair of an outer iteration
+(
+    _MOBILITY_BUFFER_ROW, _DENSITY_BUFFER_ROW, _SPREAD_BUFFER_ROW, _INVERSE_MASS_ROW, _CLUSTER_SHARE_ROW, _MAX_CORRECTION_ROW,
+    _PUSH_LIMIT_ROW
+) = range(7)  # fmt: skip
+_INDEX_BUFFER_ROW, _ROW_LIST_BUFFER_ROW, _CONTACTS_ROW = 0, 1, 2  # rows of the integer buffer of agents
+_MISSING_ROW = -1  # a row that occurs in no pair of an outer iteration
 # rows of the float buffer of pairs; the last two have one number per side
 _DEAD_ZONE_ROW, _DEPTH_ROW, _GROUND_PART_ROW, _SHARE_ROW = 0, 1, 2, 4
 _CHOSEN_PAIR_ROW, _FIRST_AGENT_ROW, _SECOND_AGENT_ROW, _TOUCHING_PAIR_ROW = range(4)  # rows of the integer buffer of pairs
@@ -75,8 +78,8 @@ def make_buffers(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
 
 
 @inlined
-def _round_term(term: F64) -> F64:
-    return (term + _ROUNDING_MAGIC) - _ROUNDING_MAGIC
+def _round_sum_term(term: F64) -> F64:
+    return (term + _ROUNDING_CONSTANT) - _ROUNDING_CONSTANT
 
 
 @kernel
@@ -112,37 +115,39 @@ def _find_maximum(numbers: Array1[F64], count: I64) -> F64:
 
 
 @kernel_helper
-def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]) -> None:
+def _distribute_overlap(
+    pair_index: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]
+) -> None:
     """Write to `buffers` the shares of the overlap by which the first and the second agent of each pair move. Their sum is 1.
 
-    A lighter agent and a less locked agent move more. Only the first `m` pairs of `buffers`, among the first `count` rows, are
-    used.
+    A lighter agent and a less locked agent move more. Only the first `pair_index` pairs of `buffers`, among the first `count`
+    rows, are used.
 
     An agent is locked if it deeply overlaps others that deeply overlap others. The measure repeatedly adds up overlaps along
     contacts: power iteration to the first eigenvector of the contact graph. It decreases from the middle of a dense cluster to
     its rim."""
-    locked, spread = buffers[2][_LOCKED_ROW], buffers[2][_SPREAD_ROW]
+    locked, spread = buffers[2][_DENSITY_BUFFER_ROW], buffers[2][_SPREAD_BUFFER_ROW]
     numbers, first, second = buffers[5], buffers[7][_FIRST_AGENT_ROW], buffers[7][_SECOND_AGENT_ROW]
     depth = numbers[_DEPTH_ROW]
-    deepest = _find_maximum(depth, m)
+    deepest = _find_maximum(depth, pair_index)
     for k in range(count):
         locked[k] = 0.0
-    for n in range(m):
+    for n in range(pair_index):
         if depth[n] > 0:
-            part = _round_term(depth[n] / deepest)
+            part = _round_sum_term(depth[n] / deepest)
             locked[first[n]] += part
             locked[second[n]] += part
-    for _ in range(_LOCK_SPREAD_CONTACTS):
+    for _ in range(_CONTACTS_OF_DENSE_AGENT):
         for k in range(count):
             spread[k] = locked[k]
-        for n in range(m):
+        for n in range(pair_index):
             if depth[n] > 0:
                 spread[first[n]] += locked[second[n]]
                 spread[second[n]] += locked[first[n]]
         highest = _find_maximum(spread, count)
         for k in range(count):
-            locked[k] = _round_term(spread[k] / highest)
-    for n in range(m):
+            locked[k] = _round_sum_term(spread[k] / highest)
+    for n in range(pair_index):
         p, q = first[n], second[n]
         outward = _SHALLOW_OUTER_SHARE_FACTOR + (_OUTER_SHARE_FACTOR - _SHALLOW_OUTER_SHARE_FACTOR) * max(
             cluster_share[p], cluster_share[q]
@@ -167,7 +172,8 @@ def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
 
 @kernel
 def separate_pairs(
-    bodies: CapsuleArrays, pairs: PairArrays, agents: AgentArrays, displacement: Array2[F64], magic: F64,
+    bodies: CapsuleArrays, pairs: ContactPairArrays, agents: ContactAgentArrays, displacement: Array2[F64],
+    rounding_constant: F64,
     outer_iterations: I64, sweeps: I64, relaxation: F64, lost_pairs: Array1[I64], buffers: SolverBuffers,
 ) -> tuple[I64, I64]:  # fmt: skip
     """Separate pairs in `outer_iterations` measurements with `sweeps` sweeps each, by a share `relaxation` of their overlap.
@@ -177,18 +183,20 @@ def separate_pairs(
     `lost_pairs`."""
     radius = bodies.radius
     i, j, gap, direction, which = pairs
-    number, row_list, changed = buffers[3][_NUMBER_ROW], buffers[3][_ROW_LIST_ROW], buffers[4]
+    number, row_list, changed = buffers[3][_INDEX_BUFFER_ROW], buffers[3][_ROW_LIST_BUFFER_ROW], buffers[4]
     chosen, touching, starts, row_pairs = buffers[7][_CHOSEN_PAIR_ROW], buffers[7][_TOUCHING_PAIR_ROW], buffers[8], buffers[9]
     for pair in simd_range(0, i.size):
-        touching[pair] = 1 if which[pair] and gap[pair] < _dead_gap(radius, i, j, pair) else 0
+        touching[pair] = 1 if which[pair] and gap[pair] < _compute_dead_zone_gap(radius, i, j, pair) else 0
     touch = compact_indices(touching, i.size)
-    number[:] = _NO_ROW
+    number[:] = _MISSING_ROW
     changed[:] = False
     alone = outer_iterations == 1 and sweeps == 1  # only agents that touch others move
     if touch and not alone and starts[0] < 0:
-        _group_pairs(i, j, starts, row_pairs)
+        _group_pairs_by_row(i, j, starts, row_pairs)
     for left in range(outer_iterations - 1, -1, -1):
-        moved, rows = _run_outer_iteration(radius, pairs, touch, agents, displacement, magic, sweeps, relaxation, alone, buffers)
+        moved, rows = _run_outer_iteration(
+            radius, pairs, touch, agents, displacement, rounding_constant, sweeps, relaxation, alone, buffers
+        )
         if not moved or not left:
             break
         count, kept_count = 0, 0
@@ -200,7 +208,7 @@ def separate_pairs(
                     if i[pair] == row or not changed[i[pair]]:
                         chosen[count] = pair
                         count += 1
-        without = measure_listed(bodies, displacement, i, j, gap, direction, chosen, count, lost_pairs)
+        without = measure_listed_pairs(bodies, displacement, i, j, gap, direction, chosen, count, lost_pairs)
         for n in range(touch):
             pair = touching[n]
             touching[kept_count] = pair
@@ -208,7 +216,7 @@ def separate_pairs(
         for n in range(count):
             pair = chosen[n]
             which[pair], touching[kept_count] = True, pair
-            kept_count += 1 if gap[pair] < _dead_gap(radius, i, j, pair) else 0
+            kept_count += 1 if gap[pair] < _compute_dead_zone_gap(radius, i, j, pair) else 0
         touch = kept_count
         if without:
             return left, without
@@ -218,41 +226,41 @@ def separate_pairs(
 
 
 @inlined
-def _dead_gap(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64:
+def _compute_dead_zone_gap(radius: Array1[F64], first_indices: Array1[I64], second_indices: Array1[I64], pair: I64) -> F64:
     """Return the gap (mm) below which the pair `pair` is separated: a small overlap is left."""
-    return -((radius[i[pair]] + radius[j[pair]]) * DEAD_ZONE_SHARE)
+    return -((radius[first_indices[pair]] + radius[second_indices[pair]]) * DEAD_ZONE_SHARE)
 
 
 @kernel_helper
-def _group_pairs(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs: Array1[I64]) -> None:
+def _group_pairs_by_row(
+    first_indices: Array1[I64], second_indices: Array1[I64], starts: Array1[I64], row_pairs: Array1[I64]
+) -> None:
     """List the pairs of each row k in `row_pairs`, from index `starts[k]` to before `starts[k + 1]`."""
     starts[:] = 0
-    for pair in range(i.size):
-        starts[i[pair]] += 1
-        starts[j[pair]] += 1
+    for pair in range(first_indices.size):
+        starts[first_indices[pair]] += 1
+        starts[second_indices[pair]] += 1
     total = 0
     for k in range(starts.size):
         total += starts[k]
         starts[k] = total
-    for pair in range(i.size):
-        one, other = starts[i[pair]] - 1, starts[j[pair]] - 1
+    for pair in range(first_indices.size):
+        one, other = starts[first_indices[pair]] - 1, starts[second_indices[pair]] - 1
         row_pairs[one], row_pairs[other] = pair, pair
-        starts[i[pair]], starts[j[pair]] = one, other
+        starts[first_indices[pair]], starts[second_indices[pair]] = one, other
 
 
 @kernel_helper
 def _compute_row_limits(
-    radius: Array1[F64], agents: AgentArrays, row_list: Array1[I64], count: I64, of_rows: Array2[F64]
+    radius: Array1[F64], agents: ContactAgentArrays, row_list: Array1[I64], count: I64, row_limits: Array2[F64]
 ) -> None:
-    """Write four values of the first `count` rows in `row_list` to `of_rows`: mobility, membership in a dense cluster (0 to 1),
-    largest distance from the start (mm), and how far others may push it (mm)."""
+    """Write four values of the first `count` rows in `row_list` to `row_limits`: mobility, membership in a dense cluster (0 to
+    1), largest distance from the start (mm), and how far others may push it (mm)."""
     mass, yields, reach, depth, held, _, walked, _ = agents
     light, heap_share, most, push_limit = (
-        of_rows[_INVERSE_MASS_ROW],
-        of_rows[_CLUSTER_SHARE_ROW],
-        of_rows[_MAX_CORRECTION_ROW],
-        of_rows[_PUSH_LIMIT_ROW],
-    )
+        row_limits[_INVERSE_MASS_ROW], row_limits[_CLUSTER_SHARE_ROW], row_limits[_MAX_CORRECTION_ROW],
+        row_limits[_PUSH_LIMIT_ROW]
+    )  # fmt: skip
     for k in simd_range(0, count):
         row = row_list[k]
         displacement = get_column(walked, row)
@@ -269,24 +277,17 @@ def _compute_row_limits(
 
 @kernel_helper
 def _run_outer_iteration(
-    radius: Array1[F64],
-    pairs: PairArrays,
-    touch: I64,
-    stand: AgentArrays,
-    displacement: Array2[F64],
-    magic: F64,
-    sweeps: I64,
-    relaxation: F64,
-    only_touching: BOOL,
-    buffers: SolverBuffers,
-) -> tuple[BOOL, I64]:
-    """Make the sweeps of one outer iteration, for `touch` touching pairs. With `only_touching`, use only these pairs, else all
-    pairs of their rows.
+    radius: Array1[F64], pairs: ContactPairArrays, touching_pair_count: I64, agents: ContactAgentArrays,
+    displacement: Array2[F64], rounding_constant: F64, sweeps: I64, relaxation: F64, only_touching: BOOL,
+    buffers: SolverBuffers
+) -> tuple[BOOL, I64]:  # fmt: skip
+    """Make the sweeps of one outer iteration, for `touching_pair_count` touching pairs. With `only_touching`, use only these
+    pairs, else all pairs of their rows.
 
     Returns whether any row changed, and how many rows were visited. These are at the start of `row_list` in `buffers`, which also
     has a flag for each row that changed."""
     i, j, gap, direction, which = pairs
-    normal, walked, cut = stand[5], stand[6], stand[7]
+    normal, walked, cut = agents[5], agents[6], agents[7]
     new_displacement, sums, of_rows, wholes, changed, numbers, side_directions, indices, starts, row_pairs = buffers
     light, heap_share, most, far = (
         of_rows[_INVERSE_MASS_ROW],
@@ -294,8 +295,8 @@ def _run_outer_iteration(
         of_rows[_MAX_CORRECTION_ROW],
         of_rows[_PUSH_LIMIT_ROW],
     )
-    number, row_list, contacts = wholes[_NUMBER_ROW], wholes[_ROW_LIST_ROW], wholes[_CONTACTS_ROW]
-    weight, least = of_rows[_WEIGHT_ROW], numbers[_DEAD_ZONE_ROW]
+    number, row_list, contacts = wholes[_INDEX_BUFFER_ROW], wholes[_ROW_LIST_BUFFER_ROW], wholes[_CONTACTS_ROW]
+    weight, least = of_rows[_MOBILITY_BUFFER_ROW], numbers[_DEAD_ZONE_ROW]
     chosen, first, second, those = (
         indices[_CHOSEN_PAIR_ROW],
         indices[_FIRST_AGENT_ROW],
@@ -303,18 +304,18 @@ def _run_outer_iteration(
         indices[_TOUCHING_PAIR_ROW],
     )
     m, count = 0, 0
-    if not touch:
+    if not touching_pair_count:
         return False, count
-    for n in range(touch):
+    for n in range(touching_pair_count):
         for side in range(2):
             k = j[those[n]] if side else i[those[n]]
             if number[k] < 0:
                 number[k], row_list[count] = count, k
                 count += 1
     if only_touching:
-        for n in range(touch):
+        for n in range(touching_pair_count):
             chosen[n] = those[n]
-        m = touch
+        m = touching_pair_count
     else:
         touching_count = count
         for k in range(touching_count):
@@ -332,11 +333,11 @@ def _run_outer_iteration(
                     m += 1
     for n in range(m):
         pair = chosen[n]
-        least[n] = -_dead_gap(radius, i, j, pair)
+        least[n] = -_compute_dead_zone_gap(radius, i, j, pair)
         first[n], second[n] = number[i[pair]], number[j[pair]]
     for k in range(count):
-        number[row_list[k]] = _NO_ROW
-    _compute_row_limits(radius, stand, row_list, count, of_rows)
+        number[row_list[k]] = _MISSING_ROW
+    _compute_row_limits(radius, agents, row_list, count, of_rows)
     for n in range(m):
         pair = chosen[n]
         numbers[_DEPTH_ROW, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
@@ -347,7 +348,7 @@ def _run_outer_iteration(
             side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2] = along
             numbers[_GROUND_PART_ROW + side, n] = dot(along, along)
             v = negate_vector(v)
-    _share_overlap(m, count, buffers, light, heap_share)
+    _distribute_overlap(m, count, buffers, light, heap_share)
     for side in range(2):
         for n in range(m):
             factor = numbers[_SHARE_ROW + side, n] / max(numbers[_GROUND_PART_ROW + side, n], _MIN_SQUARED_GROUND_PART)
@@ -370,14 +371,14 @@ def _run_outer_iteration(
                 touching = True
                 for side in range(2):
                     k = q if side else p
-                    add_rounded(
+                    add_rounded_vector(
                         sums,
                         k,
                         times(
                             (side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2]),
                             left * -relaxation,
                         ),
-                        magic,
+                        rounding_constant,
                     )
                     weight[k] += numbers[_SHARE_ROW + side, n]
                     contacts[k] += 1

@@ -44,7 +44,7 @@ class SearchCells:
         return e.to_int32(np.floor(first)), e.to_int32(np.floor(last))
 
     def find_row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, is_within: Lanes) -> tuple[Lanes, Lanes]:
-        """Return the position in the grid's order of the first agent in a row of cells, and the number of agents in the row, i32.
+        """Return the index of the first agent in a row of cells, and the number of agents in the row (i32).
 
         The row is at cells `z` and `y`, and extends from cell `first` to cell `last`.
         Both are 0 if `is_within` is false."""
@@ -142,7 +142,7 @@ class CellRows:
         return e.convert(depth * self._middle_row_count, I64)
 
     def read_next_row(self) -> tuple[Lanes, Lanes]:
-        """Return the next row of cells: the position of its first agent in the grid's order, and its number of agents, i32."""
+        """Return the next row of cells: the index of its first agent, and its number of agents (i32)."""
         e = self.builder
         depth, tall = e.load(self._slow_offset, I32), e.load(self._middle_offset, I32)
         cz, cy = self.slow_first + depth, self.middle_first + tall

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.cell_order import CellOrder, GridShape, Positions, find_bounding_box, pack_by_position
+from antdsl.senses.cell_order import CellOrder, GridShape, Positions, find_bounding_box, pack_columns_by_position
 
 _BOX_LIFETIME_STEPS = 64  # steps after which a crowd gets new cells and the sheet test is repeated
 _BOX_MARGIN_SHARE = 1 / 32  # margin of a box around a crowd, as a share of the extent
@@ -68,7 +68,7 @@ class _CrowdGrid(CellOrder):
             self._sorted_in_step[names], laid = step, self.tables[names]
             assert laid is not None
             four = parallel.make_contiguous(*columns, *(columns[:1] * (4 - len(columns))))
-            work = partial(pack_by_position, self.position_by_row, four, laid.reshape(-1))
+            work = partial(pack_columns_by_position, self.position_by_row, four, laid.reshape(-1))
             parallel.run_in_parts(work, self.count, self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
 
 
@@ -148,11 +148,11 @@ def _coarsen_shape(shape: GridShape, max_cells: int) -> GridShape:
     Cells become up to four times longer along the fast axis, then up to twice as long along each axis."""
     if shape.cell_count <= max_cells:
         return shape
-    width, size = list(shape.width), list(shape.size)
+    width, size = list(shape.cell_widths), list(shape.cells_per_axis)
     for axis in (0, 0, 1, 2, 0):
         if size[0] * size[1] * size[2] <= max_cells:
             break
         if size[axis] > 1:
             width[axis] *= 2
             size[axis] = int(shape.extent[axis] / width[axis]) + 1
-    return GridShape(shape.axes, shape.low, shape.extent, width, size)
+    return GridShape(shape.axes, shape.low_corner, shape.extent, width, size)
