@@ -1,9 +1,9 @@
 """Kernels: loops over arrays that are written in a subset of Python and run as machine code.
 
-`@kernel` marks a function that is called with arrays. `@inlined` and `@called` mark functions that kernels call, for any types. A
-function is parsed (`ast`) and translated to typed instructions (`statements`, `expressions`, `simd_loops`), once for the types
-of its annotations. The instructions define its meaning: `ir` verifies them, and `rendering` writes them in LLVM's language. The
-interpreter of the tests runs them one iteration after another. `operations` has the table of all operations.
+`@kernel` marks a function that is called with arrays. `@inlined` and `@kernel_helper` mark functions that kernels call, for any
+types. A function is parsed (`ast`) and translated to typed instructions (`statements`, `expressions`, `simd_loops`), once for
+the types of its annotations. The instructions define its meaning: `ir` verifies them, and `rendering` writes them in LLVM's
+language. The interpreter of the tests runs them one iteration after another. `operations` has the table of all operations.
 
 The subset has i64, u64, float64, float32 and bool; tuples; records; and arrays of one to three axes, read and written by index.
 It has `for` over `range`, `simd_range`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; and the functions of

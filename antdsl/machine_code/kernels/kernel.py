@@ -1,4 +1,4 @@
-"""`@kernel`, `@inlined` and `@called`: Python functions that are translated to machine code."""
+"""`@kernel`, `@inlined` and `@kernel_helper`: Python functions that are translated to machine code."""
 
 from __future__ import annotations
 
