@@ -23,6 +23,7 @@ from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.moving import crowd_substep, moving_geometry, scripted_walks, tilting
 from antdsl.runtime.moving.contacts import contact_solver
+from antdsl.runtime.moving.contacts.step_retreats import take_back_overlapping_steps
 from antdsl.runtime.notes.wishes import FINAL_WISH, STATE_WISH
 from antdsl.runtime.world import PUSHED_REGISTER, Population, World, publish_state
 
@@ -130,9 +131,11 @@ def move_all_agents(world: World) -> None:
                 clear_steps = [step for step in steps if step is not None]
                 for step in clear_steps:
                     step.record_stances()
-                contact_solver.resolve_contacts(world, stances, world.dt / world.setting.substeps)
+                near = contact_solver.resolve_contacts(world, stances, world.dt / world.setting.substeps)
                 for step in clear_steps:
                     step.correct_moved_bodies()
+                if stances.stances is not None and near is not None:
+                    take_back_overlapping_steps(world, stances.stances, near)
                 if world.notes is not None:
                     world.notes.cut_pushes(world, stances.positions, world.dt / world.setting.substeps)
         if world.notes is not None:

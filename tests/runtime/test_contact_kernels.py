@@ -10,8 +10,10 @@ import pytest
 
 from antdsl.runtime.moving import correction_walks
 from antdsl.runtime.moving.contacts import capsule_distances, capsules, contact_solver, separation, step_clamping
+from antdsl.runtime.moving.contacts.capsule_distances import TILTED_COSINE
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyCapsulePairs, find_near_pairs, measure_overlap_depths
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY, WHOLE_CAPSULE_BY_BODY
+from tests.motion_track import segment_distance
 from tests.runtime.test_contacts import RESTING, CrowdData, cluster, world
 
 ROWS = 60
@@ -68,12 +70,32 @@ def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespac
     )
 
 
-def near_of(built: SimpleNamespace) -> NearbyCapsulePairs:
+def near_of(built: SimpleNamespace, tilted_cosine: float = -2.0) -> NearbyCapsulePairs:
     gap, path = np.empty(len(built.first_indices)), np.empty((3, len(built.first_indices)))
     stand = (built.middle.copy(), built.axis_directions, built.up, built.half_lengths, built.radius)
-    near = NearbyCapsulePairs(None, np.arange(ROWS), built.first_indices, built.second_indices, *stand, 0.6, gap, path)  # type: ignore[arg-type]
+    rows, pairs = np.arange(ROWS), (built.first_indices, built.second_indices)
+    near = NearbyCapsulePairs(None, rows, *pairs, *stand, 0.6, gap, path, tilted_cosine=tilted_cosine)  # type: ignore[arg-type]
     near.measure_gaps(np.zeros_like(built.middle), np.ones(ROWS, np.bool_))
     return near
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tilted_capsules_overlap_where_their_axes_are_near_in_space(seed: int) -> None:
+    built = bodies(seed, 4.0, 0.8)
+    near = near_of(built, TILTED_COSINE)
+    cosine = (built.up[:, built.first_indices] * built.up[:, built.second_indices]).sum(axis=0)
+    start, along = (
+        (built.middle - built.axis_directions * built.half_lengths).T,
+        (2 * built.axis_directions * built.half_lengths).T,
+    )
+    distance = segment_distance(
+        start[built.first_indices], along[built.first_indices], start[built.second_indices], along[built.second_indices]
+    )
+    overlap = built.radius[built.first_indices] + built.radius[built.second_indices] - distance
+    tilted = (cosine < TILTED_COSINE) & (cosine > -0.5) & (np.abs(overlap) > 1e-6)
+    assert np.array_equal(near.gap[tilted] < 0, overlap[tilted] > 0) and (overlap[tilted] > 0).sum() > 20
+    unseen = near_of(built).gap[tilted] > 0
+    assert (unseen & (overlap[tilted] > 0)).any(), "across the normal, some pairs seem clear"
 
 
 @pytest.mark.parametrize("seed", range(3))

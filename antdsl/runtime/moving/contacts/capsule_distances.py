@@ -16,6 +16,7 @@ from antdsl.numerics.sorting import compact_indices
 _SEARCH_DISTANCE_RADII = 1.6
 _CANDIDATE_DISTANCE_WIDTHS = 1.5  # widths; pairs farther apart cannot touch in this substep
 _OPPOSITE_SIDES_COSINE = -0.5  # cosine between two up directions; below it, the agents are on opposite sides of something
+TILTED_COSINE = 0.94  # between two up directions, 20 degrees; below it, nearest points of whole bodies are found in space
 _COINCIDENT_AXES_WIDTHS = 1e-6  # widths; two axes this near to each other define no direction
 _FLOAT32_ZERO = np.float32(0)
 _AGENTS_PER_BATCH = 64  # agents with bounds computed in SIMD lanes
@@ -34,7 +35,8 @@ class CapsuleArrays(NamedTuple):
     """Capsules of some rows.
 
     `middle`, `axis_direction`, `up` (3, k): middle of the axis (mm), and unit vectors. `half_length`, `radius` (k): half length
-        and radius (mm). `period` (6): widths (mm) of a periodic world, and their inverses; 0 along axes that do not wrap."""
+        and radius (mm). `period` (6): widths (mm) of a periodic world, and their inverses; 0 along axes that do not wrap.
+    `tilted_cosine`: the cosine between up directions below which the nearest points of a pair are found in space."""
 
     middle: Strided2[F64]
     axis_direction: Strided2[F64]
@@ -42,10 +44,11 @@ class CapsuleArrays(NamedTuple):
     half_length: Array1[F64]
     radius: Array1[F64]
     period: Array1[F64] = NO_PERIOD
+    tilted_cosine: F64 = -2.0
 
 
 class CrowdCapsules(NamedTuple):
-    """Capsules of all agents. Vectors have the layout of registers."""
+    """Capsules of all agents, as in `CapsuleArrays`. Vectors have the layout of registers."""
 
     middle: Array2[F64]
     axis_direction: VectorColumns
@@ -53,6 +56,7 @@ class CrowdCapsules(NamedTuple):
     half_length: Array1[F64]
     radius: Array1[F64]
     period: Array1[F64] = NO_PERIOD
+    tilted_cosine: F64 = -2.0
 
 
 class CapsuleShape(NamedTuple):
@@ -112,15 +116,9 @@ def make_empty_partial_bounds() -> NDArray[np.float64]:
 
 @kernel
 def place_trunks(
-    position: Array2[F64],
-    heading: VectorColumns,
-    up: VectorColumns,
-    size: Array1[F32],
-    shape: CapsuleShape,
-    first_index: I64,
-    trunks: TrunkCapsules,
-    partial_bounds: Array2[F64],
-) -> CrowdBounds:
+    position: Array2[F64], heading: VectorColumns, up: VectorColumns, size: Array1[F32], shape: CapsuleShape, first_index: I64,
+    trunks: TrunkCapsules, partial_bounds: Array2[F64],
+) -> CrowdBounds:  # fmt: skip
     """Compute the capsules of a species at positions (3, n) mm, and store them from index `first_index` on.
 
     Returns the bounds of this species and all earlier ones.
@@ -205,14 +203,20 @@ def find_separation_axis(
 
 @kernel_helper
 def _measure_capsule_gap(
-    offset: Vec3, first_axis: Vec3, second_axis: Vec3, first_up: Vec3, second_up: Vec3, reach: F64, length: F64, radius_sum: F64
-) -> tuple[F64, Vec3, BOOL]:
+    offset: Vec3, first_axis: Vec3, second_axis: Vec3, first_up: Vec3, second_up: Vec3, reach: F64, length: F64, radius_sum: F64,
+    tilted_cosine: F64,
+) -> tuple[F64, Vec3, BOOL]:  # fmt: skip
     """Return the gap (mm) and separation axis of a pair, and whether the pair has no axis because both positions are equal.
 
-    If the capsule axes cross, the separation axis is the direction between the middles."""
-    separation, over, flat = find_separation_axis(
-        offset, first_axis, second_axis, compute_mean_up(first_up, second_up), reach, length
-    )
+    If the capsule axes cross, the separation axis is the direction between the middles. `tilted_cosine`: as in
+    `CapsuleArrays`."""
+    normal = compute_mean_up(first_up, second_up)
+    separation, over, flat = find_separation_axis(offset, first_axis, second_axis, normal, reach, length)
+    if dot(first_up, second_up) < tilted_cosine:
+        # Across the normal, the nearest points of tilted axes are not the nearest in space, so the pair would seem clear.
+        separation, _, _ = find_separation_axis(offset, first_axis, second_axis, (0.0, 0.0, 0.0), reach, length)
+        over = dot(separation, normal)
+        separation = minus(separation, times(normal, over))
     distance = np.sqrt(dot(separation, separation))
     margin = radius_sum * radius_sum - over * over
     gap = distance - np.sqrt(margin) if margin > 0 else np.inf
@@ -225,7 +229,7 @@ def _measure_capsule_gap(
 
 
 @inlined
-def _wrap_offset(offset: Vec3, period: Array1[F64]) -> Vec3:
+def wrap_offset(offset: Vec3, period: Array1[F64]) -> Vec3:
     """Return the nearest image of an offset. Without a period, it keeps its bits."""
     return (
         offset[0] - period[0] * np.floor(offset[0] * period[3] + 0.5),
@@ -237,9 +241,9 @@ def _wrap_offset(offset: Vec3, period: Array1[F64]) -> Vec3:
 @inlined
 def _measure_row_gap(bodies: CapsuleArrays, offset: Vec3, p: I64, q: I64) -> tuple[F64, Vec3, BOOL]:
     """Return what `_measure_capsule_gap` does, for rows p and q with an `offset` of their middles."""
-    _, ahead, up, half, radius, period = bodies
+    _, ahead, up, half, radius, period, tilted = bodies
     a, b, u, v = get_column(ahead, p), get_column(ahead, q), get_column(up, p), get_column(up, q)
-    return _measure_capsule_gap(_wrap_offset(offset, period), a, b, u, v, half[p], half[q], radius[p] + radius[q])
+    return _measure_capsule_gap(wrap_offset(offset, period), a, b, u, v, half[p], half[q], radius[p] + radius[q], tilted)
 
 
 @kernel_helper
@@ -281,19 +285,13 @@ def measure_pairs_of_changed_rows(
 
 @kernel
 def measure_pairs_before_step(
-    bodies: CapsuleArrays,
-    travel: Strided2[F64],
-    i: Array1[I64],
-    j: Array1[I64],
-    gap: Array1[F64],
-    direction: Array2[F64],
-    depth: Array1[F64],
-    lost_pairs: Array1[I64],
-) -> I64:
+    bodies: CapsuleArrays, travel: Strided2[F64], i: Array1[I64], j: Array1[I64],
+    gap: Array1[F64], direction: Array2[F64], depth: Array1[F64], lost_pairs: Array1[I64],
+) -> I64:  # fmt: skip
     """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyCapsulePairs.measure_before_step`.
 
     Returns the number of pairs without a separation axis; these are listed at the start of `lost_pairs`."""
-    middle, ahead, up, half, radius, _ = bodies
+    middle, ahead, up, half, radius, _, _ = bodies
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
             for side in range(2):
@@ -328,7 +326,7 @@ def select_touching_pairs(
     `flags`: receives the indices of pairs without a separation axis. `row_indices`: a work buffer.
     `all_pairs`: if False, select only pairs with a row that overlaps another row. The overlap must exceed `dead_zone_share` times
     the sum of both radii."""
-    middle, ahead, up, half, radius, period = crowd
+    middle, ahead, up, half, radius, period, tilted = crowd
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
             for side in range(2):
@@ -344,11 +342,12 @@ def select_touching_pairs(
             p, q = i[pair], j[pair]
             if pair_keys[p] > pair_keys[q]:
                 p, q = j[pair], i[pair]
-            away, wide = _wrap_offset(minus(get_column(middle, p), get_column(middle, q)), period), radius[p] + radius[q]
+            away, wide = wrap_offset(minus(get_column(middle, p), get_column(middle, q)), period), radius[p] + radius[q]
             a, b, u, w = _read_vector(ahead, p), _read_vector(ahead, q), _read_vector(up, p), _read_vector(up, q)
-            far, v, nowhere = _measure_capsule_gap(away, a, b, u, w, half[p], half[q], wide)
+            far, v, nowhere = _measure_capsule_gap(away, a, b, u, w, half[p], half[q], wide, tilted)
             i[pair], j[pair], gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]) = p, q, far, v
-            flags[pair] = (_NO_AXIS_FLAG if nowhere else _MAY_TOUCH_FLAG) if far < wide * _CANDIDATE_DISTANCE_WIDTHS else 0
+            is_near = far < wide * _CANDIDATE_DISTANCE_WIDTHS or (tilted > -1.0 and far == np.inf)
+            flags[pair] = (_NO_AXIS_FLAG if nowhere else _MAY_TOUCH_FLAG) if is_near else 0
     row_indices[:] = 0
     pairs, lost, widest = 0, 0, 0.0
     for pair in range(i.size):  # stored unconditionally: the branch would be hard to predict
@@ -390,7 +389,7 @@ def select_touching_pairs(
 @kernel
 def gather_capsules(rows: Array1[I64], crowd: CrowdCapsules, target: CapsuleArrays) -> None:
     """Write the capsules of the given rows to `target`."""
-    middle, ahead, up, half, radius, _ = crowd
+    middle, ahead, up, half, radius, _, _ = crowd
     for k in simd_range(0, rows.size):
         row = rows[k]
         target.half_length[k], target.radius[k] = half[row], radius[row]

@@ -21,6 +21,7 @@ from antdsl.runtime.body_positions import compute_body_positions
 from antdsl.runtime.body_rows import group_rows_by_body
 from antdsl.runtime.moving.contacts.capsule_distances import (
     NO_PERIOD,
+    TILTED_COSINE,
     CapsuleArrays,
     CapsuleShape,
     CrowdCapsules,
@@ -94,6 +95,8 @@ class CapsuleCrowd:
         self.agent_keys = self.concatenate_species(
             lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids
         )
+        is_whole = any([world.plan.species[each.name].has_whole_body for each in self.species])
+        self.tilted_cosine = TILTED_COSINE if is_whole else -2.0
         self.period = NO_PERIOD if world.periodic is None else world.periodic.box.inverse_table
         self.bounds = self._place_capsules()  # bounds of x, y and z of the middles, and of the reach
 
@@ -141,6 +144,12 @@ class CapsuleCrowd:
         for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
             yield population, rows[begin:end] - first if first else rows[begin:end]
 
+    @property
+    def capsules(self) -> CrowdCapsules:
+        """Return the capsules as kernels read them, with the current axes."""
+        axes = self.read_vector("heading"), self.read_vector("up")
+        return CrowdCapsules(self.middle, *axes, self.half, self.radius, self.period, self.tilted_cosine)
+
     def read_vector(self, name: str) -> vec.VectorArrays:
         """Return the three registers of a vector, concatenated over all species."""
         x, y, z = (self.concatenate_species(lambda p, axis=axis: self._select_registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
@@ -181,7 +190,8 @@ class NearbyCapsulePairs:
     listed. `max_radius`: the
       largest radius.
     - `gap` (m): last measured distance to contact of each pair, negative for overlaps.
-    - `direction` (3, m): last measured separation axis, a unit vector from the second agent to the first."""
+    - `direction` (3, m): last measured separation axis, a unit vector from the second agent to the first.
+    - `tilted_cosine`: as in `CapsuleArrays`."""
 
     crowd: CapsuleCrowd
     rows: Rows
@@ -196,11 +206,14 @@ class NearbyCapsulePairs:
     gap: Floats
     direction: Floats
     period: Floats = field(default_factory=lambda: NO_PERIOD)  # as in `CapsuleArrays`
+    tilted_cosine: float = -2.0
 
     @property
     def capsules(self) -> CapsuleArrays:
         """Return the capsules of the rows as kernels read them."""
-        return CapsuleArrays(self.middle, self.axis_directions, self.up, self.half_lengths, self.radius, self.period)
+        return CapsuleArrays(
+            self.middle, self.axis_directions, self.up, self.half_lengths, self.radius, self.period, self.tilted_cosine
+        )
 
     def measure_before_step(self, travel: Floats) -> tuple[Floats, Floats, Floats]:
         """Return gaps and separation axes of all pairs before the rows `travel` (3, k) mm, with current headings.
@@ -265,15 +278,15 @@ def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -
     m = len(i)
     gap, direction, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
-    vectors = crowd.read_vector("heading"), crowd.read_vector("up")
-    stand = CrowdCapsules(crowd.middle, *vectors, crowd.half, crowd.radius, crowd.period)
+    stand = crowd.capsules
     every = (True, 0.0) if dead_zone_share is None else (False, dead_zone_share)
     m, count, lost, widest = select_touching_pairs(stand, crowd.agent_keys, i, j, gap, direction, known, rows, number, *every)
     rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
-    own = CapsuleArrays(middle, ahead, up, half, radius)
+    shared = crowd.period, crowd.tilted_cosine
+    own = CapsuleArrays(middle, ahead, up, half, radius, *shared)
     gather_capsules(rows, stand, own)
     near = NearbyCapsulePairs(
-        crowd, rows, i[:m], j[:m], *own[:5], widest, gap[:m], np.ascontiguousarray(direction[:, :m]), crowd.period
+        crowd, rows, i[:m], j[:m], *own[:5], widest, gap[:m], np.ascontiguousarray(direction[:, :m]), *shared
     )
     near.draw_missing_axes(near.direction, known[:lost])
     return near

@@ -27,7 +27,9 @@ from antdsl.runtime.moving.contacts import step_clamping
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyCapsulePairs, find_near_pairs
 from antdsl.runtime.moving.contacts.long_steps import StartPositions, find_long_steps, stop_long_steps_at_impacts
 from antdsl.runtime.moving.contacts.separation import DEAD_ZONE_SHARE, SUM_BITS, make_buffers, restore_headings, separate_pairs
+from antdsl.runtime.moving.contacts.step_retreats import Stances
 from antdsl.runtime.moving.correction_walks import CorrectionWalker, SpeciesStances, write_approach, write_stances
+from antdsl.runtime.moving.postures import has_posture
 from antdsl.runtime.world import PUSHED_REGISTER, World
 
 Floats = NDArray[np.float64]
@@ -64,9 +66,12 @@ SOLVER_ITERATIONS_BY_EFFORT: Mapping[str, SolverIterations] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartStances(StartPositions):
-    """Positions and ground normals of agents at the start of a substep, by species; with hard contacts also their headings."""
+    """Positions and ground normals of agents at the start of a substep, by species; with hard contacts also their headings.
+
+    `stances`: complete stances, if steps may be taken back: a species has whole bodies that follow the ground."""
 
     heading_by_species: Mapping[str, VectorArrays]
+    stances: Mapping[str, Stances] | None
 
 
 def record_stances(world: World) -> StartStances | None:
@@ -77,19 +82,24 @@ def record_stances(world: World) -> StartStances | None:
     if world.setting.contacts == "hard":
         headings = {name: vec.copy(vec.get_vector_registers(population.now, "heading")) for name, population in species}
     normals = {name: population.normal for name, population in species}
-    return StartStances({name: population.position for name, population in species}, normals, headings)
+    stances = None
+    if headings and any([population.plan.has_whole_body and not has_posture(population) for _, population in species]):
+        stances = {name: Stances(population) for name, population in species}
+    return StartStances({name: population.position for name, population in species}, normals, headings, stances)
 
 
-def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
-    """Separate overlapping agents after a substep of `dt` s. `step_start`: the stances at its start."""
+def resolve_contacts(world: World, step_start: StartStances, dt: float) -> NearbyCapsulePairs | None:
+    """Separate overlapping agents after a substep of `dt` s. `step_start`: the stances at its start.
+
+    Returns the pairs that may touch; None without such pairs."""
     if len(world) < 2:
-        return
+        return None
     effort, crowd = SOLVER_ITERATIONS_BY_EFFORT[world.setting.contacts], CapsuleCrowd(world)
     is_hard = world.setting.contacts == "hard"
     long = find_long_steps(crowd, step_start) if is_hard else None
     near = find_near_pairs(crowd, DEAD_ZONE_SHARE if effort.has_one_iteration else None)
     if not len(near.first_indices) and long is None:
-        return
+        return None
     share = 1.0 if is_hard else 1.0 - float(elementary.exp(_F(-dt / _SOFT_CONTACT_SECONDS)))
     agents, walked = _ContactAgents.build(crowd, near, step_start, dt)
     gap, direction, depth = near.measure_before_step(walked)
@@ -108,7 +118,7 @@ def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
     elif is_hard and len(near.first_indices):
         near.measure_gaps(cut, changed)
     if not len(near.first_indices):
-        return
+        return None
     which = np.ones(len(near.first_indices), np.bool_)
     held, walking = agents.is_frozen, CorrectionWalker(crowd, step_start.positions, dt)
     work = make_buffers(len(near.rows), len(near.first_indices))
@@ -133,6 +143,7 @@ def resolve_contacts(world: World, step_start: StartStances, dt: float) -> None:
         walked[:, moved_rows] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start_position.take(
             moved_rows, axis=1
         )
+    return near
 
 
 def _compute_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
