@@ -40,11 +40,6 @@ class PeriodicWorld:
     faces: tuple[FaceImages, ...]
     obstacle_faces: Mapping[str, FaceImages]
 
-    @property
-    def reach(self) -> float:
-        """Return the distance (mm) up to which each position has one image only: half of the least width."""
-        return MARGIN_SHARE * self.box.least_width
-
 
 def extend_mesh(mesh: MeshData, box: PeriodicBox) -> tuple[MeshData, FaceImages]:
     """Return a mesh with its images up to half a width beyond the box, and the sources of their faces."""

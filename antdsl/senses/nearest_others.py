@@ -59,12 +59,14 @@ class CrowdTables(NamedTuple):
     `packed_up`: four entries per agent: its up direction x, y, z, and its rank in the order of species and ids.
     `packed_motion`: four entries per agent: its velocity x, y, z (mm/s), and its radius (mm).
     `name_ranks`: for each rank of `packed_up`, the agent's rank in the order of species names and ids. It is empty if there is
-    only one species."""
+    only one species.
+    `image_reach` (3): an image this far (mm) along an axis or farther does not count; infinite without images."""
 
     grid: CellGridTables
     packed_up: Array1[F32]
     packed_motion: Array1[F32]
     name_ranks: Array1[I32]
+    image_reach: Array1[F32]
 
 
 class NeighbourRequests(NamedTuple):
@@ -203,6 +205,7 @@ def _select_nearest_others(
 
     `position`: the searching agent, as a position in the order of cells. `reach`: the radius (mm) of the search."""
     x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * position, 4)
+    wide_x, wide_y, wide_z = crowd.image_reach[0], crowd.image_reach[1], crowd.image_reach[2]
     padded, good_count = max(count, (count + 5) & -8), 0
     for p in simd_range(0, padded):
         q: I64 = memory.candidates[p]
@@ -211,7 +214,8 @@ def _select_nearest_others(
         dx, dy, dz = u - x, v - y, w - z
         length = np.sqrt((dx * dx + dy * dy) + dz * dz)
         side = dot(up, (np.float64(ux), np.float64(uy), np.float64(uz)))
-        is_candidate = (p < count) & (length <= reach) & (q != position) & (side > 0.0)
+        is_nearest_image = (abs(dx) < wide_x) & (abs(dy) < wide_y) & (abs(dz) < wide_z)
+        is_candidate = (p < count) & (length <= reach) & (q != position) & (side > 0.0) & is_nearest_image
         memory.candidate_keys[p] = float_to_bits(np.float64(length)) | np.int64(number) if is_candidate else MAX_INT64
     for p in simd_range(0, padded):
         key, rank = memory.candidate_keys[p], 0

@@ -86,3 +86,34 @@ def test_contacts_have_the_same_bits_everywhere(tmp_path: Path) -> None:
     assert len({state_hash(run(shot, 5, options)) for options in every}) == 1  # type: ignore[arg-type]
     for count in (0, 1):
         run(open_balls(tmp_path, f"count: {count}, place: {{on: ground}}"), 2)  # type: ignore[arg-type]
+
+
+CLEAR = """ant 2
+world { surface ground }
+species walker {
+  size 0.4 mm; max_speed 0.5 mm/step; response 1 step; max_turn none
+  start go
+  state go { steer match(clear_velocity(heading * 0.4 mm/step, within: 6 mm, horizon: 8 s)) }
+  layers { state }
+}
+"""
+
+
+def test_clear_velocity_in_a_narrow_world(tmp_path: Path) -> None:
+    """`within` is wider than the world along z and less than half of its width along x. A shift by half a width along both
+    changes no course, and neither do threads and rows."""
+    points = np.round(np.random.default_rng(9).uniform(-0.5, 0.5, (40, 3)) * (32, 0, 4) * 1024) / 1024
+    runs = []
+    for by in (np.zeros(3), np.array([16.0, 0, 2.0])):
+        wrap = "{x: -16 mm .. 16 mm, z: -2 mm .. 2 mm}"
+        shot = open_world(tmp_path, CLEAR, write_points(tmp_path, points + by), wrap=wrap, half=40)
+        options = (Options(backend="numpy"), Options(threads=2, shuffle_rows=3, chunk=7), Options(backend="reference"))
+        assert len({state_hash(run(shot, 4, each)) for each in options}) == 1
+        world = run(shot, 4)
+        runs.append((read_vector(world, "unwrapped") - by, read_vector(world, "heading")))
+    (place, heading), (moved, turned) = runs
+    offset = moved - place
+    assert np.abs(offset - np.rint(offset / (32, 1, 4)) * (32, 1, 4)).max() < 1e-4
+    assert np.abs(turned - heading).max() < 1e-4
+    start = read_vector(run(shot, 0), "heading")
+    assert (np.abs(heading - start).max(axis=1) > 0.05).sum() > 10, "agents avoid each other"

@@ -51,6 +51,13 @@ def fits_image_grid(world: World, radius: float) -> bool:
     return world.periodic is None or radius < _MAX_GRID_REACH_SHARE * world.periodic.box.least_width
 
 
+def list_image_reaches(world: World) -> Floats:
+    """Return how far (mm) along each axis others are at their nearest image, float32[3]: a little less than half a width, so that
+    no two images of an agent are within it. It is infinite along axes that do not wrap."""
+    widths = np.zeros(3) if world.periodic is None else np.array(world.periodic.box.widths)
+    return np.where(widths > 0, _MAX_GRID_REACH_SHARE * widths, np.inf).astype(np.float32)
+
+
 def measure_pairs_within(
     world: World,
     others: Population | Items,

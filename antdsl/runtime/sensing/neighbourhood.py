@@ -17,7 +17,7 @@ from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.sensing.image_pairs import ImageGrid
+from antdsl.runtime.sensing.image_pairs import ImageGrid, list_image_reaches
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import WishedVelocities, fill_clear_velocities, find_widest_gaps
 from antdsl.senses.nearest_others import CrowdTables, NeighbourRequests, fill_nearest_offsets, pack_up_and_motion
@@ -94,7 +94,8 @@ class _CrowdGrid(CellGrid):
         x, y, z = join_vectors("position")
         sources: Rows | None = None
         if world.periodic is not None:
-            sources, (x, y, z) = world.periodic.box.find_image_rows((x, y, z), world.periodic.reach)
+            reach = min(_CELL_RATIO * cell, max(world.periodic.box.widths) / 2)  # the grid serves all radii of its size class
+            sources, (x, y, z) = world.periodic.box.find_image_rows((x, y, z), reach)
 
         def add_images(array: NDArray[Any]) -> NDArray[Any]:
             return array if sources is None else array.take(sources)
@@ -116,7 +117,7 @@ class _CrowdGrid(CellGrid):
             by_name = add_images(
                 join_arrays([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])
             )
-        self.crowd = CrowdTables(self.make_tables(), up, motion, by_name)
+        self.crowd = CrowdTables(self.make_tables(), up, motion, by_name, list_image_reaches(world))
 
 
 def _find_first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:
