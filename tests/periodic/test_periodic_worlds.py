@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from compilers import need_llvmlite
 from periodic_scenes import FLOCK, HALF, PLAIN_FLOCK, open_world, read_vector, run, wrapped, write_points
+from typer.testing import CliRunner
 
+from antdsl.cli import app
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.periodic_cells import CellsDoNotFit, PeriodicCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.numerics.periodic_box import PeriodicBox, measure_offset
 from antdsl.runtime import Options, bind, state_hash, step
+from antdsl.runtime.faults import LimitStop
 from antdsl.scene.geometry.clipping import clip_mesh
 
 BOX = PeriodicBox((-HALF, 0.0, -HALF), (2 * HALF, 0.0, 2 * HALF))
@@ -272,3 +275,28 @@ def test_clipping_keeps_area_and_fronts() -> None:
     assert np.linalg.norm(areas(corners), axis=1).sum() == pytest.approx(inside, rel=0.02)
     for parts in (([-np.inf] * 3, [np.inf] * 3),):
         np.testing.assert_array_equal(clip_mesh(vertices, faces, *map(np.array, parts))[1], faces)
+
+
+QUICK = """ant 2
+use steering
+world { surface ground }
+species bird {
+  size 1 mm
+  response 1 step
+  max_turn none
+  max_speed uniform(1 mm/step, SPEED)
+  start go
+  state go { steer match(heading * max_speed) }
+}
+"""
+
+
+def test_a_step_of_half_a_width_stops_the_run(tmp_path: Path) -> None:
+    shot = open_world(tmp_path, QUICK.replace("SPEED", "7 mm/step"), "count: 40, place: {on: ground}")
+    run(shot, 3)
+    shot = open_world(tmp_path, QUICK.replace("SPEED", "14 mm/step"), "count: 40, place: {on: ground}")
+    with pytest.raises(LimitStop, match=r"bird \d+ at frame \d+: `velocity` is half of the world's width") as stop:
+        run(shot, 3)
+    assert "`max_speed`" in str(stop.value) and "step = " in str(stop.value)
+    result = CliRunner().invoke(app, ["run", str(tmp_path / "scene.yaml"), "--out", str(tmp_path / "out"), "-q"])
+    assert result.exit_code == 1 and "half of the world's width" in str(result.exception)
