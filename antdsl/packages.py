@@ -5,7 +5,11 @@ editors; all other commands name the package that they need."""
 
 from __future__ import annotations
 
-from typing import Final
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from antdsl.diagnostics import Report
 
 DISTRIBUTION_BY_MODULE: Final = {
     "numpy": "numpy", "scipy": "scipy", "lark": "lark", "pydantic": "pydantic", "yaml": "pyyaml", "typer": "typer",
@@ -25,3 +29,16 @@ def find_missing_distribution(problem: BaseException) -> str | None:
             return DISTRIBUTION_BY_MODULE[module]
         cause = cause.__cause__
     return None
+
+
+def check_extra(purpose: str, extra: str, module: str) -> Report:
+    """Return an empty report if a module of an extra is installed. Otherwise return one error that names the extra.
+
+    `purpose`: what needs it, such as `the preview`."""
+    from antdsl.diagnostics import Report
+
+    report = Report()
+    if find_spec(module) is None:
+        message = f"{purpose} needs the extra `[{extra}]`, which is not installed"
+        report.error("missing-extra", message, None, f'run `pip install "antdsl[{extra}]"`')
+    return report

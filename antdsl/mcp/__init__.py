@@ -5,18 +5,3 @@ in a child process and returns what it prints, and `server` answers. Commands ru
 at any time, and because nothing but the protocol may reach standard output. `pages` searches the documentation.
 
 The protocol is that of the Model Context Protocol; the package `mcp`, of the extra `[mcp]`, implements it."""
-
-from __future__ import annotations
-
-from importlib.util import find_spec
-
-from antdsl.diagnostics import Report
-
-
-def check_server_available() -> Report:
-    """Return an empty report if the server can start. Otherwise return one error that names the missing extra."""
-    report = Report()
-    if find_spec("mcp") is None:
-        message = "the MCP server needs the extra `[mcp]`, which is not installed"
-        report.error("missing-extra", message, None, 'run `pip install "antdsl[mcp]"`')
-    return report

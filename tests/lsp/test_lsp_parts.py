@@ -14,14 +14,6 @@ from antdsl.lsp.features.navigation import rename_symbol
 from antdsl.lsp.workspace import Workspace
 
 
-def test_the_extra_is_named_when_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    import antdsl.lsp
-
-    monkeypatch.setattr(antdsl.lsp, "find_spec", lambda name: None)
-    report = antdsl.lsp.check_server_available()
-    assert [(d.code, "[lsp]" in d.message) for d in report.diagnostics] == [("missing-extra", True)]
-
-
 def test_starting_imports_no_heavy_package() -> None:
     import subprocess
     import sys

@@ -13,7 +13,6 @@ pytest.importorskip("mcp", reason="the server needs the extra [mcp]")
 import commands
 from mcp.client import Client
 
-from antdsl.mcp import check_server_available
 from antdsl.mcp.folders import GrantedFolders, PathOutsideFolders
 from antdsl.mcp.pages import list_pages, search_pages
 from antdsl.mcp.server import build_server
@@ -175,13 +174,6 @@ def test_every_tool_explains_its_parameters() -> None:
         described = entry.method.__doc__ or ""
         names = entry.method.__code__.co_varnames[1 : entry.method.__code__.co_argcount]
         assert [name for name in names if f"{name}:" not in described and f"{name}," not in described] == []
-
-
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("antdsl.mcp.find_spec", lambda _: None)
-    assert [finding.code for finding in check_server_available().diagnostics] == ["missing-extra"]
-    result = commands.run("mcp", "--root", str(tmp_path), cwd=tmp_path)
-    assert "[mcp]" in result.stderr and result.returncode != 0
 
 
 def test_a_root_must_be_a_folder(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from antdsl.preview.serving import addresses, check_preview_support
+from antdsl.preview.serving import addresses
 from antdsl.preview.serving.addresses import ListenError, is_loopback, open_listening_sockets
 from antdsl.preview.serving.connections import TokenBucket
 from antdsl.preview.serving.mailbox import ClientMailbox
@@ -227,11 +227,3 @@ def test_at_every_address_the_names_are_the_machines_own() -> None:
     assert {f"localhost:{port}", f"127.0.0.1:{port}", f"{socket.gethostname().lower()}:{port}"} <= listener.host_names
     assert not any(name.startswith(("0.0.0.0:", "*", "[::]")) for name in listener.host_names)
     assert all(address.split("/")[2] in listener.host_names for address in listener.addresses)
-
-
-def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.preview import serving
-
-    monkeypatch.setattr(serving, "find_spec", lambda name: None)
-    report = check_preview_support()
-    assert [each.code for each in report.diagnostics] == ["missing-extra"] and "[preview]" in str(report.diagnostics[0].help)

@@ -41,9 +41,9 @@ def preview(
 ) -> None:
     """Watch a scene while you write it: a page in the browser that reloads, rewinds and explains. Needs the extra [preview]."""
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.preview.serving import check_preview_support
+    from antdsl.packages import check_extra
 
-    exit_on_errors(check_preview_support())
+    exit_on_errors(check_extra("the preview", "preview", "websockets"))
     from antdsl.cli.arguments import parse_grants, parse_pairs, require_scene
 
     require_scene(scene)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -43,17 +43,22 @@ def find_workspace_symbols(workspace: Workspace, query: str) -> list[tuple[OpenD
 
     Names that begin with the query come first. An empty query returns all symbols, up to the limit."""
     letters = re.compile(".*?".join(map(re.escape, query.lower())))
-    matches = []
-    for path in workspace.list_files():
-        document = workspace.find_document(path) if path.suffix == PROGRAM_SUFFIX else None
-        symbols = list_symbols(document) if document is not None else []
-        while document is not None and symbols:
-            symbol = symbols.pop(0)
-            symbols[:0] = symbol.children
-            if letters.search(symbol.name.lower()):
-                matches.append((document, symbol))
+    matches = [
+        (document, symbol)
+        for path in workspace.list_files()
+        if path.suffix == PROGRAM_SUFFIX and (document := workspace.find_document(path)) is not None
+        for symbol in _iterate_symbols(list_symbols(document))
+        if letters.search(symbol.name.lower())
+    ]
     matches.sort(key=lambda match: not match[1].name.lower().startswith(query.lower()))
     return matches[:_MAX_WORKSPACE_SYMBOLS]
+
+
+def _iterate_symbols(symbols: Iterable[OutlineSymbol]) -> Iterator[OutlineSymbol]:
+    """Yield symbols, each followed by those inside it."""
+    for symbol in symbols:
+        yield symbol
+        yield from _iterate_symbols(symbol.children)
 
 
 def _make_item_symbol(item: Any) -> OutlineSymbol | None:

@@ -8,9 +8,9 @@ from antdsl.cli.exits import CommandError, ExitCode
 def lsp() -> None:
     """Answer an editor over standard input and output (language server protocol). Needs the extra [lsp]."""
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.lsp import check_server_available
+    from antdsl.packages import check_extra
 
-    exit_on_errors(check_server_available())
+    exit_on_errors(check_extra("the language server", "lsp", "pygls"))
     from antdsl.lsp.server import run_server
 
     try:

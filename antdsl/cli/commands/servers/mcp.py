@@ -20,8 +20,8 @@ def mcp(
 ) -> None:
     """Let an assistant check, run, render, test and explain within folders (Model Context Protocol). Needs the extra [mcp]."""
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.mcp import check_server_available
     from antdsl.mcp.folders import GrantedFolders
+    from antdsl.packages import check_extra
 
     grants = [word for word in root if "=" in word and not Path(word).is_dir()]
     parse_grants(grants)
@@ -31,7 +31,7 @@ def mcp(
         raise typer.BadParameter(str(error), param_hint="--root") from None
     if not folders.folders:
         raise typer.BadParameter("name a folder of projects, such as `--root .`", param_hint="--root")
-    exit_on_errors(check_server_available())
+    exit_on_errors(check_extra("the MCP server", "mcp", "mcp"))
     from antdsl.mcp.server import run_server
     from antdsl.mcp.tools import Tools
 
