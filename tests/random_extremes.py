@@ -268,7 +268,7 @@ def one_nan(world: World) -> None:
     arrays = [array for p in world.populations.values() for held in (p.now, p.start) for array in held.values()]
     arrays += [p.position for p in world.populations.values()] + [p.normal for p in world.populations.values()]
     arrays += [amounts for items in world.items.values() for amounts in items.amounts.values()]
-    arrays += [field.amounts for field in world.fields.amounts()]
+    arrays += [field.amounts for field in world.fields.values()]
     for array in arrays:
         if array.dtype.kind == "f":
             array[np.isnan(array)] = np.nan

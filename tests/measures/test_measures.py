@@ -83,7 +83,7 @@ def test_measures_have_the_values_of_each_frame(folder: Path) -> None:
         velocity = np.stack([walkers.now[f"velocity.{axis}"] for axis in "xyz"], 1).astype(np.float64)
         assert measures.values["order"] == pytest.approx(np.linalg.norm(heading.mean(0)), rel=1e-5)
         assert measures.values["drift"] == pytest.approx(np.linalg.norm(velocity.sum(0)), rel=1e-4, abs=1e-3)
-        assert measures.amounts["scent"] == pytest.approx(float(world.fields["trail"].amounts.sum()), rel=1e-5)
+        assert measures.values["scent"] == pytest.approx(float(world.fields["trail"].amounts.sum()), rel=1e-5)
         assert measures.values["number"] == 12 and measures.values["gone"] == 0
         resting = float((walkers.now["main.state"] == 1).mean())
         assert measures.values["resting"] == resting and measures.values["calm"] == int(resting == 1)

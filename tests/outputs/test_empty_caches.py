@@ -83,7 +83,7 @@ def opened_again(path: Path, counts: list[int], form: str) -> None:
             )
         case _:
             text = path.read_bytes()
-            assert text.startswith(b"ply\n") or not text or text.startswith(b"o ")
+            assert text.startswith(b"ply\n") or not text or text.startswith((b"o ", b"# framerate"))
 
 
 def _is_stage(path: Path, counts: list[int], form: str) -> None:

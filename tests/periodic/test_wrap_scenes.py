@@ -81,7 +81,7 @@ def test_extreme_ranges(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("declared", "thing", "words"),
     [
-        ("solid hill", "hill: {mesh: ground.ply, voxel: 1 mm}", "solids"),
+        ("solid hill", "hill: {mesh: ground.ply, voxel: 1 mm}", "a solid"),
         ("curve way", "way: {curve: way.json}", "a curve"),
         ("flow drift", "drift: {toward: [0, 0, 0]}", "a flow"),
         ("obstacle wall", "wall: {mesh: ground.ply, keys: {1: {at: [0, 0, 0]}}}", "things that move"),

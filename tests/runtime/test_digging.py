@@ -126,7 +126,7 @@ def test_fields_lie_on_the_walls_that_were_dug(watched):
     cells = field.cells
     assert cells.used_count - cells.initial_count > 50
     new = slice(cells.initial_count, cells.used_count)
-    assert (field.values[new] > 0).sum() > 10, "scent was laid in them"
+    assert (field.amounts[new] > 0).sum() > 10, "scent was laid in them"
     away = np.abs(world.solids["hill"].sample(cells.position[new]))
     assert np.quantile(away, 0.5) < 1.0
     assert (cells.find_cells(cells.position[new], cells.normal[new]) >= 0).all()

@@ -284,7 +284,7 @@ state q { when age > 100 s -> p } }"""
     setting_arguments = {"surfaces": {"ground": MeshData(*meshes.terrain(100.0, 4))}, "items": {"nest": (item("n", 0, 0),)}}
     history = play(text, crowd(3, radius=5), crowd(2, species="b", radius=5), steps=1, **setting_arguments)
     assert history.at("id", 0) == [] and history.amounts("nest") == [3] and history.at("heard", 1, "b") == [1, 1]
-    assert history.world.fields["trail"].values.sum() == 3
+    assert history.world.fields["trail"].amounts.sum() == 3
 
 
 def test_references_to_the_dead_become_none_and_all_may_die():

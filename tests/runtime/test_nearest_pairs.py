@@ -30,9 +30,9 @@ def standing(positions: np.ndarray, seed: int = 3) -> tuple[World, Population]:
     return world, population
 
 
-def by_pairs(other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | None) -> list[int]:
+def by_pairs(world: World, other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | None) -> list[int]:
     with np.errstate(all="ignore"):
-        every = pairs._make_all_pairs(other, own, ids)
+        every = pairs._make_all_pairs(world, other, own, ids)
         return pairs._find_best_agent(every, None, True, every.distance).tolist()
 
 
@@ -70,13 +70,14 @@ CROWDS = {
 def test_the_nearest_is_the_same_as_where_all_pairs_are_measured(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     world, population = standing(CROWDS[name])
     own = tuple(population.start[f"position.{axis}"] for axis in AXES)
-    assert by_tree(world, population, own, population.ids) == by_pairs(population, own, population.ids)
+    assert by_tree(world, population, own, population.ids) == by_pairs(world, population, own, population.ids)
     strangers = tuple(RNG.uniform(-40, 40, (50, 3)).astype(np.float32).T)
-    assert by_tree(world, population, strangers, None) == by_pairs(population, strangers, None)
+    assert by_tree(world, population, strangers, None) == by_pairs(world, population, strangers, None)
     monkeypatch.setattr(nearest_pairs, "_MAX_EQUAL_DISTANCES", 1)
-    assert by_tree(world, population, own, population.ids) == by_pairs(population, own, population.ids), "all of them measured"
+    nearest = by_pairs(world, population, own, population.ids)
+    assert by_tree(world, population, own, population.ids) == nearest, "all of them measured"
     monkeypatch.setattr(nearest_pairs, "_PAIRS_PER_CHUNK", 50)
-    assert by_tree(world, population, own, population.ids) == by_pairs(population, own, population.ids), "bit by bit"
+    assert by_tree(world, population, own, population.ids) == nearest, "bit by bit"
 
 
 @pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, 1e20, -3e38])
@@ -124,7 +125,7 @@ def test_no_full_pairs_are_built_where_only_the_nearest_is_needed(monkeypatch: p
     monkeypatch.setattr(
         pairs,
         "_make_all_pairs",
-        lambda *arguments, every=pairs._make_all_pairs: (measured.append(len(arguments[1][0])), every(*arguments))[1],
+        lambda *arguments, every=pairs._make_all_pairs: (measured.append(len(arguments[2][0])), every(*arguments))[1],
     )
     again = WorldSetting(crowds=(crowd(300, "a", radius=200.0), crowd(20, "b", radius=200.0, group=1)))
     for backend in ("numpy", "native"):

@@ -99,7 +99,7 @@ class FrameMaker:
             for key in world.setting.list_body_keys(name):
                 arrays |= make_feet_arrays(world, key, self.scale)
         for name, field in world.fields.items():
-            arrays[f"field.{name}.cells"], arrays[f"field.{name}.amounts"] = _find_nonzero_cells(np.asarray(field.amounts))
+            arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _find_nonzero_cells(np.asarray(field.amounts))
             if "places" in field.added_cells:
                 arrays[f"field.{name}.added"] = to_scene_positions(field.added_cells["places"][:, :3], self.scale)
         for name, items in world.items.items():

@@ -26,6 +26,7 @@ class ThingKindRow:
     - `is_blocking`: agents cannot walk through it.
     - `is_dug`: agents change its shape, and its total is a volume.
     - `look`: the default look of its meshes in pictures.
+    - `wrap_advice`: what to write instead in a periodic world; "" if it continues across the seam.
     - `section`: the key of a scene that holds its entries.
     - `type_word`: the kind of its values in expressions, if that is not `word`."""
 
@@ -45,6 +46,7 @@ class ThingKindRow:
     is_blocking: bool = False
     is_dug: bool = False
     look: Literal["ground", "stone"] = "ground"
+    wrap_advice: str = ""
     section: str = "world"
     type_word: str = ""
 
@@ -59,6 +61,7 @@ class ThingKindRow:
         return self.nearest_op == "obstacle.near"
 
 
+_STEERING_ADVICE = "steer by fields, items or neighbours, which wrap"
 _THING_ROWS = (
     ThingKindRow(
         "surface", "ground that agents walk on", "world { surface floor }", label="a surface",
@@ -74,6 +77,7 @@ _THING_ROWS = (
     ThingKindRow(
         "solid", "soft ground that may be dug", "world { solid sand }", label="a solid",
         replaced_kinds=("obstacle",), nearest_op="obstacle.near", is_ground=True, is_dug=True,
+        wrap_advice="declare a `surface` or an `obstacle` in the program",
         scene_form="a mesh", scene="{mesh: hill.ply, voxel: 1 mm}", snippet="{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
     ),
     ThingKindRow(
@@ -83,14 +87,17 @@ _THING_ROWS = (
     ),
     ThingKindRow(
         "curve", "a line drawn in space", "world { curve path }", label="a curve", type_meaning="the name of a curve",
-        nearest_op="curve.closest", scene_form="a curve", scene="{curve: way.json}", snippet="{curve: ${1:way.json}}",
+        nearest_op="curve.closest", wrap_advice=_STEERING_ADVICE,
+        scene_form="a curve", scene="{curve: way.json}", snippet="{curve: ${1:way.json}}",
     ),
     ThingKindRow(
         "flow", "directions along the ground", "world { flow drift }", label="a flow", type_meaning="the name of a flow",
+        wrap_advice=_STEERING_ADVICE,
         scene_form="a flow", scene="{toward: [0, 0, 0], radius: 50 mm}", snippet="{toward: ${1:nest}, radius: ${2:50 mm}}",
     ),
     ThingKindRow(
         "map", "numbers painted on the ground", "world { map damp }", label="a map", type_meaning="the name of a map",
+        wrap_advice=_STEERING_ADVICE,
         scene_form="a map", scene="{painted: ground.ply, attribute: NAME}",
         snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
     ),

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from antdsl.diagnostics import Label, Report
-from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.program.model import OperationExpr, Program
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.traverse import iterate_parts
 from antdsl.scene.checks.step_checks import compute_typical_value, find_first_lines
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.thing_models import UP_VECTORS
+
+if TYPE_CHECKING:
+    from antdsl.numerics.periodic_box import PeriodicBox
 
 _MIN_WIDTH_MM, _MIN_WIDTH_SHARE = 0.001, 1e-4  # mm; share of the greatest coordinate, which float32 must resolve
 WRAP_AXES = ("x", "y", "z")
@@ -20,6 +25,8 @@ def make_periodic_box(scene: Scene) -> PeriodicBox | None:
     wrap = scene.model.wrap
     if wrap is None:
         return None
+    from antdsl.numerics.periodic_box import PeriodicBox  # it imports NumPy
+
     ranges = (getattr(wrap, axis) for axis in WRAP_AXES)
     ends = [tuple(end.to_millimetres(scene.model.unit_mm) for end in each) if each else (0.0, 0.0) for each in ranges]
     x, y, z = ends
@@ -83,13 +90,11 @@ def _list_unsupported_things(scene: Scene, program: Program) -> list[_Unsupporte
     """Return the things of a scene that a periodic world cannot have, as `_list_unsupported_keys` does."""
     findings: list[_Unsupported] = []
     for name, value in scene.model.world.items():
-        kind = program.world[name].kind if name in program.world else ""
+        kind = KIND_BY_WORD[program.world[name].kind] if name in program.world else None
         moves = getattr(value, "keys", None) if not isinstance(value, dict) else any(item.keys for item in value.values())
         path = ("world", name)
-        if kind == "solid":
-            findings.append((path, "solids", "declare a `surface` or an `obstacle` in the program"))
-        elif kind in ("flow", "map", "curve"):
-            findings.append((path, f"a {kind}", "steer by fields, items or neighbours, which wrap"))
+        if kind is not None and kind.wrap_advice:
+            findings.append((path, f"a {kind.word}", kind.wrap_advice))
         elif moves or scene.roots.is_sequence(str(getattr(value, "mesh", ""))):
             findings.append((path, "things that move", "leave `keys` out, and name one file"))
     for number, line in enumerate(scene.model.crowd):
