@@ -20,7 +20,6 @@ from antdsl.senses.overlaps import measure_worst_overlaps
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 MARGIN_SHARE = 0.5  # of the width: how far images of the world reach beyond the box
-_STEP_SLACK = 0.999  # the ground ends at the margin, so velocities of longer steps are a little shorter than it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,13 +65,10 @@ def extend_mesh(mesh: MeshData, box: PeriodicBox) -> tuple[MeshData, FaceImages]
 
 
 def wrap_world(world: World) -> None:
-    """Move the agents that have left the box of a periodic world into it, and update their unwrapped positions.
-
-    Raises LimitStop if a step of an agent is half of the world's width or longer: it has no nearest image."""
+    """Move the agents that have left the box of a periodic world into it, and update their unwrapped positions."""
     if world.periodic is None:
         return
     for population in world.populations.values():
-        _check_step_lengths(world, population, world.periodic.box)
         wrap_agents(world, population, slice(None))
         _update_unwrapped(population, world.periodic.box)
 
@@ -126,21 +122,6 @@ def count_widths(world: World, population: Population) -> NDArray[np.int64]:
         own = np.flatnonzero((footing.mesh == number) & (footing.face >= 0))
         counts[own] = images.counts[footing.face[own]]
     return counts
-
-
-def _check_step_lengths(world: World, population: Population, box: PeriodicBox) -> None:
-    """Raise LimitStop if an agent moves by half of a width or more in a step."""
-    from antdsl.runtime.faults import Fault, LimitStop  # it imports this module
-
-    for k in box.axes:
-        steps = np.abs(population.now[f"velocity.{AXES[k]}"].astype(np.float64)) * float(world.dt)
-        rows = np.flatnonzero(steps >= MARGIN_SHARE * box.widths[k] * _STEP_SLACK)
-        if len(rows):
-            row = rows[np.argmin(population.ids[rows])]
-            advice = "write a wider range below `wrap`, more `fps`, or a lower `max_speed`"
-            why = f"is half of the world's width in a step, or more: {advice}"
-            values = (("step", f"{steps[row]:.4g} mm"), ("width", f"{box.widths[k]:.4g} mm"))
-            raise LimitStop(Fault(world.frame, population.name, int(population.ids[row]), "velocity", None, values, why))
 
 
 def _update_unwrapped(population: Population, box: PeriodicBox) -> None:
