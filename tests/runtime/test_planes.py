@@ -52,7 +52,7 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
         motion,
     )
     parallel.run_in_parts(work, N, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
-    crowd = CrowdTables(grid.make_tables(), fours, motion, np.empty(0, np.int32))
+    crowd = CrowdTables(grid.make_tables(), fours, motion, np.empty(0, np.int32), np.full(3, np.inf, np.float32))
     alone, one = np.zeros(n), np.ones(n)
     requesters = NeighbourRequests(grid.order.position_by_row.take(rows), rows, alone, one, tuple(heading))
     planes, velocities = np.empty((9, n)), np.empty((3, n), np.float32)
