@@ -10,7 +10,7 @@ import pytest
 
 from antdsl.runtime.moving import correction_walks
 from antdsl.runtime.moving.contacts import capsule_distances, capsules, contact_solver, separation, step_clamping
-from antdsl.runtime.moving.contacts.capsule_distances import TILTED_COSINE
+from antdsl.runtime.moving.contacts.capsule_distances import NEVER_TILTED_COSINE, TILTED_COSINE
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyCapsulePairs, find_near_pairs, measure_overlap_depths
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY, WHOLE_CAPSULE_BY_BODY
 from tests.motion_track import segment_distance
@@ -70,7 +70,7 @@ def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespac
     )
 
 
-def near_of(built: SimpleNamespace, tilted_cosine: float = -2.0) -> NearbyCapsulePairs:
+def near_of(built: SimpleNamespace, tilted_cosine: float = NEVER_TILTED_COSINE) -> NearbyCapsulePairs:
     gap, path = np.empty(len(built.first_indices)), np.empty((3, len(built.first_indices)))
     stand = (built.middle.copy(), built.axis_directions, built.up, built.half_lengths, built.radius)
     rows, pairs = np.arange(ROWS), (built.first_indices, built.second_indices)

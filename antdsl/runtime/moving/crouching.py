@@ -26,7 +26,7 @@ CROUCH_REGISTER = "crouch"  # for species that set it in `SpeciesPlan.settings`
 LOWERING_REGISTER = "~lowering"  # share of the height by which a body is lower than when it stands
 _RAY_START_SHARE = 0.5  # share of the least height; rays start there, above uneven ground
 _SIDE_PROBE_RADII = (
-    0.9  # share of the radius; distance of the points behind and before a body, so that a wall beside it is no ceiling
+    0.9  # share of the radius; distance of the points behind and before a body, so that a wall next to it is no ceiling
 )
 _HEADROOM_FACTOR = 1.02  # multiple of a body's height that it needs below a ceiling
 _HEIGHT_TOLERANCE_SHARE = 1e-4  # share of the height; within it, a body is as low as the ceiling
@@ -84,7 +84,7 @@ class _HeadroomMeasurements:
     """The free heights at k agents, as shares of the height that a standing body needs.
 
     `walking_direction` (k, 3): the directions in which they go. `share_above`, `least_share_around`, `share_ahead` (k): the
-    free height at their position; the least of those at, before, beside and behind it; and where they will be soon."""
+    free height at their position; the least of those at, before, next to and behind it; and where they will be soon."""
 
     walking_direction: Floats
     share_above: Floats

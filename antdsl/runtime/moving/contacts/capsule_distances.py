@@ -17,6 +17,7 @@ _SEARCH_DISTANCE_RADII = 1.6
 _CANDIDATE_DISTANCE_WIDTHS = 1.5  # widths; pairs farther apart cannot touch in this substep
 _OPPOSITE_SIDES_COSINE = -0.5  # cosine between two up directions; below it, the agents are on opposite sides of something
 TILTED_COSINE = 0.94  # between two up directions, 20 degrees; below it, nearest points of whole bodies are found in space
+NEVER_TILTED_COSINE = -2.0  # below every cosine: no pair counts as tilted
 _COINCIDENT_AXES_WIDTHS = 1e-6  # widths; two axes this near to each other define no direction
 _FLOAT32_ZERO = np.float32(0)
 _AGENTS_PER_BATCH = 64  # agents with bounds computed in SIMD lanes
@@ -44,7 +45,7 @@ class CapsuleArrays(NamedTuple):
     half_length: Array1[F64]
     radius: Array1[F64]
     period: Array1[F64] = NO_PERIOD
-    tilted_cosine: F64 = -2.0
+    tilted_cosine: F64 = NEVER_TILTED_COSINE
 
 
 class CrowdCapsules(NamedTuple):
@@ -56,7 +57,7 @@ class CrowdCapsules(NamedTuple):
     half_length: Array1[F64]
     radius: Array1[F64]
     period: Array1[F64] = NO_PERIOD
-    tilted_cosine: F64 = -2.0
+    tilted_cosine: F64 = NEVER_TILTED_COSINE
 
 
 class CapsuleShape(NamedTuple):

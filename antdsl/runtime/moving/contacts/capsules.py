@@ -20,6 +20,7 @@ from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.runtime.body_positions import compute_body_positions
 from antdsl.runtime.body_rows import group_rows_by_body
 from antdsl.runtime.moving.contacts.capsule_distances import (
+    NEVER_TILTED_COSINE,
     NO_PERIOD,
     TILTED_COSINE,
     CapsuleArrays,
@@ -96,7 +97,7 @@ class CapsuleCrowd:
             lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids
         )
         is_whole = any([world.plan.species[each.name].has_whole_body for each in self.species])
-        self.tilted_cosine = TILTED_COSINE if is_whole else -2.0
+        self.tilted_cosine = TILTED_COSINE if is_whole else NEVER_TILTED_COSINE
         self.period = NO_PERIOD if world.periodic is None else world.periodic.box.inverse_table
         self.bounds = self._place_capsules()  # bounds of x, y and z of the middles, and of the reach
 
@@ -206,7 +207,7 @@ class NearbyCapsulePairs:
     gap: Floats
     direction: Floats
     period: Floats = field(default_factory=lambda: NO_PERIOD)  # as in `CapsuleArrays`
-    tilted_cosine: float = -2.0
+    tilted_cosine: float = NEVER_TILTED_COSINE
 
     @property
     def capsules(self) -> CapsuleArrays:

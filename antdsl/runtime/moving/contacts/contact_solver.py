@@ -226,7 +226,7 @@ def _solve_separation(
     travel: Floats,
     depth: Floats,
     effort: SolverIterations,
-    mobility_share: float,
+    relaxation: float,
     own_corrections: Floats,
     work_buffers: tuple[Any, ...],
 ) -> Floats:
@@ -243,7 +243,7 @@ def _solve_separation(
     stand = (agents.mass, agents.push_share, agents.max_travel, depth, is_held, agents.normal, travel, own_corrections)
     while looks:
         looks, count = separate_pairs(
-            bodies, pairs, stand, displacement, magic, looks, effort.sweeps, mobility_share, lost, work_buffers
+            bodies, pairs, stand, displacement, magic, looks, effort.sweeps, relaxation, lost, work_buffers
         )
         nearby_pairs.draw_missing_axes(nearby_pairs.direction, lost[:count])
     return displacement

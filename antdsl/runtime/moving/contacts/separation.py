@@ -58,7 +58,7 @@ SolverBuffers = tuple[
 
 # rows of the float buffer of agents
 (
-    _MOBILITY_BUFFER_ROW, _DENSITY_BUFFER_ROW, _SPREAD_BUFFER_ROW, _INVERSE_MASS_ROW, _CLUSTER_SHARE_ROW, _MAX_CORRECTION_ROW,
+    _WEIGHT_BUFFER_ROW, _DENSITY_BUFFER_ROW, _SPREAD_BUFFER_ROW, _INVERSE_MASS_ROW, _CLUSTER_SHARE_ROW, _MAX_CORRECTION_ROW,
     _PUSH_LIMIT_ROW
 ) = range(7)  # fmt: skip
 _INDEX_BUFFER_ROW, _ROW_LIST_BUFFER_ROW, _CONTACTS_ROW = 0, 1, 2  # rows of the integer buffer of agents
@@ -116,11 +116,11 @@ def _find_maximum(numbers: Array1[F64], count: I64) -> F64:
 
 @kernel_helper
 def _distribute_overlap(
-    pair_index: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]
+    pair_count: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]
 ) -> None:
     """Write to `buffers` the shares of the overlap by which the first and the second agent of each pair move. Their sum is 1.
 
-    A lighter agent and a less locked agent move more. Only the first `pair_index` pairs of `buffers`, among the first `count`
+    A lighter agent and a less locked agent move more. Only the first `pair_count` pairs of `buffers`, among the first `count`
     rows, are used.
 
     An agent is locked if it deeply overlaps others that deeply overlap others. The measure repeatedly adds up overlaps along
@@ -129,10 +129,10 @@ def _distribute_overlap(
     locked, spread = buffers[2][_DENSITY_BUFFER_ROW], buffers[2][_SPREAD_BUFFER_ROW]
     numbers, first, second = buffers[5], buffers[7][_FIRST_AGENT_ROW], buffers[7][_SECOND_AGENT_ROW]
     depth = numbers[_DEPTH_ROW]
-    deepest = _find_maximum(depth, pair_index)
+    deepest = _find_maximum(depth, pair_count)
     for k in range(count):
         locked[k] = 0.0
-    for n in range(pair_index):
+    for n in range(pair_count):
         if depth[n] > 0:
             part = _round_sum_term(depth[n] / deepest)
             locked[first[n]] += part
@@ -140,14 +140,14 @@ def _distribute_overlap(
     for _ in range(_CONTACTS_OF_DENSE_AGENT):
         for k in range(count):
             spread[k] = locked[k]
-        for n in range(pair_index):
+        for n in range(pair_count):
             if depth[n] > 0:
                 spread[first[n]] += locked[second[n]]
                 spread[second[n]] += locked[first[n]]
         highest = _find_maximum(spread, count)
         for k in range(count):
             locked[k] = _round_sum_term(spread[k] / highest)
-    for n in range(pair_index):
+    for n in range(pair_count):
         p, q = first[n], second[n]
         outward = _SHALLOW_OUTER_SHARE_FACTOR + (_OUTER_SHARE_FACTOR - _SHALLOW_OUTER_SHARE_FACTOR) * max(
             cluster_share[p], cluster_share[q]
@@ -296,7 +296,7 @@ def _run_outer_iteration(
         of_rows[_PUSH_LIMIT_ROW],
     )
     number, row_list, contacts = wholes[_INDEX_BUFFER_ROW], wholes[_ROW_LIST_BUFFER_ROW], wholes[_CONTACTS_ROW]
-    weight, least = of_rows[_MOBILITY_BUFFER_ROW], numbers[_DEAD_ZONE_ROW]
+    weight, least = of_rows[_WEIGHT_BUFFER_ROW], numbers[_DEAD_ZONE_ROW]
     chosen, first, second, those = (
         indices[_CHOSEN_PAIR_ROW],
         indices[_FIRST_AGENT_ROW],
@@ -322,12 +322,12 @@ def _run_outer_iteration(
             row = row_list[k]
             for at in range(starts[row], starts[row + 1]):
                 pair = row_pairs[at]
-                beside = i[pair] + j[pair] - row
-                slot = number[beside]
+                other_row = i[pair] + j[pair] - row
+                slot = number[other_row]
                 # avoid visiting a pair of two touching rows twice
-                if which[pair] and (slot < 0 or slot >= touching_count or beside > row):
+                if which[pair] and (slot < 0 or slot >= touching_count or other_row > row):
                     if slot < 0:
-                        number[beside], row_list[count] = count, beside
+                        number[other_row], row_list[count] = count, other_row
                         count += 1
                     chosen[m] = pair
                     m += 1
