@@ -11,7 +11,7 @@ from antdsl.runtime.world import AXES, World
 _STEP_SLACK = 0.999  # the ground ends at the margin, so velocities of longer steps are a little shorter than it
 
 
-def check_step_lengths(world: World) -> None:
+def check_periodic_steps(world: World) -> None:
     """Raise LimitStop if an agent of a periodic world has moved by half of a width or more in this step."""
     if world.periodic is None:
         return

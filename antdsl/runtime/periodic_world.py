@@ -69,17 +69,15 @@ def wrap_world(world: World) -> None:
     if world.periodic is None:
         return
     for population in world.populations.values():
-        wrap_agents(world, population, slice(None))
+        _wrap_agents(world, population)
         _update_unwrapped(population, world.periodic.box)
 
 
-def wrap_agents(world: World, population: Population, among: slice) -> None:
-    """Move the agents of some rows that are outside the box into it."""
+def _wrap_agents(world: World, population: Population) -> None:
+    """Move the agents that are outside the box into it."""
     assert world.periodic is not None
-    counts = count_widths(world, population)
-    chosen = np.zeros(len(population), np.bool_)
-    chosen[among] = True
-    rows = np.flatnonzero(chosen & counts.any(axis=1))
+    counts = _count_widths(world, population)
+    rows = np.flatnonzero(counts.any(axis=1))
     if not len(rows):
         return
     box, footing = world.periodic.box, population.footing
@@ -112,7 +110,7 @@ def measure_overlaps(
     return measure_worst_overlaps(x_all, y_all, z_all, radius.take(rows))[: len(x)]
 
 
-def count_widths(world: World, population: Population) -> NDArray[np.int64]:
+def _count_widths(world: World, population: Population) -> NDArray[np.int64]:
     """Return by how many widths each agent is outside the box, int64[n, 3]."""
     assert world.periodic is not None
     if isinstance(world.ground, PlaneGround):

@@ -25,7 +25,7 @@ from antdsl.runtime.moving import crowd_substep, moving_geometry, scripted_walks
 from antdsl.runtime.moving.contacts import contact_solver
 from antdsl.runtime.moving.contacts.step_retreats import take_back_overlapping_steps
 from antdsl.runtime.notes.wishes import FINAL_WISH, STATE_WISH
-from antdsl.runtime.periodic_steps import check_step_lengths
+from antdsl.runtime.periodic_steps import check_periodic_steps
 from antdsl.runtime.world import PUSHED_REGISTER, Population, World, publish_state
 
 _SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
@@ -141,7 +141,7 @@ def move_all_agents(world: World) -> None:
                     world.notes.cut_pushes(world, stances.positions, world.dt / world.setting.substeps)
         if world.notes is not None:
             world.notes.end_move(world)
-    check_step_lengths(world)
+    check_periodic_steps(world)
 
 
 def record_measures(world: World) -> None:

@@ -4,7 +4,6 @@ which PedPy reads."""
 from __future__ import annotations
 
 from collections.abc import Iterable
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,8 @@ import numpy as np
 from antdsl.atomic_write import atomic_file
 from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_agent_ids, get_species_numbers
 from antdsl.outputs.gallery import Gallery
+from antdsl.scene.thing_models import UNIT_MM
 
-_METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 _ROW = "%d %d %.6f %.6f %.6f\n"  # micrometres
 
 
@@ -26,9 +25,9 @@ def export_trajectories(gallery: Gallery, frames: Iterable[int], path: Path) -> 
     Raises CacheError for a damaged frame, OSError if writing fails."""
     manifest = gallery.manifest
     species_count = len(manifest.species)
-    scale = _METRES[manifest.units]
+    scale = UNIT_MM[manifest.units] / 1000  # metres
     with atomic_file(path) as file:
-        file.write(f"# framerate: {float(Fraction(manifest.fps)):.6g}\n# id frame x/m y/m z/m\n".encode())
+        file.write(f"# framerate: {1 / gallery.dt:.6g}\n# id frame x/m y/m z/m\n".encode())
         for frame in frames:
             arrays = gallery.cache.frame(frame, IDENTITY_ARRAYS | {"P"})
             ids = get_agent_ids(arrays) * species_count + get_species_numbers(arrays)
