@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import run
+from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.other_axes import convert_axes
@@ -57,6 +60,37 @@ def test_legs_and_walks_are_those_that_the_body_has(word: str, tmp_path: Path) -
     for mine, other in zip(walk["phases"], known.phases, strict=True):
         off = (mine - (other - known.phases[0])) % 1.0
         assert min(off, 1.0 - off) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("word", "ankles"),
+    [
+        ("person", [("foot_l", "ball_l"), ("foot_r", "ball_r")]),
+        ("hunter", [(f"wrist_{side}{pair}",) * 2 for pair in (1, 2) for side in "lr"]),
+        ("ant", [(None, f"tarsus_{side}{pair}") for pair in (1, 2, 3) for side in "lr"]),
+    ],
+)
+def test_feet_with_soles_get_ankles(word: str, ankles: list[tuple[str | None, str]], tmp_path: Path) -> None:
+    """Claws of an ant hold at any angle, so its legs have none."""
+    legs = propose_definition(read_bare(word, tmp_path), "x.gltf").lines["legs"]
+    assert [(leg.get("ankle"), leg["foot"]) for leg in legs] == ankles
+
+
+def test_feet_that_end_in_points_get_no_ankles(tmp_path: Path) -> None:
+    """A foot of one joint is its own ankle, as that of the hunter above, but not where it touches the ground at one point."""
+    body = read_bare("hunter", tmp_path)
+    shapes = {name: replace(shape, points=_point_feet(shape.points)) for name, shape in body.shapes.items()}
+    legs = propose_definition(replace(body, shapes=shapes), "x.gltf").lines["legs"]
+    assert [(leg.get("ankle"), leg["foot"][:-2]) for leg in legs] == [(None, "wrist_")] * 4
+
+
+def _point_feet(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Contract the points near the ground level, in each quarter around the body."""
+    points, low = points.copy(), points[:, 1] < points[:, 1].min() + 0.06
+    for x, z in product((False, True), repeat=2):
+        own = low & ((points[:, 0] > 0) == x) & ((points[:, 2] > 0) == z)
+        points[own, ::2] = points[own, ::2].mean(axis=0) + 0.02 * (points[own, ::2] - points[own, ::2].mean(axis=0))
+    return points
 
 
 def test_names_of_clips_are_those_that_say_something(tmp_path: Path) -> None:

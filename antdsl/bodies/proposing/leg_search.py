@@ -18,6 +18,8 @@ _MIN_CONTACT_POINTS = 3  # minimum number of points of a joint that touches the 
 _ANKLE_HEIGHT = 0.2
 _MIN_BONE_SHARE = 0.15  # share of the leg length; a shorter first bone belongs to the trunk, such as a collar bone or a coxa
 _MIN_LEG_HEIGHT = 0.15  # share of the body's height; a lower chain lies on the ground and is not a leg
+_MIN_SOLE_SHARE = 0.1  # share of the leg's height; a foot that touches the ground over a shorter distance has a point, not a sole
+_MAX_SOLE_LEGS = 4  # animals with more legs stand on claws, which hold at any angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,6 +27,8 @@ class FoundLeg:
     """A leg that the search found, by joint numbers, and the points of its sole.
 
     `chain`: all joints from the trunk to the foot.
+    `ankle`: the joint about which the sole turns, or -1 if the foot has no sole.
+    `ball`: the joint of the toes, if they touch the ground by themselves; else `foot`.
     `soles`: for each part of the sole, the joint that it follows and its position in the space of that joint, float64[3]."""
 
     upper: int
@@ -32,6 +36,8 @@ class FoundLeg:
     foot: int
     chain: tuple[int, ...]
     soles: tuple[tuple[int, Floats], ...]
+    ankle: int = -1
+    ball: int = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +83,11 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
             reasons.append(f"`{name}` touches the ground, but its chain lies on it, so it is not a leg")
             continue
         upper, lower = _find_hip_and_knee(path, positions)
-        legs.append(FoundLeg(upper, lower, contacts[0], tuple(path), soles))
+        below = path[path.index(lower) + 1 :]
+        has_sole = len(groups) <= _MAX_SOLE_LEGS and _measure_sole(rig, contacts[0], points, low, up) >= _MIN_SOLE_SHARE * rise
+        ankle = next(joint for joint in below if positions[joint] @ up < ground + _ANKLE_HEIGHT * height or joint == below[-1])
+        ball = next((joint for joint in contacts[1:] if is_below(rig, joint, contacts[0])), contacts[0])
+        legs.append(FoundLeg(upper, lower, contacts[0], tuple(path), soles, ankle if has_sole else -1, ball))
         feet[-1] = legs[-1]
     if not groups:
         reasons.append("no joint moves the points that touch the ground")
@@ -150,6 +160,13 @@ def _find_hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
         return shorter + off
 
     return path[first], max(path[first + 1 : -1], key=rate_joint)
+
+
+def _measure_sole(rig: Rig, foot: int, points: BodyPoints, low: NDArray[np.bool_], up: Floats) -> float:
+    """Return the greatest level distance between points of a foot on the ground, along the axes of the body's space."""
+    below = [joint for joint in range(len(rig.names)) if is_below(rig, joint, foot)]
+    place = points.place[low & np.isin(points.joint, below)]
+    return float(np.ptp(place - np.outer(place @ up, up), axis=0).max(initial=0.0)) if len(place) else 0.0
 
 
 def _find_sole(joint: int, points: BodyPoints, low: NDArray[np.bool_], worlds: NDArray[np.float32]) -> tuple[int, Floats]:

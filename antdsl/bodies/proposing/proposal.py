@@ -268,11 +268,13 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
     side = np.cross(front, study.up)
     order, names = _order_legs(search.legs, study, front, side)
     rig = study.body.rig
-    legs = [
-        {"name": name, "upper": rig.names[leg.upper], "lower": rig.names[leg.lower], "foot": rig.names[leg.foot]}
-        for name, leg in zip(names, (search.legs[k] for k in order), strict=True)
-    ]
+    ordered_legs = [search.legs[k] for k in order]
+    legs = [_make_leg(name, leg, rig.names) for name, leg in zip(names, ordered_legs, strict=True)]
     reasons = [f"legs: {len(legs)} chains of joints end within 5 % of the height above the lowest point", *search.reasons]
+    if any(leg.ankle >= 0 for leg in ordered_legs):
+        reasons.append(
+            "ankle: the foot has a sole, which lies flat on the ground; without `ankle` it keeps its angle to the body"
+        )
     proposal.add("legs", legs, *reasons)
     feet = [search.feet.index(search.legs[k]) for k in order]
     gaits, gait_reasons, speeds = [], [], list[float]()
@@ -292,6 +294,12 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
         )
         gait_reasons.append(f"no clip walks: a typical walk for legs of {_format_metres(leg * unit)}")
     proposal.add("gaits", gaits, *gait_reasons)
+
+
+def _make_leg(name: str, leg: FoundLeg, joints: Sequence[str]) -> dict[str, str]:
+    """Return the entry of `legs` for a leg. With an ankle, the foot joint is that of the toes if the rig has one."""
+    entry = {"name": name, "upper": joints[leg.upper], "lower": joints[leg.lower]}
+    return entry | ({"ankle": joints[leg.ankle], "foot": joints[leg.ball]} if leg.ankle >= 0 else {"foot": joints[leg.foot]})
 
 
 def _order_legs(legs: Sequence[FoundLeg], study: BodyStudy, front: Floats, side: Floats) -> tuple[list[int], list[str]]:
