@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from meaning import OPTION_SETS, RunHistory, crowd, play
 
 from antdsl.outputs.cache.pose_arrays import make_feet_arrays
 from antdsl.runtime import MeshData, Options, World, bind, step
+from antdsl.runtime.moving.clearance.bodies_inside import find_bodies_inside
+from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
+from antdsl.scene.setting import BodyCapsuleData
 
 WORLD = """ant 2
 world { surface ground; obstacle roof }
@@ -109,19 +113,50 @@ def test_states_set_how_low_bodies_crouch() -> None:
     assert shares[:70].min() > 0.99 and shares.min() < 0.75 and positions[-1, :, 0].min() > 7_000
 
 
-def test_feet_bend_the_legs_of_bodies_that_crouch(tmp_path: Path) -> None:
-    (tmp_path / "ground.obj").write_text("v -9 0 -9\nv -9 0 9\nv 9 0 -9\nv 9 0 9\nf 1 2 3\nf 2 4 3\n")
-    (tmp_path / "roof.obj").write_text("v -9 1.4 -9\nv -9 1.4 9\nv 9 1.4 -9\nv 9 1.4 9\nf 1 2 3\nf 2 4 3\n")
-    (tmp_path / "a.ant").write_text(WORLD + person(steer="halt()").replace("species a", "use steering\nspecies a", 1))
-    (tmp_path / "scene.yaml").write_text(
+def open_low_hall(folder: Path, capsules: Mapping[str, BodyCapsuleData] | None = None) -> World:
+    """Two people that stand in a hall of 1.4 m."""
+    (folder / "ground.obj").write_text("v -9 0 -9\nv -9 0 9\nv 9 0 -9\nv 9 0 9\nf 1 2 3\nf 2 4 3\n")
+    (folder / "roof.obj").write_text("v -9 1.4 -9\nv -9 1.4 9\nv 9 1.4 -9\nv 9 1.4 9\nf 1 2 3\nf 2 4 3\n")
+    (folder / "a.ant").write_text(WORLD + person(steer="halt()").replace("species a", "use steering\nspecies a", 1))
+    (folder / "scene.yaml").write_text(
         "antdsl: 1\nunits: m\nup: y\nfps: 24\nworld: {ground: {mesh: ground.obj}, roof: {mesh: roof.obj}}\n"
         "crowd: [{species: a, from: a.ant, count: 2, body: person,"
         " place: {on: ground, around: [0, 0, 0], radius: 2 m, apart: 1 m}}]\n"
     )
-    shot = stick_bodies.opened(tmp_path / "scene.yaml")
-    world = bind(shot.plan, shot.setting, Options(backend="numpy", feet=True))
+    shot = stick_bodies.opened(folder / "scene.yaml")
+    setting = shot.setting if capsules is None else replace(shot.setting, body_capsules=capsules)
+    return bind(shot.plan, setting, Options(backend="numpy", feet=True))
+
+
+def test_feet_bend_the_legs_of_bodies_that_crouch(tmp_path: Path) -> None:
+    world = open_low_hall(tmp_path)
     lifts = []
     for _ in range(30):
         step(world)
         lifts.append(make_feet_arrays(world, "a", 1.0)["feet.a.rise"])
     assert lifts[0].min() > -150 and lifts[-1] == pytest.approx([-1_700 + 1_400 / 1.02] * 2, abs=30)
+
+
+def test_trunks_of_bodies_that_crouch_are_lower(tmp_path: Path) -> None:
+    """A chest at 1.25 m is in the ceiling, that of a body that crouches is not. Contacts lower it by no more than its radius."""
+    world = open_low_hall(tmp_path, {"a": BodyCapsuleData(0.84, 0.84, 2.6, 0.0)})
+    population, rows = world.populations["a"], np.arange(2)
+    standing = CapsuleCrowd(world)
+    assert find_bodies_inside(world, population, rows).all() and standing.middle[1] == pytest.approx([1_250] * 2, rel=1e-3)
+    for _ in range(30):
+        step(world)
+    lowering, crouching = 1_700 * population.now["~lowering"], CapsuleCrowd(world)
+    assert lowering == pytest.approx([1_700 - 1_400 / 1.02] * 2, rel=1e-3)
+    assert not find_bodies_inside(world, population, rows).any()
+    assert standing.middle[1] - crouching.middle[1] == pytest.approx(np.minimum(lowering, crouching.radius), rel=1e-5)
+    population.now["~lowering"][0] = 0
+    assert find_bodies_inside(world, population, rows).tolist() == [True, False]
+
+
+def test_a_low_trunk_stays_above_the_ground(tmp_path: Path) -> None:
+    world = open_low_hall(tmp_path)  # the trunk of the library's person is at 0.53 m
+    population = world.populations["a"]
+    population.now["~lowering"][:] = 0.4
+    crowd_now = CapsuleCrowd(world)
+    assert (crowd_now.middle[1] >= crowd_now.radius - 1e-3).all()
+    assert not find_bodies_inside(world, population, np.arange(2)).any()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.ground.protocol import Footing
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.body_rows import find_body_numbers, group_rows_by_body
-from antdsl.runtime.moving.crouching import LOWERING_REGISTER, compute_body_heights, has_crouch
+from antdsl.runtime.moving.crouching import compute_lowering, has_crouch
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_key
 
@@ -88,10 +88,7 @@ def measure_lowering(world: World, key: str) -> NDArray[np.float32] | None:
     rows = population.rows_by_id()
     own_rows = dict(group_rows_by_body(population, world.setting))[key]
     rows = rows if own_rows is None else rows[np.isin(rows, own_rows)]
-    lowering: NDArray[np.float32] = population.now[LOWERING_REGISTER][rows] * compute_body_heights(population, rows).astype(
-        np.float32
-    )
-    return lowering
+    return compute_lowering(population, rows)
 
 
 def find_sorted_ids(world: World, key: str) -> NDArray[np.int64]:

@@ -47,6 +47,13 @@ def compute_body_heights(population: Population, rows: Rows | slice = slice(None
     return np.where(np.isfinite(height) & (height > 0), height, 0.0)
 
 
+def compute_lowering(population: Population, rows: Rows | slice = slice(None)) -> NDArray[np.float32]:
+    """Return by how much (mm) bodies are lower than when they stand; 0 for a species that does not crouch."""
+    heights = compute_body_heights(population, rows).astype(np.float32)
+    lowering: NDArray[np.float32] = population.now[LOWERING_REGISTER][rows] if has_crouch(population) else np.zeros_like(heights)
+    return lowering * heights
+
+
 def crouch_below_ceilings(
     world: World, population: Population, start: StepStartStance, steps: Floats, dt: float
 ) -> tuple[Rows, Floats, GroundMove] | None:

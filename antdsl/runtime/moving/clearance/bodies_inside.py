@@ -11,6 +11,7 @@ from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
 from antdsl.runtime.moving.clearance.body_tables import compute_unit_shapes, make_contact_faces
 from antdsl.runtime.moving.clearance.clearance_kernels import shift_bodies
+from antdsl.runtime.moving.crouching import compute_lowering
 from antdsl.runtime.world import Population, World
 
 _F = np.float32
@@ -38,7 +39,9 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
     zero = np.zeros(len(population), np.float32)
     lift = vec.get_vector_registers(now, "~lift") if LIFT_REGISTERS[0] in now else (zero, zero.copy(), zero.copy())
-    lift = (lift[0].copy(), lift[1].copy(), lift[2].copy())
+    lowering = np.minimum(compute_lowering(population), _measure_room_below(shapes)[body] * now["size"])
+    x, y, z = (along - above * lowering for along, above in zip(lift, poses.up, strict=True))
+    lift = x, y, z
     meshes = world.ground.meshes
     walk = None if not isinstance(meshes, MeshGround) else meshes.build_crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
     if walk is not None and count:
@@ -58,8 +61,8 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
             count,
         )
     is_inside: NDArray[np.bool_] = depths > _VISIBLE_DEPTH
-    place = population.position[rows].T + np.stack(vec.take_rows(lift, rows))
     up, heading = (np.stack(vec.take_rows(each, rows)).astype(np.float64) for each in poses)
+    place = population.position[rows].T + np.stack(vec.take_rows(lift, rows))
     half, radius, height, ahead = shapes[body[rows]].T
     for volume in world.solids.values():
         clear = (radius - _VISIBLE_DEPTH) * size - volume.voxel / 2
@@ -67,3 +70,8 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
             point = place + up * (height * size) + heading * ((ahead + end) * size)
             is_inside |= volume.sample(point.T) < clear
     return is_inside
+
+
+def _measure_room_below(shapes: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return how far (body lengths) the trunks of `shapes` (k, 4) are above level ground. A body that crouches stays above it."""
+    return np.maximum(shapes[:, 2] - shapes[:, 1], 0).astype(np.float32)

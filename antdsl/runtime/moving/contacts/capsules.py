@@ -6,7 +6,7 @@ count as an overlap."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Any
@@ -35,6 +35,7 @@ from antdsl.runtime.moving.contacts.capsule_distances import (
     select_touching_pairs,
 )
 from antdsl.runtime.moving.contacts.loads import LOAD_REGISTER, extend_trunks_over_loads
+from antdsl.runtime.moving.crouching import compute_lowering, has_crouch
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.body_choice import find_species_of_key
 from antdsl.scene.library_bodies import (
@@ -118,6 +119,8 @@ class CapsuleCrowd:
             for key, rows in group_rows_by_body(population, self.world.setting):
                 capsule = find_capsule(self.world, key)
                 shape = CapsuleShape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.forward_offset)))
+                if has_crouch(population):
+                    stands = (_lower_trunks(population, place, own, capsule), *stands[1:])
                 if rows is None:
                     bounds = place_trunks(*stands, shape, first, capsules, extremes)
                 else:
@@ -158,6 +161,17 @@ class CapsuleCrowd:
 
     def _select_registers(self, population: Population) -> dict[str, NDArray[Any]]:
         return population.start if self._start else population.now
+
+
+def _lower_trunks(population: Population, place: Floats, registers: Mapping[str, NDArray[Any]], capsule: TrunkCapsule) -> Floats:
+    """Return positions (3, n) mm from which trunks of bodies that crouch are placed.
+
+    A trunk stays above the ground. It is lower by at most its radius, so that legs of bodies that stand beside it do not enter
+    it."""
+    most = np.float32(min(capsule.width / 2, max(capsule.height - capsule.width / 2, 0.0)))
+    lowering = np.minimum(compute_lowering(population), np.maximum(registers["size"], np.float32(0)) * most)
+    lowered: Floats = place - np.stack(vec.get_vector_registers(registers, "up")) * lowering
+    return lowered
 
 
 def _place_trunks_of_rows(
