@@ -31,14 +31,14 @@ def find_missing_distribution(problem: BaseException) -> str | None:
     return None
 
 
-def check_extra(purpose: str, extra: str, module: str) -> Report:
+def check_extra(purpose: str, extra: str, module: str, alternative: str = "") -> Report:
     """Return an empty report if a module of an extra is installed. Otherwise return one error that names the extra.
 
-    `purpose`: what needs it, such as `the preview`."""
+    `purpose`: what needs it, such as `the preview`. `alternative`: words after the advice, such as `or …`."""
     from antdsl.diagnostics import Report
 
     report = Report()
     if find_spec(module) is None:
         message = f"{purpose} needs the extra `[{extra}]`, which is not installed"
-        report.error("missing-extra", message, None, f'run `pip install "antdsl[{extra}]"`')
+        report.error("missing-extra", message, None, f'run `pip install "antdsl[{extra}]"`{alternative and ", " + alternative}')
     return report

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from antdsl.outputs.drawing import DrawRequest
     from antdsl.outputs.gallery import Gallery
 
+_DEFAULT_SAMPLES = 64  # paths per pixel
+
 
 def parse_cut(text: str | None) -> CutPlane | None:
     from antdsl.outputs.cut_plane import CutPlane
@@ -53,6 +55,33 @@ def check_camera(gallery: Gallery, settings: DrawRequest) -> None:
         near = find_nearest_name(settings.camera, names)
         help = f"did you mean `{near}`?" if near else "it has " + ", ".join(f"`{name}`" for name in names)
         raise typer.BadParameter(f"the cache has no camera `{settings.camera}`: {help}", param_hint="--camera")
+
+
+def choose_samples(samples: int | None, *, is_blender: bool) -> int:
+    """Return the paths per pixel for Cycles, 0 for a picture that antdsl draws. `samples`: the option's value."""
+    if samples is not None and not is_blender:
+        raise typer.BadParameter("only Cycles has paths per pixel: add `--blender`", param_hint="--samples")
+    return (samples or _DEFAULT_SAMPLES) if is_blender else 0
+
+
+def check_blender_request(settings: DrawRequest, is_on_cluster: bool) -> None:
+    """End the command if Blender is missing, or if options are set that only antdsl's own pictures have."""
+    from antdsl.cli.printing.reports import exit_on_errors
+    from antdsl.outputs.blender.rendering import check_blender
+
+    unavailable = {
+        "--show": not {"trail", "states"}.issuperset(settings.show),
+        "--cut": settings.cut is not None,
+        "--marks": settings.marks > 0,
+        "--least": settings.least is not None,
+        "--full": bool(settings.full),
+        "--scheduler": is_on_cluster,
+    }
+    for option in (name for name, is_set in unavailable.items() if is_set):
+        raise typer.BadParameter(
+            "Blender renders the scene without this: leave it out, or leave `--blender` out", param_hint=option
+        )
+    exit_on_errors(check_blender())
 
 
 def parse_window(text: str) -> PathWindow:

@@ -63,7 +63,8 @@ class DrawRequest:
     `at`, `look_at`: points in scene units, of a camera instead of `camera`; both or none.
     `focal`: a focal length in mm instead of the camera's own.
     `f_stop`: the ratio of the focal length and the diameter of the lens, instead of the camera's own; 0 for a pinhole.
-    `focus`: the distance in focus in scene units, instead of the camera's own."""
+    `focus`: the distance in focus in scene units, instead of the camera's own.
+    `samples`: if not 0, Cycles renders the picture, with this many paths per pixel."""
 
     width: int
     height: int
@@ -82,6 +83,7 @@ class DrawRequest:
     focal: float | None = None
     f_stop: float | None = None
     focus: float | None = None
+    samples: int = 0
 
     def gallery(self, cache: Cache) -> Gallery:
         """Return a gallery that builds the cache's pictures with these options. Raises PictureUnavailable as `Gallery` does."""
@@ -115,11 +117,11 @@ class FrameDrawer:
         Raises CacheError if the frame is damaged, PictureUnavailable if it cannot be drawn. Raises AgentMissing if a camera
         finds no agent, ValueError for an unknown word in `show`."""
         request, picture = self.wanted, self.gallery.make_picture(frame, agents=self._agents)
-        following = self._make_camera(frame + 1) if request.blur > 0 else None
-        image = self._renderer.draw(picture, self._make_camera(frame), show=request.show, next_camera=following)
+        following = self.make_camera(frame + 1) if request.blur > 0 else None
+        image = self._renderer.draw(picture, self.make_camera(frame), show=request.show, next_camera=following)
         return add_legend(image, picture, self._legend_width, request.show)
 
-    def _make_camera(self, frame: int) -> Camera:
+    def make_camera(self, frame: int) -> Camera:
         """Return the camera at a frame, with the requested lens."""
         request, camera = self.wanted, self._find_camera(frame)
         if request.focal is not None:

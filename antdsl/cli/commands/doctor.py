@@ -9,6 +9,7 @@ from antdsl.packages import DISTRIBUTION_BY_MODULE
 OPTIONAL_PACKAGES = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
     "pxr": "sets and bodies in USD files: pip install 'antdsl[usd]'",
+    "bpy": "pictures by Blender: pip install 'antdsl[blender]'",
     "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
     "SALib": "sensitivity of sweeps: pip install 'antdsl[sensitivity]'",
     "distributed": "sweeps, shots and pictures on several machines: pip install 'antdsl[cluster]'",

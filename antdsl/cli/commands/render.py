@@ -13,7 +13,15 @@ import typer
 from antdsl.atomic_write import create_folder_durably, sync_files
 from antdsl.cli.destinations import choose_default_path, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
-from antdsl.cli.picture_arguments import check_camera, parse_cut, parse_full_strengths, parse_point, parse_window
+from antdsl.cli.picture_arguments import (
+    check_blender_request,
+    check_camera,
+    choose_samples,
+    parse_cut,
+    parse_full_strengths,
+    parse_point,
+    parse_window,
+)
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import (
     NO_TLS_OPTION,
@@ -101,6 +109,10 @@ def render(
     full: list[str] = typer.Option(
         [], "--full", metavar="FIELD=VALUE", help="The strength that a field's last colour represents."
     ),
+    blender: bool = typer.Option(
+        False, "--blender", help="Render the exported scene with Blender's Cycles; needs the extras [blender] and [usd]."
+    ),
+    samples: int = typer.Option(None, "--samples", min=1, max=65_536, metavar="N", help="Cycles: paths per pixel. [default: 64]"),
     legend: LegendPlacement = typer.Option(
         LegendPlacement.beside, "--legend", help="Legend with states and scales: in a strip at the side, or none."
     ),
@@ -143,7 +155,10 @@ def render(
         focal=focal,
         f_stop=f_stop,
         focus=focus,
+        samples=choose_samples(samples, is_blender=blender),
     )
+    if blender:
+        check_blender_request(settings, bool(scheduler))
     gallery = _open_gallery(cache, settings)
     settings = replace(settings, agents=tuple(require_agents(agents, gallery.manifest, "--agents")))
     check_camera(gallery, settings)
@@ -238,29 +253,47 @@ def _draw_frames(
     `stored_stills`.
 
     `camera_frames`: the frames for which the camera is chosen."""
+    from antdsl.outputs.blender.rendering import BlenderError
     from antdsl.outputs.cache.cache_reader import CacheError
-    from antdsl.outputs.drawing import AgentMissing, FrameDrawer
+    from antdsl.outputs.drawing import AgentMissing
     from antdsl.outputs.gallery import PictureUnavailable
     from antdsl.outputs.provenance import make_resume_command
 
-    drawer: FrameDrawer | None = None
+    drawn_images: Iterator[Any] | None = None
     try:
-        for frame in frames:
+        for number, frame in enumerate(frames):
             stored_image = None if stored_stills is None else stored_stills.read_still(frame)
             if stored_image is not None:
                 yield frame, stored_image, False
                 continue
-            drawer = drawer or FrameDrawer(gallery, settings, camera_frames, threads)
-            yield frame, drawer.draw(frame), True
+            if drawn_images is None:
+                left = [each for each in frames[number:] if stored_stills is None or stored_stills.read_still(each) is None]
+                drawn_images = _draw_images(gallery, settings, left, camera_frames, threads)
+            yield frame, next(drawn_images), True
     except CacheError as error:
         advice = f"to recompute damaged frames: {make_resume_command(gallery.cache.folder)}"
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", advice) from None
     except PictureUnavailable as error:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "run the scene again into another folder") from None
-    except AgentMissing as error:
+    except (AgentMissing, BlenderError) as error:
         raise CommandError(ExitCode.FINDINGS, f"error: {error}") from None
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--show") from None
+
+
+def _draw_images(
+    gallery: Gallery, settings: DrawRequest, frames: list[int], camera_frames: list[int], threads: int
+) -> Iterator[Any]:
+    """Yield the pictures of frames, drawn by antdsl or rendered by Blender."""
+    from antdsl.outputs.blender.rendering import render_with_blender
+    from antdsl.outputs.drawing import FrameDrawer
+
+    if settings.samples:
+        yield from render_with_blender(gallery, settings, frames, camera_frames, threads)
+        return
+    drawer = FrameDrawer(gallery, settings, camera_frames, threads)
+    for frame in frames:
+        yield drawer.draw(frame)
 
 
 def _draw_on_cluster(
