@@ -13,6 +13,8 @@ from houdini_files import CLIP, attribute, cube, library, to_binary, to_text
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.transforms import angles_to_quaternion
 from antdsl.bodies.files.reading import read_definition
+from antdsl.bodies.files.writing import build_definition_files
+from antdsl.bodies.library import load_library_body
 from antdsl.diagnostics import Report
 
 RIG = {"rig_version": 1, "transforms": {"root": ["hand"], "hand": []}}
@@ -63,6 +65,24 @@ def test_the_order_of_rotations_is_that_of_the_clip(tmp_path: Path) -> None:
     assert definition is not None
     expected = angles_to_quaternion(np.radians([0.0, 90, 30]), "zyx")
     assert abs(abs(definition.clips["wave"].rotation[2, 0] @ expected) - 1) < 1e-6
+
+
+def test_a_library_body_with_clips_of_houdini_is_read_as_it_was(tmp_path: Path) -> None:
+    body = load_library_body("ant")
+    for path, data in build_definition_files(body, "ant", has_houdini_clips=True).items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_bytes(data)
+    assert len(list(tmp_path.rglob("*.clip"))) == len(body.clips) and not list(tmp_path.rglob("clips/*.json"))
+    again, report = read_definition(tmp_path / "ant.json")
+    assert again is not None and report.ok and list(again.clips) == list(body.clips)
+    for name, clip in body.clips.items():
+        read = again.clips[name]
+        assert (read.rate, read.joints, read.channels, read.loop, dict(read.marks)) == (
+            clip.rate, clip.joints, clip.channels, clip.loop, dict(clip.marks)
+        )  # fmt: skip
+        assert read.stride == pytest.approx(clip.stride) and read.feet == clip.feet
+        assert np.allclose(read.translation, clip.translation, atol=1e-6) and np.allclose(read.values, clip.values)
+        assert np.allclose(np.abs((read.rotation * clip.rotation).sum(axis=-1)), 1, atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -103,17 +103,8 @@ def _compute_rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
 
 
 def write_clip(clip: Clip) -> str:
-    """Return a clip as text. Rotations are in degrees about x, then y, then z, without jumps of 360 degrees."""
-    channels: dict[str, Any] = {}
-    angles = np.unwrap(quaternion_to_angles(clip.rotation.astype(np.float64)), axis=0) * (180 / np.pi)
-    columns = [clip.translation, angles, clip.scale, *(() if clip.shear is None else (clip.shear,))]
-    for number, joint in enumerate(clip.joints):
-        joint_samples = np.concatenate([np.asarray(each[:, number], np.float64) for each in columns], axis=-1)
-        channels |= {
-            f"{joint}:{part}": _to_json_samples(joint_samples[:, count])
-            for count, part in enumerate(TRANSFORM_PARTS[: joint_samples.shape[1]])
-        }
-    channels |= {channel: _to_json_samples(clip.values[:, number]) for number, channel in enumerate(clip.channels)}
+    """Return a clip as text, with the channels of `list_clip_channels`."""
+    channels = {name: _to_json_samples(column) for name, column in list_clip_channels(clip).items()}
     return format_json(
         {
             "antdsl_clip": 1, "name": clip.name, "rate": clip.rate, "rotation_order": "xyz", "angles": "degrees",
@@ -123,8 +114,27 @@ def write_clip(clip: Clip) -> str:
     )  # fmt: skip
 
 
-def _to_json_samples(column: NDArray[Any]) -> Any:
-    """Return the samples of a channel as JSON values, a single number for a constant channel. float32 values are written with as
-    few digits as they need."""
-    short = [float(f"{value:.9g}") for value in column.tolist()]
+def list_clip_channels(clip: Clip) -> dict[str, NDArray[np.float64]]:
+    """Return the samples (n,) of a clip's channels by name, `joint:tx` to `joint:shear3` and channels of the rig.
+
+    Rotations are in degrees about x, then y, then z, without jumps of 360 degrees."""
+    channels: dict[str, NDArray[np.float64]] = {}
+    angles = np.unwrap(quaternion_to_angles(clip.rotation.astype(np.float64)), axis=0) * (180 / np.pi)
+    columns = [clip.translation, angles, clip.scale, *(() if clip.shear is None else (clip.shear,))]
+    for number, joint in enumerate(clip.joints):
+        joint_samples = np.concatenate([np.asarray(each[:, number], np.float64) for each in columns], axis=-1)
+        channels |= {
+            f"{joint}:{part}": joint_samples[:, count] for count, part in enumerate(TRANSFORM_PARTS[: joint_samples.shape[1]])
+        }
+    return channels | {channel: np.asarray(clip.values[:, number]) for number, channel in enumerate(clip.channels)}
+
+
+def _to_json_samples(column: NDArray[np.float64]) -> Any:
+    """Return the samples of a channel as JSON values, a single number for a constant channel."""
+    short = shorten_samples(column)
     return short[0] if len(set(short)) == 1 and len(short) > 1 else short
+
+
+def shorten_samples(column: NDArray[np.float64]) -> list[float]:
+    """Return samples as numbers with as few digits as float32 values need."""
+    return [float(f"{value:.9g}") for value in column.tolist()]

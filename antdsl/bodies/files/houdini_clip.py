@@ -1,4 +1,4 @@
-"""Parses Houdini's text clips (`.clip`) to the tree of a clip document.
+"""Parses Houdini's text clips (`.clip`) to the tree of a clip document, and writes such clips.
 
 The format is that of the Public Domain Clip Library (Side Effects Software): a clip in braces with `rate`, `start`, `tracklength`
 and `tracks`, and each track in braces with `name` and `data`. Newer files write `data_rle`, in which `@3 0.5` is 0.5 three times.
@@ -7,6 +7,8 @@ The bytes of `.bclip` files have no published form."""
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 from math import isfinite
 from typing import NoReturn
 
@@ -32,6 +34,21 @@ def read_clip_text(data: bytes, name: str) -> tuple[Node | None, Report]:
         return reader.read_clip(), report
     except _ClipMistake:
         return None, report
+
+
+def write_clip_text(channels: Mapping[str, Sequence[float]], rate: float) -> str:
+    """Return a text clip with these channels, all of the same length. Angles are degrees, about x, then y, then z.
+
+    `rate`: samples per second. Equal samples in a row are written once, with their count."""
+    length = max(map(len, channels.values()), default=1)
+    joints = dict.fromkeys(name.rpartition(":")[0] for name in channels if name.endswith(":rx"))
+    tracks = {**channels, **{f"{joint}:rOrd": [ROTATION_ORDERS.index("xyz")] * length for joint in joints}}
+    lines = ["{", f"   rate = {rate:.17g}", "   start = 0", f"   tracklength = {length}", f"   tracks = {len(tracks)}"]
+    for name, samples in tracks.items():
+        runs = [(value, len(list(group))) for value, group in groupby(samples)]
+        words = [f"@{count} {value:.9g}" if count > 1 else f"{value:.9g}" for value, count in runs]
+        lines += ["   {", f"      name = {name}", f"      data_rle = {' '.join(words)}", "   }"]
+    return "\n".join([*lines, "}"]) + "\n"
 
 
 class _ClipMistake(Exception):

@@ -17,13 +17,14 @@ from antdsl import __version__
 from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer, Shape
 from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.agents.transforms import compose_matrix, decompose_matrix
-from antdsl.bodies.files.clip_document import write_clip
+from antdsl.bodies.files.clip_document import list_clip_channels, shorten_samples, write_clip
 from antdsl.bodies.files.document_values import format_axis, parse_unit_mm
 from antdsl.bodies.files.documents import format_json, write_group, write_layer, write_metadata, write_rig
 from antdsl.bodies.files.gltf.gltf_clips import build_settings_extras
 from antdsl.bodies.files.gltf.gltf_settings import CAPSULE_KEYS, build_body_extras
 from antdsl.bodies.files.gltf.gltf_textures import COLOUR_ATTRIBUTE
 from antdsl.bodies.files.gltf.gltf_writer import Entry, GltfWriter, ShapeParts
+from antdsl.bodies.files.houdini_clip import write_clip_text
 from antdsl.scene.scene_model import UNIT_MM
 
 SHAPES_FILE_NAME = "shapes.glb"
@@ -35,20 +36,28 @@ _IDENTITY_TRANSFORM: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "
 # ---- our own files
 
 
-def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
-    """Return the bytes of a definition's files by their paths: `NAME.json`, and the files that it names, in the folder `NAME`."""
+def build_definition_files(body: Definition, name: str, *, has_houdini_clips: bool = False) -> dict[str, bytes]:
+    """Return the bytes of a definition's files by their paths: `NAME.json`, and the files that it names, in the folder `NAME`.
+
+    `has_houdini_clips`: write clips as text clips of Houdini, and what these lack into `NAME.json`."""
     unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     if parse_unit_mm(unit) != body.unit:
         unit, body = "mm", convert_axes(body, body.front, body.up, 1.0)
     files: dict[str, bytes] = {}
 
-    def add_part_file(path: str, text: str) -> dict[str, str]:
+    def add_part_file(path: str, text: str, ending: str = "json") -> dict[str, Any]:
         own = path
         count = 2
-        while f"{name}/{own}.json" in files:
+        while f"{name}/{own}.{ending}" in files:
             own, count = f"{path}_{count}", count + 1
-        files[f"{name}/{own}.json"] = text.encode()
-        return {"file": f"{name}/{own}.json"}
+        files[f"{name}/{own}.{ending}"] = text.encode()
+        return {"file": f"{name}/{own}.{ending}"}
+
+    def add_houdini_clip(clip: Clip) -> dict[str, Any]:
+        channels = {channel: shorten_samples(column) for channel, column in list_clip_channels(clip).items()}
+        reference = add_part_file(f"clips/{_to_file_name(clip.name)}", write_clip_text(channels, clip.rate), "clip")
+        settings = {"loop": clip.loop, "stride": clip.stride, "marks": dict(clip.marks), "feet": clip.feet}
+        return {**reference, "name": clip.name, **settings}
 
     document: dict[str, Any] = {
         "antdsl_body": 1, "name": body.name, "front": format_axis(body.front), "up": format_axis(body.up), "units": unit,
@@ -59,13 +68,16 @@ def build_definition_files(body: Definition, name: str) -> dict[str, bytes]:
     if body.shapes:
         files[f"{name}/{SHAPES_FILE_NAME}"] = _build_shapes_gltf(body)
         document["shapes"] = [_build_shape_reference(body, shape, f"{name}/{SHAPES_FILE_NAME}") for shape in body.shapes.values()]
+    clips = [_add_explicit_shear(body, each) for each in body.clips.values()]
     for key, texts in (
         ("layers", [(each.name, write_layer(each)) for each in body.layers.values()]),
-        ("clips", [(each.name, write_clip(_add_explicit_shear(body, each))) for each in body.clips.values()]),
+        ("clips", [(each.name, write_clip(each)) for each in clips if not has_houdini_clips]),
         ("groups", [(each.name, write_group(each)) for each in body.groups.values()]),
     ):
         if texts:
             document[key] = [add_part_file(f"{key}/{_to_file_name(each)}", text) for each, text in texts]
+    if clips and has_houdini_clips:
+        document["clips"] = [add_houdini_clip(each) for each in clips]
     if body.legs:
         document["legs"] = [leg.to_entry() for leg in body.legs]
     if body.gaits:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
 
 
+BODY_TARGETS = ("antdsl", "houdini")
 _PROPOSAL_RATE = 120.0  # samples per second; enough to measure the speeds of feet that stand for a few frames
 
 
@@ -35,6 +36,9 @@ def body(
     ),
     layer: str = typer.Option(
         "", "--layer", metavar="NAME", help="For .glb and .gltf: the layer of shapes to write. [default: the displayed layer]"
+    ),
+    target: str = typer.Option(
+        "antdsl", "--for", metavar="PROGRAM", help="For .json: `houdini` writes clips as text clips of Houdini (.clip)."
     ),
     propose: bool = typer.Option(
         False,
@@ -73,7 +77,7 @@ def body(
             for line in format_body(definition):
                 print_result(line)
     if definition is not None and report.ok and to is not None and not propose:
-        _write_body(definition, file, to, layer, quiet)
+        _write_body(definition, file, to, layer, target, quiet)
     if not report.ok:
         raise CommandError(
             ExitCode.FINDINGS if as_json and choose_exit_code(report) is not ExitCode.INPUT_OUTPUT else choose_exit_code(report)
@@ -105,7 +109,7 @@ def _print_or_write_proposal(body: Definition, source: Path, target: Path | None
         print_note(f"{target}: read its reasons, correct mistakes, and name it in a scene: `body: {target.name}`")
 
 
-def _write_body(body: Definition, source: Path, target: Path, layer: str, quiet: bool) -> None:
+def _write_body(body: Definition, source: Path, target: Path, layer: str, program: str, quiet: bool) -> None:
     """Write a definition as another kind of file, and report the parts that are left out."""
     from antdsl.atomic_write import create_folder_durably, write_atomically
     from antdsl.bodies.files.writing import build_definition_files, write_gltf
@@ -118,10 +122,13 @@ def _write_body(body: Definition, source: Path, target: Path, layer: str, quiet:
     if layer and layer not in body.layers:
         layer_names = ", ".join(f"`{name}`" for name in body.layers) or "no layer"
         raise typer.BadParameter(f"the body has no layer `{layer}`: there is {layer_names}", param_hint="--layer")
+    if program not in BODY_TARGETS or (program != BODY_TARGETS[0] and kind != ".json"):
+        words = f"`{program}` is none of {', '.join(BODY_TARGETS)}" if program not in BODY_TARGETS else "write a .json definition"
+        raise typer.BadParameter(words, param_hint="--for")
     require_writable_file(target, "--to")
     notes: list[str] = []
     if kind == ".json":
-        files = build_definition_files(body, target.stem)
+        files = build_definition_files(body, target.stem, has_houdini_clips=program == "houdini")
         parts = [path for path in files if path != target.name]
         require_writable_folder(target.parent / target.stem, "--to", *(path.partition("/")[2] for path in parts))
     else:
