@@ -30,6 +30,7 @@ from antdsl.runtime.moving.body_records import BodyPoses
 from antdsl.runtime.moving.clearance.clear_steps import BodyClearanceStep, has_clearance
 from antdsl.runtime.moving.clearance.clearance_kernels import PATH_LENGTH_BODY_LENGTHS
 from antdsl.runtime.moving.clearance.head_clearance import MIN_BODY_HEIGHT_SHARE
+from antdsl.runtime.moving.clearance.solid_clearance import has_solid_clearance, shift_bodies_outside_solids
 from antdsl.runtime.moving.clearance.walls_ahead import NO_WALLS, WallsAhead, find_walls
 from antdsl.runtime.moving.crouching import crouch_below_ceilings, has_crouch
 from antdsl.runtime.moving.falling import limit_fall_speed
@@ -115,6 +116,8 @@ def move_agents(world: World, population: Population, substep_index: int) -> Bod
     if previous_pose is not None:
         orient_bodies(world, population, *previous_pose)
     crowd.tilt_bodies_after_walk(came_from, walls, posture)
+    if has_solid_clearance(world, population):
+        shift_bodies_outside_solids(world, population, came_from, float(dt))
     return None
 
 

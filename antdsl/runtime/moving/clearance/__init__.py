@@ -2,4 +2,5 @@
 
 `clear_steps` runs the stages of a substep, `body_tables` has its inputs, and `clearance_kernels` its loops. `body_paths`,
 `body_lifts` and `walls_ahead` measure the ground along the path. `obstacle_clearance` bounds the distance from obstacles and
-packs their faces. `bodies_inside` and `head_clearance` find what is inside the ground."""
+packs their faces. `solid_clearance` shifts bodies out of solids. `bodies_inside` and `head_clearance` find what is inside the
+ground."""
