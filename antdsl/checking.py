@@ -165,20 +165,20 @@ def _make_overdue_report(file: Path, seconds: float, budget_error: CpuBudgetSpen
     stage = next((each for each in reversed(stages) if each in _STAGE_PHRASES), "")
     words = f" while {_STAGE_PHRASES[stage]}" if stage else ""
     report = Report()
-    message = f"checking this file took more than {seconds:g} s of processor time{words}, and was stopped"
+    message = f"the check stopped{words}: it took more than {seconds:g} s of processor time"
     help = "make the file or its meshes smaller, or allow more time with `--cpu-limit`"
     report.error("too-large", message, Span(Source(str(file), ""), 0, 0), help)
     return report
 
 
 _STAGE_PHRASES = {
-    "syntax": "its text was parsed",
-    "program": "its program was checked",
-    "scene": "its scene and meshes were read",
-    "ground": "its meshes were examined",
-    "bodies": "its bodies were read",
-    "plan": "its plan was made",
-    "passes": "its plan was made",
+    "syntax": "parsing the text",
+    "program": "checking the program",
+    "scene": "reading the scene and its meshes",
+    "ground": "examining its meshes",
+    "bodies": "reading its bodies",
+    "plan": "making the plan",
+    "passes": "making the plan",
 }
 
 

@@ -1,5 +1,5 @@
-"""Loads the texts behind names: programs that a scene or a user names, the library file of `use steering`, and the file of `use
-"./mine.ant"`. Each file is read and parsed once, and its hash is stored for the cache."""
+"""Loads the texts of programs: the named programs, and the files of their lines `use steering` and `use "./mine.ant"`. Each
+file is read and parsed once, and its hash is stored for the cache."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ class LoadedSources:
                 continue
             text, span = use.path.text, use.path.span
             if depth > limits.MAX_USE_DEPTH or len(self.module_by_path) >= limits.MAX_USED_FILES:
-                self.report.error("too-large", "too many files use each other", span, "bring fewer files in")
+                self.report.error("too-large", "this program uses too many files", span, "use fewer files")
                 return
             path = self._locate_program(text, roots, span)
             if path is None:
@@ -182,11 +182,7 @@ class LoadedSources:
                 if self._module_paths[text] != path:
                     labels = (Label(Span(known.source, 0, 1), "the other file"),)
                     self.report.error(
-                        "use-cycle",
-                        f"`{text}` means two files in two folders",
-                        span,
-                        "give one of them another name",
-                        labels=labels,
+                        "use-cycle", f"`{text}` names two different files", span, "give one of them another name", labels=labels
                     )
                 continue
             module = self._parse_file(path, display_path(path), span, (roots, text))

@@ -1,7 +1,6 @@
-"""The complete chain from text to simulation: text → tree → program → plan; scene → setting; plan and setting → a world.
+"""The steps from text to simulation: text → tree → program → plan; scene → setting; plan and setting → world.
 
-Every stage returns `(result, Report)`. The result is None if errors prevent it.
-"""
+Every stage returns `(result, Report)`. The result is None if errors prevent it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Locations of the files that come with antdsl: the grammar, the behaviour library, the documentation, the preview's page,
-examples, and the files of a new project. No other module knows these locations."""
+"""Paths of the files that come with antdsl: grammar, behaviour library, documentation, preview page, examples and project
+templates. No other module knows these locations."""
 
 from __future__ import annotations
 

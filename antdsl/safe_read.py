@@ -32,7 +32,7 @@ class FileTooLarge(OSError):
     """Error for a file of `size` bytes, if a read may have at most `cap` bytes."""
 
     def __init__(self, size: int, cap: int) -> None:
-        super().__init__(errno.EFBIG, f"it has {size:,} bytes, and more than {cap:,} are not read")
+        super().__init__(errno.EFBIG, f"it has {size:,} bytes; the limit is {cap:,}")
         self.size, self.cap = size, cap
 
 

@@ -228,10 +228,10 @@ CASES: Mapping[str, Case] = {
         ),
         Case(
             "valley_of_meshes",
-            "the same, the hill as a mesh that is not dug",
+            "the thesis' ants, the hill as a mesh without digging",
             _open_mesh_valley_case,
             (500, 15_000),
-            published_figures="the thesis: about 5 frames a second more without the volume",
+            published_figures="the thesis: about 5 frames a second more than with the volume",
         ),
     )
 }

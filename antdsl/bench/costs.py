@@ -1,5 +1,5 @@
-"""Requests to measuring processes and their results, as plain values that are sent as JSON. Also runs a job in a separate
-process, so that no other job affects its memory and start-up.
+"""Requests to measuring processes, and their results, as values that are sent as JSON. A job runs in a separate process, so
+that no other job affects its memory and start-up.
 
 A turn is one measurement of one backend. The backends of a process alternate, so that all have the same machine load."""
 

@@ -97,8 +97,7 @@ def _cast_backend_name(name: str) -> Any:
 
 @contextmanager
 def _use_empty_code_folder() -> Iterator[None]:
-    """Store machine code and mesh tables in an empty folder while the context is open, so that those cached by other runs are not
-    used."""
+    """Use an empty folder for machine code and mesh tables while the context is open, so that nothing is cached."""
     previous_values = {name: os.environ.get(name) for name in (CACHE_VARIABLE, stored_tables.TABLE_STORE.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(previous_values, folder)
@@ -227,8 +226,8 @@ def choose_run_frames(step: float) -> int:
 
 
 def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRunCost:
-    """Return the cost of `frames` frames of a run after WARM_UP_STEPS uncounted frames, and of the same number of steps of the
-    same world without writing."""
+    """Return the cost of `frames` frames of a run, and of the same steps without writing, after WARM_UP_STEPS uncounted
+    frames."""
     from antdsl.outputs.recording import begin_recording, record_frames
     from antdsl.scene.values import parse_frames
 

@@ -27,7 +27,7 @@ class Ratio:
         return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
     def is_above(self, limit: float) -> bool:
-        """Return whether the complete interval lies above `limit`: the cost is higher, and not by chance."""
+        """Return whether the complete interval is above `limit`, so that chance does not explain the excess."""
         return self.low > limit
 
 

@@ -22,7 +22,7 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
         or setting.maps
         or any((setting.motion.meshes, setting.motion.items, setting.motion.curves))
     ):
-        raise ValueError("only worlds of meshes, items and curves that stand still can be scaled")
+        raise ValueError("only worlds with fixed meshes, items and curves can be scaled, without solids, flows and maps")
     previous_count = sum(crowd.count for crowd in setting.crowds)
     by = (agents / previous_count) ** 0.5
 

@@ -57,8 +57,8 @@ def format_set_up(measurement: Measurement) -> list[str]:
 
 
 def format_full_run(measurement: Measurement) -> list[str]:
-    """Return five texts: of a run, CPU milliseconds, wall-clock milliseconds and frames per second; then CPU milliseconds of its
-    step and of its feet.
+    """Return the costs of a run as five texts: CPU ms, wall-clock ms and frames per second; CPU ms of its steps and of its
+    feet.
 
     All are empty if no run was measured."""
     run = measurement.full_run
@@ -127,7 +127,7 @@ def list_messages(result: CaseResult) -> list[str]:
 
 
 def describe_result(result: CaseResult) -> str:
-    """Return a text with the case, its number of agents, and further facts about it."""
+    """Return one line of text: the case, its number of agents, neighbours and nodes, and published figures."""
     measurement = result.alone[0]
     case = CASES.get(measurement.job.case)
     words = [f"{measurement.job.case}, {measurement.agents:,} {'agent' if measurement.agents == 1 else 'agents'}"]

@@ -167,8 +167,7 @@ def _make_sarif_location(span: Span) -> dict[str, Any]:
 
 
 def _compute_fingerprint(diagnostic: Diagnostic, span: Span, fingerprint_counts: Counter[str]) -> str:
-    """Return a fingerprint that stays equal when lines above are added: from the code and the line's text, with a counter for
-    repetitions."""
+    """Return a fingerprint of a finding that does not change when lines above it are added."""
     line = span.source.line_text(find_line_range(span).line).strip()
     digest = hashlib.sha256(f"{diagnostic.code}\0{span.source.path}\0{line}".encode("utf-8", "surrogatepass")).hexdigest()[:16]
     fingerprint_counts[digest] += 1

@@ -102,7 +102,7 @@ def apply_ignore_comments(
         for ignore in find_ignore_comments(source):
             if len(ignore.reason) < 3:
                 result.warning(
-                    "ignore-without-reason", "this comment does not say why", ignore.span, "write the reason after the bracket"
+                    "ignore-without-reason", "this comment gives no reason", ignore.span, "write the reason after the bracket"
                 )
             for code, span in ignore.codes:
                 is_checked = code not in CODE_DESCRIPTIONS or (has_no_errors and code not in unknown)

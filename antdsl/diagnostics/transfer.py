@@ -40,7 +40,7 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
         }
         return reports, [table[index] for index in document["sources"]]
     except (KeyError, IndexError, TypeError) as problem:
-        raise ValueError("these are not reports") from problem
+        raise ValueError("the document has no valid reports") from problem
 
 
 def _index_source(source: Source, numbers: dict[Source, int]) -> int:

@@ -127,7 +127,7 @@ class Cluster(Engine):
         unfit = {}
         for address, identity in worker_identities.items():
             if isinstance(identity, BaseException):
-                unfit[address] = f"worker {address} cannot run this antdsl, so it gets no tasks: {identity}"
+                unfit[address] = f"worker {address} gets no tasks, because it cannot run this antdsl: {identity}"
             elif identity["sources"] != hash_sources():
                 unfit[address] = explain_mismatch(address, identity, hash_sources())
         if worker_identities and len(unfit) == len(worker_identities):

@@ -45,7 +45,7 @@ class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
             worker.log_event(self.name, {"refused": explain_mismatch(worker.address, describe_worker(), self.sources)})
             return
         if self.visible_file is not None and not self.visible_file.is_visible():
-            message = f"worker {worker.address} does not see `{self.visible_file.path}`, as the others do, so it gets no tasks"
+            message = f"worker {worker.address} gets no tasks: it cannot read `{self.visible_file.path}`, unlike other workers"
             worker.log_event(self.name, {"refused": message})
             return
         folder = Path(worker.local_directory) / self.name
@@ -54,7 +54,7 @@ class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
         except (OSError, TaskRejected) as error:
             words = str(error) if isinstance(error, TaskRejected) else f"its disk: {(error.strerror or str(error)).lower()}"
             worker.log_event(
-                self.name, {"refused": f"worker {worker.address} does not have the files, so it gets no tasks: {words}"}
+                self.name, {"refused": f"worker {worker.address} gets no tasks, because it does not have the files: {words}"}
             )
             return
         files = folder / "files"
@@ -97,9 +97,8 @@ def explain_mismatch(address: str, worker_versions: Mapping[str, str], expected_
     """Return the message about a worker that gets no tasks, because its sources of antdsl differ. `worker_versions`: as from
     `describe_worker`."""
     return (
-        f"worker {address} on {worker_versions['host']} has antdsl {worker_versions['antdsl']} with other sources "
-        f"({worker_versions['sources'][:8]}, "
-        f"here {expected_sources[:8]}), so it gets no tasks: install the same version there"
+        f"worker {address} on {worker_versions['host']} gets no tasks: its antdsl {worker_versions['antdsl']} has other sources "
+        f"({worker_versions['sources'][:8]}, here {expected_sources[:8]}); install the same version there"
     )
 
 

@@ -31,7 +31,7 @@ class FileBundle:
         for name, content in self.files.items():
             path = folder / name
             if not path.resolve().is_relative_to(folder.resolve()):
-                raise TaskRejected(f"a file of the project would be put outside of its folder: `{name}`")
+                raise TaskRejected(f"the path of a project file leads out of its folder: `{name}`")
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "xb") as file:
                 file.write(content)
@@ -68,9 +68,7 @@ def pack_files(paths: Iterable[Path]) -> FileBundle:
         content = read_size_limited(path, MAX_BUNDLE_BYTES)
         left -= len(content)
         if left < 0:
-            raise TaskRejected(
-                f"the files that the scenes read are more than {MAX_BUNDLE_BYTES >> 20} MiB, which is the limit for a transfer"
-            )
+            raise TaskRejected(f"the files of the scenes exceed {MAX_BUNDLE_BYTES >> 20} MiB, the limit for a transfer")
         files[_make_relative_path(path)] = content
     return FileBundle(files, hash_files(files))
 

@@ -243,7 +243,7 @@ def _fetch_files(answer: TaskAnswer, engine: Engine, folder: Path) -> None:
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
         if not path.is_relative_to(root) or left < 0:
-            raise TaskRejected(f"a worker made `{name}` of {size:,} bytes, which does not fit in `{folder}`")
+            raise TaskRejected(f"a worker made `{name}` of {size:,} bytes, which is too large or leads out of `{folder}`")
         create_folder_durably(path.parent)
         hashed = hashlib.blake2b(digest_size=16)
         with atomic_file(path) as file:
@@ -275,7 +275,7 @@ def run_task(
     answer = work(json.loads(document_text), worker)
     document_text = json.dumps({"answer": answer, "notes": worker.notes})
     if len(document_text) > MAX_TASK_ANSWER_BYTES:
-        raise TaskRejected(f"its result has {len(document_text):,} bytes, and more than {MAX_TASK_ANSWER_BYTES:,} are not sent")
+        raise TaskRejected(f"its result has {len(document_text):,} bytes; the limit is {MAX_TASK_ANSWER_BYTES:,}")
     return document_text
 
 

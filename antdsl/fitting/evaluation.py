@@ -157,7 +157,7 @@ def find_spec(
             report.error("unknown-name", f"the programs of `{scene}` have no spec `{name}`", None, f"specs are {known}")
         elif not finder.scene_and_spec_by_key:
             report.error(
-                "other-scene", f"the spec `{name}` is not about `{scene}`", None, "leave out its `on`, or name its scene"
+                "other-scene", f"the spec `{name}` is not for `{scene}`", None, "remove its `on`, or name this scene there"
             )
     return finder
 

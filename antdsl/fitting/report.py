@@ -14,7 +14,7 @@ from antdsl.outputs.csv_text import format_csv
 
 
 def describe_fit(result: FitResult) -> str:
-    """Return the result in lines: the share of the prior, the best values, and the goals with the fitted and with other seeds."""
+    """Return the lines of a result: the share of the prior, the best values, and the goals with fitted and other seeds."""
     passed = sum(point.holds for point in result.sample)
     lines = [f"prior: all other lines hold at {passed} of {len(result.sample)} points ({100 * result.prior_share:.0f} %)"]
     problems = [point.problem for point in result.sample if point.problem]

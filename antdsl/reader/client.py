@@ -1,4 +1,5 @@
-"""The one reader of this process: started on demand, used for all requests, and replaced if it dies, hangs or uses too much.
+"""The reader process of this process: it starts on demand, serves all requests, and is replaced if it dies, hangs or uses too
+much.
 
 `send_request` is safe in any thread. A process that was forked from this one starts its own reader."""
 
@@ -149,8 +150,8 @@ class FileReader:
             except (OSError, ProtocolError) as problem:
                 self._end_process()
                 if get_address_space_limit() < limits.READER_BASE_MEMORY_BYTES:
-                    raise MemoryError("the process that reads foreign files has too little memory to start") from None
-                raise ReaderFailure("the process that reads foreign files cannot be started") from problem
+                    raise MemoryError("the reader process has too little memory to start") from None
+                raise ReaderFailure("the reader process cannot be started") from problem
 
     def send_request(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str, files: str
@@ -184,8 +185,8 @@ class FileReader:
                 raise ReaderFailure(*failures[key])
         allowed = self._allowed_cpu_seconds
         if self._used_cpu_seconds > allowed:
-            words = f"cannot be read: the files of this scene took more than {allowed:,.0f} s of processor time to be read"
-            raise ReaderFailure(words, "use lighter files, or fewer of them", is_lasting=False)
+            words = f"cannot be read: reading the files of this scene took more than {allowed:,.0f} s of processor time"
+            raise ReaderFailure(words, "use smaller files, or fewer files", is_lasting=False)
 
     def _exchange_messages(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int
@@ -199,7 +200,7 @@ class FileReader:
         try:
             running = self._start_process()
         except OSError as problem:
-            words = "cannot be read: the process that reads it cannot be started"
+            words = "cannot be read: the reader process cannot be started"
             raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
         try:
             with _kill_after_deadline(running, limits.READER_BASE_WALL_SECONDS + 4 * allowed, late):
@@ -287,10 +288,10 @@ class FileReader:
 
 
 _DAMAGED_FILE_HELP = "export it again"
-_LIGHTER_FILE_HELP = "use a lighter file, or a part of it"
+_SMALLER_FILE_HELP = "use a smaller file, or a part of it"
 _OVERDUE_STATUS = -getattr(signal, "SIGXCPU", 1 << 20)  # exit statuses
 _KILLED_STATUS = -getattr(signal, "SIGKILL", 1 << 20)  # killed by the system when memory runs out
-_INVALID_ANSWER_MESSAGE = "cannot be read: the process that reads it sent an invalid answer"
+_INVALID_ANSWER_MESSAGE = "cannot be read: the reader process sent an invalid answer"
 
 
 @contextmanager
@@ -318,14 +319,14 @@ def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, m
 
     Raises MemoryError if this process cannot grant that much."""
     if is_late or status == _OVERDUE_STATUS:
-        words = "cannot be read: it takes too long to be read"
-        return ReaderFailure(words, _LIGHTER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
+        words = "cannot be read: reading it takes too long"
+        return ReaderFailure(words, _SMALLER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
     if status == _KILLED_STATUS or get_address_space_limit() < memory:
         return _make_memory_failure(memory)
     if reader_process.active_layers is None:
-        words = "cannot be read: the process that reads it ends when it starts"
+        words = "cannot be read: the reader process exits at its start"
         return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
-    words = "the library that reads it crashes; the file may be damaged, too large or nested too deeply"
+    words = "the library for its format crashes; the file may be damaged, too large or nested too deeply"
     return ReaderFailure(f"cannot be read: {words}", _DAMAGED_FILE_HELP)
 
 
@@ -333,8 +334,8 @@ def _make_memory_failure(needed_bytes: int) -> ReaderFailure:
     """Return the failure of a request that ran out of memory. Raises MemoryError if the limit of this process is the cause, not
     the limit of the request."""
     if get_address_space_limit() < needed_bytes:
-        raise MemoryError("the process that reads foreign files has no memory")
-    return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER_FILE_HELP, is_heavy=True)
+        raise MemoryError("the reader process has no memory")
+    return ReaderFailure("cannot be read: reading it needs too much memory", _SMALLER_FILE_HELP, is_heavy=True)
 
 
 _file_reader = FileReader()

@@ -107,7 +107,7 @@ def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) 
     for name, array in arrays.items():
         little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
         if little.dtype.str not in ALLOWED_DTYPES:
-            raise ValueError(f"arrays of the type {little.dtype.str} are not sent")
+            raise ValueError(f"arrays of the type {little.dtype.str} cannot be sent")
         array_entries.append([name, little.dtype.str, list(array.shape)])
         parts.append(little)
     header = json.dumps({"document": document, "arrays": array_entries}, allow_nan=False).encode("ascii")
@@ -149,12 +149,12 @@ def read_message(file: IO[bytes], max_array_bytes: int) -> ReaderMessage:
 def _parse_array_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
     """Return name, type, shape and size in bytes of an array that a header announces."""
     if not isinstance(entry, list) or len(entry) != 3:
-        raise ProtocolError("an array is announced in another form")
+        raise ProtocolError("the header of a message describes an array in an unknown form")
     name, dtype, shape = entry
     if not isinstance(name, str) or dtype not in ALLOWED_DTYPES or not isinstance(shape, list) or len(shape) > _MAX_AXES:
-        raise ProtocolError("an array is announced in another form")
+        raise ProtocolError("the header of a message describes an array in an unknown form")
     if not all(isinstance(side, int) and not isinstance(side, bool) and 0 <= side < 1 << 40 for side in shape):
-        raise ProtocolError("an array is described with invalid dimensions")
+        raise ProtocolError("the header of a message gives an array invalid dimensions")
     return name, dtype, tuple(shape), prod(shape) * np.dtype(dtype).itemsize
 
 

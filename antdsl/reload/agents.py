@@ -80,8 +80,7 @@ def migrate_agents(
 
 
 def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
-    """Fill the registers of a species that are missing in `values`, with the values of an agent born at the current position
-    and frame.
+    """Fill the missing registers of a species in `values` with those of an agent born at the current position and frame.
 
     Requests that the species makes at birth have no effect."""
     population = world.populations[name]
@@ -147,8 +146,7 @@ def _find_register_meaning(register: ir.Register) -> tuple[object, ...]:
 
 
 def _is_memory_complete(memory: str, new_plan: ir.SpeciesPlan, matching_names: list[str]) -> bool:
-    """Return whether the new plan still has all registers of the `keep` named `memory`: its values, and the flag that they are
-    set.
+    """Return whether the new plan still has all registers of the `keep` named `memory`.
 
     Otherwise the `keep` starts again."""
     values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in new_plan.registers]

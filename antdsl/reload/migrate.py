@@ -260,7 +260,7 @@ def _migrate_counts(old_world: World, world: World) -> None:
 
 
 def describe_migration(migration: Migration) -> str:
-    """Return the changes as one line that begins with the number of agents, such as "… · 12 `forager` added · `load` is new"."""
+    """Return the changes as one line, such as "… · 12 `forager` added · `load` is new"."""
     parts = [f"kept {migration.agents:,} {_pluralise_agents(migration.agents)}"]
     several = len(migration.species) > 1
     for migrated in migration.species:

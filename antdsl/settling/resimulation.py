@@ -24,7 +24,7 @@ from antdsl.settling.scripted_agents import Ids, hold_against_pushes, place_scri
 
 _MAX_SETTLING_ROUNDS = 3
 _REACTION_LEAD_SECONDS = 0.5  # before it is affected, an agent begins to react
-NOTHING_TO_SETTLE = "nothing to settle: edits make no agents overlap, and leave none without a neighbour"
+NOTHING_TO_SETTLE = "nothing to settle: after the edits, no agents overlap, and none has lost a neighbour"
 _START_ROUNDS, _START_SECONDS = 8, 0.25  # of contacts that separate agents in the first frame of a cache
 
 
@@ -40,7 +40,9 @@ class Settlement:
 
     def describe(self) -> str:
         """Return a text with the number of agents, their frames, and the checkpoint."""
-        others = f"; {self.left_out_count:,} others have another body or species and stay" if self.left_out_count else ""
+        others = (
+            f"; {self.left_out_count:,} others are unchanged: their body or species was edited" if self.left_out_count else ""
+        )
         return f"settled {self.frames.describe_agents()}, from the checkpoint of frame {self.checkpoint_frame}{others}"
 
 
@@ -68,8 +70,8 @@ def _open_history(cache: EditedCache, scene: Path | None, grants: Mapping[str, P
     """Return the history of a cache with checkpoints. Raises SettlingError or ExplainError."""
     if not cache.original.checkpoints():
         raise SettlingError(
-            f"`{cache.folder}` has no checkpoints, from which agents can be simulated again",
-            "run the scene again, then edit and settle its cache: caches that `antdsl edit --to` wrote have none",
+            f"`{cache.folder}` has no checkpoints, which settling needs",
+            "settle the cache of a run: caches from `antdsl edit --to` have no checkpoints",
         )
     shot = open_shot(cache.original, scene, grants, "settling")
     return CacheHistory(cache.original, shot, threads, cache.original.read_state_hashes(), has_feet=True)
@@ -130,7 +132,7 @@ class Settling:
         chosen = _choose_agents(cache, shot, affected)
         if not chosen:
             raise SettlingError(
-                f"edits affect {len(affected):,} agents, but only agents that they gave another body or species",
+                f"the {len(affected):,} affected agents cannot be settled: edits gave each another body or species",
                 "settle before `replace` and `merge`: write the cache with `--to`, or change their lines",
             )
         lead = round(_REACTION_LEAD_SECONDS / shot.setting.dt)

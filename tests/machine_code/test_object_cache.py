@@ -205,7 +205,7 @@ def test_many_bad_files_are_one_message(folder: Path) -> None:
 
 def test_a_file_that_is_too_large_is_not_read(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(object_cache, "_MAX_OBJECT_BYTES", len(CODE) - 1)
-    refused(place.parent, "are not read")
+    refused(place.parent, "the limit is")
     assert not place.exists()
     cache = ObjectCache(place.parent)
     in_memory(cache, "too many")

@@ -112,7 +112,7 @@ def test_pages_go_on_while_frames_are_settled_and_a_change_ends_it(page: Page, o
 
 def test_the_report_says_what_is_left_and_a_later_edit_removes_the_result(page: Page, original: Path) -> None:
     apply(page, "scale", "guards.1", by="101 %")
-    assert settle(page) == ["nothing to settle: edits make no agents overlap, and leave none without a neighbour"]
+    assert settle(page) == ["nothing to settle: after the edits, no agents overlap, and none has lost a neighbour"]
     apply(page, "move", "guards.0", **put_onto(original, 0, 5, 26))
     page.until(lambda: "settle again" in settling(page)["report"][0])
     assert "settled 1 agent" in settle(page)[0] and settling(page)["settled"]
