@@ -159,7 +159,7 @@ class Surroundings:
             for _, volume, offset in self._dug.iterate_volumes():
                 depth = np.maximum(MAX_DEPTH * trunks.size * self._scale, volume.bricks.voxel / 2)
                 for end in (trunks.middle, trunks.middle + ends, trunks.middle - ends):
-                    result |= volume.sample(end * self._scale - offset) < -depth
+                    result |= volume.sample_distances(end * self._scale - offset) < -depth
         return result
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torture_walks import BODY, HAIR, WalkMeasures, above, crowd, parts, shapes, wander, winding
 
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY
+from antdsl.ground.mesh.surroundings import EYE_HEIGHT_BODY_LENGTHS
 from antdsl.ground.protocol import GroundMove
 
 SHAPES = shapes()
@@ -74,7 +74,7 @@ class Walls:
 
     def _ask(self, ground: MeshGround, at: GroundMove, rows: NDArray[np.int64]) -> None:
         if rows.size:
-            now = self.rooms.winding(above(ground, at.take_rows(rows), self.near))
+            now = self.rooms.winding(above(ground, at.select_rows(rows), self.near))
             self.through |= set(rows[(now != self.began[:, rows]).any(axis=0)].tolist())
 
 
@@ -84,10 +84,10 @@ def start_crowd(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng:
     begin = crowd(ground, [mesh], n if len(closed) < 2 else 3 * n, rng)
     if len(closed) > 1:
         free = ~np.any([np.abs(winding(each, above(ground, begin))) > 0.5 for each in closed], axis=0)
-        begin = begin.take_rows(np.flatnonzero(free)[:n])
+        begin = begin.select_rows(np.flatnonzero(free)[:n])
     for each in closed if len(closed) > 1 else []:
-        feet, eye = (np.round(winding(each, above(ground, begin, high))) for high in (HAIR, EYE_HEIGHT_PER_BODY * BODY))
-        begin = begin.take_rows(np.flatnonzero(feet == eye))
+        feet, eye = (np.round(winding(each, above(ground, begin, high))) for high in (HAIR, EYE_HEIGHT_BODY_LENGTHS * BODY))
+        begin = begin.select_rows(np.flatnonzero(feet == eye))
     return begin
 
 

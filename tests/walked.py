@@ -10,25 +10,25 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.boxes import EDGE_TOLERANCE, MAX_LENGTHENING, MIN_PLANE_SINE
+from antdsl.ground.mesh.boxes import EDGE_TOLERANCE, MAX_STEP_EXTENSION_FACTOR, MIN_PLANE_SINE
 from antdsl.ground.mesh.crossings import MAX_RUN_PER_RISE, MIN_SQUARED_CUT_SINE, MIN_TOUCHES_OFF_FACE
 from antdsl.ground.mesh.stretches import (
     BORDER_INWARD_SHARE,
+    CORNER_NUDGE_FRACTION,
     CROSSINGS_BEFORE_NUDGE,
     MAX_EDGE_CROSSINGS,
     MAX_SURFACE_HOPS,
-    NUDGE_FRACTION,
 )
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.surroundings import (
-    BORDER_GAP_PER_BODY,
-    BORDER_RAY_DEPTH_PER_BODY,
-    BORDER_RAY_HEIGHT_PER_BODY,
-    EYE_HEIGHT_PER_BODY,
+    BORDER_GAP_BODY_LENGTHS,
+    BORDER_RAY_DEPTH_BODY_LENGTHS,
+    BORDER_RAY_HEIGHT_BODY_LENGTHS,
+    EYE_HEIGHT_BODY_LENGTHS,
+    MIN_COSINE_BETWEEN_NORMALS,
     MIN_LOOK_AHEAD_FACTOR,
-    MIN_NORMALS_COSINE,
 )
-from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE
 
 Floats = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ class Reference:
         """The first face that a way meets, but `own` and those of a `piece`; after what part of it (which may be `further` mm
         more than all), and the place there."""
         size = np.sqrt(step @ step)
-        most = 1 + min(further / max(size, 1e-300), MAX_LENGTHENING)
+        most = 1 + min(further / max(size, 1e-300), MAX_STEP_EXTENSION_FACTOR)
         end = origin + step * most
         low, high = np.minimum(origin, end), np.maximum(origin, end)
         near = self.near[(self.low[self.near] <= high).all(axis=1) & (self.high[self.near] >= low).all(axis=1)]
@@ -200,7 +200,7 @@ class Reference:
         turn = 0
         while w.left > 0 and w.over == 0 and turn < MAX_EDGE_CROSSINGS:
             if turn >= CROSSINGS_BEFORE_NUDGE and turn % CROSSINGS_BEFORE_NUDGE == 0:
-                w.place = w.place * (1 - NUDGE_FRACTION) + self.corners[w.face].mean(axis=0) * NUDGE_FRACTION
+                w.place = w.place * (1 - CORNER_NUDGE_FRACTION) + self.corners[w.face].mean(axis=0) * CORNER_NUDGE_FRACTION
             self._stretch(w)
             turn += 1
         up, weights = self.normal[w.face] * w.side, self.weights(w.face, w.place)
@@ -242,7 +242,7 @@ class Reference:
             return
         w.left -= length
         link = self.beyond_edge(w.face, w.side, out)
-        if link == NO_LINK:
+        if link == NO_LINKED_EDGE:
             self._border(w, out)
             return
         start, along, across = self.edge(w.face, out)
@@ -288,7 +288,8 @@ class Reference:
         """Go on over the border that is stepped over, or back."""
         one, two = self.weights(w.face, w.place)
         weights = [
-            np.inf if self.beyond_edge(w.face, w.side, k) != NO_LINK else v for k, v in enumerate((1 - one - two, one, two))
+            np.inf if self.beyond_edge(w.face, w.side, k) != NO_LINKED_EDGE else v
+            for k, v in enumerate((1 - one - two, one, two))
         ]
         edge = int(np.argmin(weights))
         if w.direction @ self.edge(w.face, edge)[2] > 0:
@@ -327,7 +328,7 @@ class Reference:
         """The first face of the own piece that cuts the own face across the way."""
         touch, own, up, cuts = self.scale.touch_distance, w.face, self.normal[w.face] * w.side, self.table.cuts
         result = []
-        for other in cuts.cutting_faces[cuts.first[own] : cuts.first[own + 1]].tolist():
+        for other in cuts.cutting_faces[cuts.cut_starts[own] : cuts.cut_starts[own + 1]].tolist():
             n, a = self.normal[other], self.corners[other, 0]
             begins = float(n @ (w.place - a))
             ends = begins + float(n @ w.direction) * length
@@ -376,12 +377,12 @@ class Reference:
             return True
         one, two = self.weights(w.face, self.onto(w.face, crossing_place))
         link = self.beyond_edge(w.face, w.side, int(np.argmin([1 - one - two, one, two])))
-        return link == NO_LINK or lowest(link >> 3) < -self.scale.touch_distance
+        return link == NO_LINKED_EDGE or lowest(link >> 3) < -self.scale.touch_distance
 
     def _tight(self, face: int, own: int, place: Floats, off: Floats) -> bool:
         """Whether feet put upon a face at a place, and off another, would be through a third one or touch it."""
         touch, cuts = self.scale.touch_distance, self.table.cuts
-        for third in cuts.cutting_faces[cuts.first[face] : cuts.first[face + 1]].tolist():
+        for third in cuts.cutting_faces[cuts.cut_starts[face] : cuts.cut_starts[face + 1]].tolist():
             begins = float(self.normal[third] @ (place - self.corners[third, 0]))
             ends = begins + float(self.normal[third] @ off)
             hit = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
@@ -392,7 +393,7 @@ class Reference:
     def _other(self, w: Walker, length: float) -> Landing | None:
         """Another piece within the way, seen from above the ground; where the own piece lies before it, from a grain above."""
         least = self.scale.min_eye_height
-        for high in (max(min(EYE_HEIGHT_PER_BODY * w.body, w.left / MIN_LOOK_AHEAD_FACTOR), least), least):
+        for high in (max(min(EYE_HEIGHT_BODY_LENGTHS * w.body, w.left / MIN_LOOK_AHEAD_FACTOR), least), least):
             landing, hidden = self._look_ahead(w, length, high)
             if landing is None or not hidden:
                 return landing
@@ -428,26 +429,30 @@ class Reference:
         """What a way meets that leads up off the own face, out over the border, down beyond it and back towards it."""
         scale, up, out = self.scale, self.normal[own] * side, self.edge(own, edge)[2]
         body, fine = (
-            max(body, scale.min_eye_height / EYE_HEIGHT_PER_BODY) if body == body else scale.min_eye_height / EYE_HEIGHT_PER_BODY,
+            max(body, scale.min_eye_height / EYE_HEIGHT_BODY_LENGTHS)
+            if body == body
+            else scale.min_eye_height / EYE_HEIGHT_BODY_LENGTHS,
             scale.coincident_distance,
         )
-        gap, high = BORDER_GAP_PER_BODY * body, BORDER_RAY_HEIGHT_PER_BODY * body
+        gap, high = BORDER_GAP_BODY_LENGTHS * body, BORDER_RAY_HEIGHT_BODY_LENGTHS * body
         hair = out * (2 * fine)
         roof, part, _ = self.first(place - hair + up * fine, up * (high - fine), 0.0, own=own)
         if roof >= 0:
             high = (fine + part * (high - fine)) / 2
         if self.first(place + up * high, out * gap, 0.0, own=own)[0] >= 0:
-            high = min(high, EYE_HEIGHT_PER_BODY * body)
+            high = min(high, EYE_HEIGHT_BODY_LENGTHS * body)
         face, part, hit_place = self.first(place + up * high, out * gap, 0.0, own=own)
         if face >= 0:
             return self._landing_if_led(own, side, face, hit_place, out, part * gap, high, gap)
-        over, fall = place + out * gap, -up * (high + BORDER_RAY_HEIGHT_PER_BODY * body)
+        over, fall = place + out * gap, -up * (high + BORDER_RAY_HEIGHT_BODY_LENGTHS * body)
         face, part, hit_place = self.first(over + up * high, fall, 0.0, own=own)
-        lowest = -BORDER_RAY_HEIGHT_PER_BODY * body if face < 0 else high - part * (high + BORDER_RAY_HEIGHT_PER_BODY * body)
+        lowest = (
+            -BORDER_RAY_HEIGHT_BODY_LENGTHS * body if face < 0 else high - part * (high + BORDER_RAY_HEIGHT_BODY_LENGTHS * body)
+        )
         if face >= 0 and self._leads(own, side, face, fall):
             face, hit_place, distance, rise, fall = self._nearest(own, place, up, face, lowest, high, gap, fall)
             return self._down(own, side, place, hair, up, face, hit_place, fall, distance, rise, gap)
-        for depth in (BORDER_GAP_PER_BODY * body, BORDER_RAY_DEPTH_PER_BODY * body):
+        for depth in (BORDER_GAP_BODY_LENGTHS * body, BORDER_RAY_DEPTH_BODY_LENGTHS * body):
             if lowest < -depth:
                 face, part, hit_place = self.first(over - up * depth, -2 * gap * out, 0.0, own=own)
                 if face >= 0:
@@ -508,7 +513,7 @@ class Reference:
         """Nothing leads to the other side of what is walked on, nor to what turns back below it as that side does."""
         to_side = self.side_of(face, towards)
         level = float((self.normal[face] * to_side) @ (self.normal[own] * side))
-        return level > MIN_NORMALS_COSINE and self.together(own, side, face, to_side)
+        return level > MIN_COSINE_BETWEEN_NORMALS and self.together(own, side, face, to_side)
 
 
 def _turned(v: Floats, previous: Floats, following: Floats, direction: Floats) -> Floats:

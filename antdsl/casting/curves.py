@@ -12,11 +12,11 @@ from antdsl.casting.nearby import Vectors
 from antdsl.numerics.vector_rows import normalise
 
 _MAX_SAMPLES = 4096
-_NEAREST_SAMPLES = 6  # samples of the first query; sufficient except for agents far from a bend
+_NEAREST_SAMPLE_COUNT = 6  # samples of the first query; sufficient except for agents far from a bend
 
 
 @dataclass(frozen=True, slots=True)
-class CurvePoints:
+class ClosestCurvePoints:
     """The nearest point of a curve to each query point: distance and position (mm), and the unit tangent, all float32[n]."""
 
     distance: NDArray[np.float32]
@@ -48,7 +48,7 @@ class SampledCurve:
         self._tangent = normalise(np.concatenate([directions[:1], directions[:-1] + directions[1:], directions[-1:]]))
         self._sample_tree: Any = None
 
-    def find_closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
+    def find_closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> ClosestCurvePoints:
         """Return the nearest points of the curve to positions (1-D arrays, mm). Of equally near points, the first along the curve
         counts.
 
@@ -68,11 +68,11 @@ class SampledCurve:
         offset = point - place
         distance = np.where(finite, np.sqrt((offset[:, 0] ** 2 + offset[:, 1] ** 2) + offset[:, 2] ** 2), np.inf)
         columns = (distance, *point.T, *tangent.T)
-        return CurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
+        return ClosestCurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
     def _find_nearest_points(self, positions: Vectors) -> tuple[Vectors, Vectors]:
         """Return the nearest point [n,3] of the curve to each position, and the tangent [n,3] there."""
-        neighbour_count = min(_NEAREST_SAMPLES, len(self.samples))
+        neighbour_count = min(_NEAREST_SAMPLE_COUNT, len(self.samples))
         gap, sample = self._sample_tree.query(positions, k=list(range(1, neighbour_count + 1)))
         best = self._find_nearest_segment(positions, sample)
         # A segment nearer than the nearest sample has an end within that distance plus half a piece.

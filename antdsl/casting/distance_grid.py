@@ -16,7 +16,7 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, inlined, kernel, 
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
-_TARGET_CELLS = 250_000  # a table of this size stays in the processor's cache together with all other data of a step
+_TARGET_CELL_COUNT = 250_000  # a table of this size stays in the processor's cache together with all other data of a step
 _MAX_LISTED_CELLS = 4_000_000  # maximum number of pairs of a triangle and a touched cell
 _MAX_REFINED_CELLS = 150_000  # each takes about 2 microseconds
 
@@ -30,20 +30,20 @@ class DistanceGrid:
 
     `store_tables`: store the bounds for later runs that need them."""
 
-    def __init__(self, corners: NDArray[np.float64], target_cells: int = _TARGET_CELLS, store_tables: bool = True) -> None:
+    def __init__(self, corners: NDArray[np.float64], target_cells: int = _TARGET_CELL_COUNT, store_tables: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
         self._width = limit_cell_width(corners, choose_cell_width(extent, target_cells))
         self._size = np.floor(extent / self._width).astype(np.int64) + 1
         self._high = self._low + extent
         self._cell_layout = (self._low, self._high, self._size, self._width)
-        work = partial(self._measure_bounds, corners)
+        work = partial(self._compute_cell_bounds, corners)
         size = int(np.prod(self._size)) if store_tables else 0
         self._cell_bounds = stored_tables.get_or_compute("distance grid", size, (corners, float(target_cells)), work, "cells")[
             "least"
         ]
 
-    def _measure_bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
+    def _compute_cell_bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
         """Return the table of lower bounds: for each cell, a distance (mm) within which its points have no triangle."""
         free = np.ones(tuple(self._size), bool)
         for cell, _ in iterate_triangle_cells((corners - self._low) / self._width, exact=False):
@@ -91,7 +91,11 @@ def _compute_lower_bound(cells: CellLayout, cell_bounds: Array1[F32], px: F64, p
     """Return a lower bound (mm) of the distance from a position to the nearest triangle."""
     low, high, size, width = cells
     part = 1.0 / width
-    ix, iy, iz = _clamp_number(px, low[0], high[0]), _clamp_number(py, low[1], high[1]), _clamp_number(pz, low[2], high[2])
+    ix, iy, iz = (
+        _clamp_coordinate(px, low[0], high[0]),
+        _clamp_coordinate(py, low[1], high[1]),
+        _clamp_coordinate(pz, low[2], high[2]),
+    )
     gx, gy, gz = px - ix, py - iy, pz - iz
     outside = (gx * gx + gy * gy) + gz * gz
     cell = min(_to_cell_number((ix - low[0]) * part), size[0] - 1) * size[1] + min(
@@ -132,7 +136,7 @@ def _to_cell_number(place: F64) -> I64:
 
 
 @inlined
-def _clamp_number(place: F64, low: F64, high: F64) -> F64:
+def _clamp_coordinate(place: F64, low: F64, high: F64) -> F64:
     """Return the coordinate `place`, clamped to `low` … `high` as by fmin and fmax: NaN becomes `low`."""
     inside = place if place > low else low
     return inside if inside < high else high

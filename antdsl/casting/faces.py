@@ -19,9 +19,9 @@ Index = NDArray[np.int64]
 # Share of the largest coordinate: several times the float32 rounding error of a corner, a ray and their intersection
 TOLERANCE_PER_COORDINATE = 1e-6
 # Tolerances by which faces are widened for rays, so that rounded rays hit them even at an angle of 4 degrees
-WIDENING_IN_TOLERANCES = 16.0
+TRIANGLE_WIDENING_IN_TOLERANCES = 16.0
 _BORDER_WIDTH_IN_TOLERANCES = 20.0  # tolerances; nearer to a side than this, the faces at its end are also tested
-RETEST_DEPTH_IN_TOLERANCES = 40.0  # tolerances; another face up to this far behind a reported face may be the first hit
+HIT_RETEST_DEPTH_IN_TOLERANCES = 40.0  # tolerances; another face up to this far behind a reported face may be the first hit
 _MAX_PRECOMPUTED_FACES = 200_000  # with more faces, the tables of each face are computed on demand
 _SHARP_CORNER_LIMIT = 1 / 128  # 1 + cosine between the outward directions of two sides; limits how far a sharp corner moves out
 
@@ -29,7 +29,7 @@ _SHARP_CORNER_LIMIT = 1 / 128  # 1 + cosine between the outward directions of tw
 FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64]]
 
 
-class Faces:
+class TriangleFaces:
     """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, because few faces are queried. `tolerance`
     is relative to `largest_coordinate` (mm), by default that of all corners."""
 
@@ -54,7 +54,9 @@ class Faces:
             moved_corners.append(
                 corner
                 + (one + two)
-                * (WIDENING_IN_TOLERANCES * self.tolerance / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[:, None]
+                * (TRIANGLE_WIDENING_IN_TOLERANCES * self.tolerance / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[
+                    :, None
+                ]
             )
         return np.stack(moved_corners, axis=1).reshape(-1, 3).astype(np.float32)
 
@@ -104,7 +106,7 @@ class Faces:
             least_weights = np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2])
             return t, weights, (least_weights >= -EDGE_WEIGHT_TOLERANCE) & (np.abs(t) < np.inf), ~(np.abs(least_weights) > rim)
 
-    def check_hits(
+    def recompute_reported_hits(
         self, reported_faces: Index, origin: Floats, displacement: Floats, ray_parameters: NDArray[np.floating]
     ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
         """Check hits that Open3D reports: on the faces `reported_faces`, at approximate ray parameters `ray_parameters` (in
@@ -113,12 +115,12 @@ class Faces:
         Returns the exact ray parameter, the corner weights, whether the ray hits, and the tolerance in lengths of `displacement`.
         Near the border of a reported face, the first hit among the faces that meet there counts, and `reported_faces` is changed
         to that face."""
-        tables = self.build_tables()
+        tables = self.build_kernel_tables()
         if tables is not None:
             n = len(reported_faces)
             fractions, tolerances, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
             write_checked_hits(
-                tables, self.tolerance, RETEST_DEPTH_IN_TOLERANCES, ray_parameters.astype(np.float64), origin, displacement,
+                tables, self.tolerance, HIT_RETEST_DEPTH_IN_TOLERANCES, ray_parameters.astype(np.float64), origin, displacement,
                 reported_faces, fractions, weights, hit, tolerances,
             )  # fmt: skip
             return fractions, weights, hit, tolerances
@@ -133,7 +135,7 @@ class Faces:
             query, other = self.find_faces_at_corner(reported_faces[unsure], weights[unsure])
             row = unsure[query]
             t, other_weights, inside, _ = self.intersect_planes(other, origin[row], displacement[row])
-            near = (t <= ray_parameters[row] + RETEST_DEPTH_IN_TOLERANCES * tolerances[row]) | (other == reported_faces[row])
+            near = (t <= ray_parameters[row] + HIT_RETEST_DEPTH_IN_TOLERANCES * tolerances[row]) | (other == reported_faces[row])
             usable = np.flatnonzero(inside & near & (t > tolerances[row]))
             order = usable[np.lexsort((other[usable], t[usable], row[usable]))]
             first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
@@ -142,7 +144,7 @@ class Faces:
             reported_faces[row], fractions[row], weights[row], hit[row] = other[first], t[first], other_weights[first], True
         return fractions, weights, hit, tolerances
 
-    def build_tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
+    def build_kernel_tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
         """Return the tables that kernels read, for all faces: planes, border widths, and the results of `_weld_corners`. None for
         short-lived faces."""
         if self._is_short_lived:
@@ -154,10 +156,10 @@ class Faces:
     def find_nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
         """Return the nearest position to each point [k,3], its squared distance and its face. The argument `face` is the nearest
         face in float32. The result is that face or one that meets it at the position: of equally near faces, the first."""
-        tables = self.build_tables()
+        tables = self.build_kernel_tables()
         if tables is not None:
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
-            write_nearest(tables, self.corners, points, face, place, square)
+            write_nearest_points_on_faces(tables, self.corners, points, face, place, square)
             return place, square, face
         place = find_nearest_on_triangle(points, self.corners.take(face, axis=0))
         gap = place - points
@@ -178,8 +180,8 @@ class Faces:
         return place, square, face
 
     def find_faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
-        """Return all faces that share the corner of largest weight with a queried face, itself included, as pairs: the index of
-        the queried face in `face`, and the number of the sharing face, ascending."""
+        """Return the faces at the corner of largest weight of each queried face, as pairs: index in `face`, and number of a
+        sharing face, ascending."""
         if self._corner_tables is None:
             self._corner_tables = self._weld_corners()
         weld, first, faces = self._corner_tables
@@ -267,8 +269,8 @@ def write_checked_hits(
     displacement: Strided2[F64], reported_faces: Array1[I64], fractions: Array1[F64], weights: Array2[F64], hit: Array1[BOOL],
     ray_tolerances: Array1[F64],
 ) -> None:  # fmt: skip
-    """Write the results of `Faces.check_hits` to the last five arrays: face, ray parameter, corner weights, whether the ray hits,
-    and the tolerance in lengths of `displacement`."""
+    """Write recomputed hits to the last five arrays: face, ray parameter, corner weights, hit flag, and tolerance in lengths
+    of `displacement`."""
     planes, rims, weld, first, faces = table
     for i in range(reported_faces.size):
         x, y, z = displacement[i, 0], displacement[i, 1], displacement[i, 2]
@@ -293,7 +295,7 @@ def write_checked_hits(
 
 
 @kernel
-def write_nearest(
+def write_nearest_points_on_faces(
     table: FaceTable,
     corners: Array3[F64],
     points: Strided2[F64],
@@ -312,7 +314,7 @@ def write_nearest(
         positions[i, 0], positions[i, 1], positions[i, 2], squared_distances[i] = q[0], q[1], q[2], d
         w1, w2 = evaluate_plane(planes, f, 1, q[0], q[1], q[2]), evaluate_plane(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
-        if not _find_minimum(w0, w1, w2) > rims[f]:
+        if not _find_minimum_of_three(w0, w1, w2) > rims[f]:
             vertex = weld[3 * f + _find_largest_index(w0, w1, w2)]
             begin = True
             for k in range(first[vertex], first[vertex + 1]):
@@ -336,7 +338,7 @@ def evaluate_plane_slope(planes: Array3[F64], face: I64, row: I64, x: F64, y: F6
 
 
 @inlined
-def _find_minimum(a: F64, b: F64, c: F64) -> F64:
+def _find_minimum_of_three(a: F64, b: F64, c: F64) -> F64:
     """Return the smallest of three numbers; NaN if any is NaN, as `np.minimum`."""
     if a != a or b != b or c != c:
         return np.nan
@@ -360,7 +362,7 @@ def _intersect_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: 
     w1 = evaluate_plane(planes, face, 1, a, b, c) + t * evaluate_plane_slope(planes, face, 1, x, y, z)
     w2 = evaluate_plane(planes, face, 2, a, b, c) + t * evaluate_plane_slope(planes, face, 2, x, y, z)
     w0 = (1.0 - w1) - w2
-    return t, (w0, w1, w2), _find_minimum(w0, w1, w2)
+    return t, (w0, w1, w2), _find_minimum_of_three(w0, w1, w2)
 
 
 @inlined

@@ -9,22 +9,22 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-T = TypeVar("T", np.bool_, np.int32)
+GridValue = TypeVar("GridValue", np.bool_, np.int32)
 
 _MAX_SQUARED_DISTANCE = 1 << 29  # exceeds the squared length of any grid; the sum of two fits into int32
 
 
-def filter_maximum(grid: NDArray[T], rings: int) -> NDArray[T]:
+def filter_maximum(grid: NDArray[GridValue], rings: int) -> NDArray[GridValue]:
     """Return a grid in which each cell has the maximum of the cells at most `rings` cells away along every axis."""
     return _filter_neighbourhood(grid, rings, np.maximum)
 
 
-def filter_minimum(grid: NDArray[T], rings: int) -> NDArray[T]:
+def filter_minimum(grid: NDArray[GridValue], rings: int) -> NDArray[GridValue]:
     """Return a grid in which each cell has the minimum of the cells at most `rings` cells away along every axis."""
     return _filter_neighbourhood(grid, rings, np.minimum)
 
 
-def _filter_neighbourhood(grid: NDArray[T], rings: int, combine: Any) -> NDArray[T]:
+def _filter_neighbourhood(grid: NDArray[GridValue], rings: int, combine: Any) -> NDArray[GridValue]:
     """Combine each cell with the cells at most `rings` cells away, axis by axis, by the function `combine`."""
     for axis in range(grid.ndim):
         for flip in (False, True):  # first the following cells, then the preceding ones

@@ -23,14 +23,20 @@ ThreeColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]
 FourColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 FeelerResults = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 SevenColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
-FLOAT32_ONE, ROUNDING_SLACK, SHORTEST_VECTOR = np.float32(1), np.float32(ROUNDING_BOUND), np.float32(MIN_VECTOR_LENGTH)
+FLOAT32_ONE, ROUNDING_SLACK, MIN_VECTOR_LENGTH_F32 = np.float32(1), np.float32(ROUNDING_BOUND), np.float32(MIN_VECTOR_LENGTH)
 PREFETCH_GROUP_SIZE = 16  # rays or points with faces prefetched together
 _MIN_CUBES_ALONG_AXIS = 1e-12  # cubes along an axis; a ray with a shorter extent stays in its layer
 
 
 @kernel
 def write_first_hits(
-    grid: GridTables, origin: Strided2[F64], displacement: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
+    grid: GridTables,
+    origin: Strided2[F64],
+    displacement: Strided2[F64],
+    ray_parameters: Array1[F64],
+    face: Array1[I64],
+    begin: I64,
+    end: I64,
 ) -> None:
     """Write the results of `TriangleGrid.find_first_faces` to `t` and `face`, for rays `begin` to `end` (exclusive)."""
     cells = allocate_scratch(2 * PREFETCH_GROUP_SIZE, I64)
@@ -38,7 +44,7 @@ def write_first_hits(
         high = min(low + PREFETCH_GROUP_SIZE, end)
         _prefetch_faces(grid, origin, (0.0, 0.0, 0.0), displacement, cells, low, high)
         for i in range(low, high):
-            t[i], face[i] = find_first_hit(
+            ray_parameters[i], face[i] = find_first_hit(
                 grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (displacement[i, 0], displacement[i, 1], displacement[i, 2])
             )
 
@@ -100,8 +106,8 @@ def _prefetch_faces(
     """Prefetch the faces near both ends of rays `low` to `high` (exclusive); origins are relative to `zero`."""
     for i in range(low, high):
         a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
-        _list_end_cubes(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]), cells, i - low)
-    _prefetch_lists(grid, cells, high - low)
+        _append_end_cubes(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]), cells, i - low)
+    _prefetch_face_lists(grid, cells, high - low)
 
 
 @kernel
@@ -144,7 +150,7 @@ def write_requested_feelers(
         if not (far > 0 and far < np.inf and clear[i] <= far * (FLOAT32_ONE + ROUNDING_SLACK) + ROUNDING_SLACK):
             continue
         size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
-        if not (size > SHORTEST_VECTOR and size < np.inf):
+        if not (size > MIN_VECTOR_LENGTH_F32 and size < np.inf):
             continue
         n, face = cast_feeler(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
         if face == FACE_BEYOND_GRID:
@@ -157,14 +163,14 @@ def write_requested_feelers(
 
 
 @kernel_helper
-def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
+def cast_feeler(grid: GridTables, position: Vec3F32, direction: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
     """Return the first hit of a feeler, as distance (mm) and unit normal towards the feeler's origin, and the face that it hits.
 
     The distance is infinite for no hit, NaN if the grid cannot answer."""
     shape, normals = grid[0], grid[7]
     far = np.float64(reach)
-    a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
-    w = np.float64(d[0]) * far, np.float64(d[1]) * far, np.float64(d[2]) * far
+    a = np.float64(position[0]) - shape[6], np.float64(position[1]) - shape[7], np.float64(position[2]) - shape[8]
+    w = np.float64(direction[0]) * far, np.float64(direction[1]) * far, np.float64(direction[2]) * far
     t, face = find_first_hit(grid, a, w)
     if face < 0:
         return (0.0, 0.0, 0.0, np.nan if face == FACE_BEYOND_GRID else np.inf), face
@@ -175,12 +181,12 @@ def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[t
 
 
 @kernel_helper
-def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
+def find_first_hit(grid: GridTables, start: Vec3, displacement: Vec3) -> tuple[F64, I64]:
     """Return the ray parameter (0 to 1) at which a ray from `a` along the displacement `w` hits its first face, and this face."""
     shape, size, first, face_list, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
-    px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
-    dx, dy, dz = w[0] * part, w[1] * part, w[2] * part
+    px, py, pz = (start[0] - shape[0]) * part, (start[1] - shape[1]) * part, (start[2] - shape[2]) * part
+    dx, dy, dz = displacement[0] * part, displacement[1] * part, displacement[2] * part
     long = (abs(dx) + abs(dy)) + abs(dz)
     if long > MAX_RAY_CUBES:
         return np.inf, FACE_BEYOND_GRID
@@ -199,7 +205,7 @@ def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     y = min(max(np.int64(np.floor(py + dy * begin)), 0), size[1] - 1)
     z = min(max(np.int64(np.floor(pz + dz * begin)), 0), size[2] - 1)
     ux, uy, uz = 1 if dx > 0 else 0, 1 if dy > 0 else 0, 1 if dz > 0 else 0
-    square = (w[0] * w[0] + w[1] * w[1]) + w[2] * w[2]
+    square = (displacement[0] * displacement[0] + displacement[1] * displacement[1]) + displacement[2] * displacement[2]
     h, inverse_square, slack = shape[5] / np.sqrt(square), 1.0 / square, shape[4]
     best, face, max_parameter = np.inf, NO_FACE, 1.0
     while x >= 0 and x < size[0] and y >= 0 and y < size[1] and z >= 0 and z < size[2]:
@@ -207,21 +213,33 @@ def find_first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
         for k in range(first[cell], first[cell + 1]):
             # Most faces have both ends of the ray on one side of their plane, or the ray misses their ball.
             nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
-            start_distance = ((nx * a[0] + ny * a[1]) + nz * a[2]) + np.float64(bound[k, 3])
-            distance = start_distance + ((nx * w[0] + ny * w[1]) + nz * w[2]) * max_parameter
+            start_distance = ((nx * start[0] + ny * start[1]) + nz * start[2]) + np.float64(bound[k, 3])
+            distance = start_distance + ((nx * displacement[0] + ny * displacement[1]) + nz * displacement[2]) * max_parameter
             if abs(start_distance + distance) - abs(start_distance - distance) > 2.0 * slack:
                 continue
-            cx, cy, cz = np.float64(bound[k, 4]) - a[0], np.float64(bound[k, 5]) - a[1], np.float64(bound[k, 6]) - a[2]
+            cx, cy, cz = (
+                np.float64(bound[k, 4]) - start[0],
+                np.float64(bound[k, 5]) - start[1],
+                np.float64(bound[k, 6]) - start[2],
+            )
             radius = np.float64(bound[k, 7]) + slack
-            distance = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * inverse_square, 0.0), max_parameter)
-            cx, cy, cz = cx - distance * w[0], cy - distance * w[1], cz - distance * w[2]
+            distance = min(
+                max((cx * displacement[0] + cy * displacement[1] + cz * displacement[2]) * inverse_square, 0.0), max_parameter
+            )
+            cx, cy, cz = cx - distance * displacement[0], cy - distance * displacement[1], cz - distance * displacement[2]
             if cx * cx + cy * cy + cz * cz > radius * radius:
                 continue
             f = face_list[k]
-            t = -evaluate_plane(planes, f, 0, a[0], a[1], a[2]) / evaluate_plane_slope(planes, f, 0, w[0], w[1], w[2])
+            t = -evaluate_plane(planes, f, 0, start[0], start[1], start[2]) / evaluate_plane_slope(
+                planes, f, 0, displacement[0], displacement[1], displacement[2]
+            )
             if t > h and t <= max_parameter:
-                w1 = evaluate_plane(planes, f, 1, a[0], a[1], a[2]) + t * evaluate_plane_slope(planes, f, 1, w[0], w[1], w[2])
-                w2 = evaluate_plane(planes, f, 2, a[0], a[1], a[2]) + t * evaluate_plane_slope(planes, f, 2, w[0], w[1], w[2])
+                w1 = evaluate_plane(planes, f, 1, start[0], start[1], start[2]) + t * evaluate_plane_slope(
+                    planes, f, 1, displacement[0], displacement[1], displacement[2]
+                )
+                w2 = evaluate_plane(planes, f, 2, start[0], start[1], start[2]) + t * evaluate_plane_slope(
+                    planes, f, 2, displacement[0], displacement[1], displacement[2]
+                )
                 if (
                     (1.0 - w1) - w2 >= -EDGE_WEIGHT_TOLERANCE
                     and w1 >= -EDGE_WEIGHT_TOLERANCE
@@ -258,26 +276,26 @@ def prefetch_rays(
     """Prefetch the faces near both ends of the rays that `rays` numbers. Origins and displacements are float64[3,k], and origins
     are relative to `zero`."""
     for n in range(count):
-        _list_end_cubes(grid, minus(get_column(origins, rays[n]), zero), get_column(displacements, rays[n]), cells, n)
-    _prefetch_lists(grid, cells, count)
+        _append_end_cubes(grid, minus(get_column(origins, rays[n]), zero), get_column(displacements, rays[n]), cells, n)
+    _prefetch_face_lists(grid, cells, count)
 
 
 @inlined
-def _list_end_cubes(grid: GridTables, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
+def _append_end_cubes(grid: GridTables, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
     """Append the numbers of the cubes at both ends of ray `n` to `cells`."""
-    cells[2 * n] = _prefetch_cube(grid, a)
-    cells[2 * n + 1] = _prefetch_cube(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
+    cells[2 * n] = _prefetch_cube_of_point(grid, a)
+    cells[2 * n + 1] = _prefetch_cube_of_point(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
 
 
 @inlined
-def _prefetch_lists(grid: GridTables, cells: Array1[I64], count: I64) -> None:
+def _prefetch_face_lists(grid: GridTables, cells: Array1[I64], count: I64) -> None:
     """Prefetch the first faces of the cubes of `count` rays."""
     for n in range(2 * count):
-        _prefetch_list(grid, cells[n])
+        _prefetch_face_list(grid, cells[n])
 
 
 @inlined
-def _prefetch_cube(grid: GridTables, a: Vec3) -> I64:
+def _prefetch_cube_of_point(grid: GridTables, a: Vec3) -> I64:
     """Return the number of the cube that contains a position, or of the nearest cube in the grid. Prefetch the start of its
     list."""
     shape, size, first = grid[0], grid[1], grid[2]
@@ -291,7 +309,7 @@ def _prefetch_cube(grid: GridTables, a: Vec3) -> I64:
 
 
 @inlined
-def _prefetch_list(grid: GridTables, cell: I64) -> None:
+def _prefetch_face_list(grid: GridTables, cell: I64) -> None:
     """Prefetch the first faces of a cube: one cache line has two faces."""
     first, face_list, bound = grid[2], grid[3], grid[4]
     k: I64 = first[cell]

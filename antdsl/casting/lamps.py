@@ -17,7 +17,7 @@ from antdsl.numerics.vector_rows import dot
 
 MAX_LAMPS = 16  # of a picture or of one name; the largest count
 UNIT_DISTANCE_IN_RADII = 10.0  # radii at which a lamp of strength 1 gives the light 1
-_RAY_END_IN_RADII = 1.06  # rays end just outside the lamp's own surface
+_RAY_END_DISTANCE_IN_RADII = 1.06  # rays end just outside the lamp's own surface
 _BULB_BY_SHAPE = {
     "lamp": (1.75, 0.92),
     "sphere": (0.85, 1.0),
@@ -48,7 +48,7 @@ class LightSphere:
         height = 1 - (np.arange(count) + 0.5) / count
         turn, flat = np.arange(count) * _GOLDEN_ANGLE, np.sqrt(1 - height * height)
         half_sphere = np.stack([flat * elementary.cos(turn), height, flat * elementary.sin(turn)], axis=-1).astype(points.dtype)
-        spots = half_sphere[numbers] * points.dtype.type(_RAY_END_IN_RADII * self.radius)
+        spots = half_sphere[numbers] * points.dtype.type(_RAY_END_DISTANCE_IN_RADII * self.radius)
         spots = np.where(dot(spots, towards)[:, None] < 0, -spots, spots)
         return np.asarray(spots - towards, points.dtype)
 
@@ -67,7 +67,7 @@ class LightSphere:
         return np.asarray(share * number(self.strength * (UNIT_DISTANCE_IN_RADII * self.radius) ** 2))
 
 
-Sphere = TypeVar("Sphere", bound=LightSphere)
+LightSphereType = TypeVar("LightSphereType", bound=LightSphere)
 
 
 def place_bulb(
@@ -80,6 +80,6 @@ def place_bulb(
     return position + up * (height * size), bulb * size
 
 
-def select_largest(lamps: Iterable[Sphere]) -> tuple[Sphere, ...]:
+def select_brightest_lamps(lamps: Iterable[LightSphereType]) -> tuple[LightSphereType, ...]:
     """Return the largest MAX_LAMPS lamps, from large to small."""
     return tuple(sorted(lamps, key=lambda lamp: -lamp.radius)[:MAX_LAMPS])

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
-from antdsl.casting.faces import Faces
+from antdsl.casting.faces import TriangleFaces
 from antdsl.casting.tolerances import TOUCHING_DISTANCE_MM
-from antdsl.casting.triangle_grid import Arrays, Tables, TriangleGrid
+from antdsl.casting.triangle_grid import Arrays, GridTableArrays, TriangleGrid
 from antdsl.numerics.vectors import VectorComponents
 
 Vectors = NDArray[np.float64]
@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 
 FeelerQuery = tuple[NDArray[np.bool_], Arrays, Arrays]  # mask of the requesting agents; operands and results, n each
 
-RAY_LENGTH_FACTOR = 1.1  # factor of the ray's length for Open3D's search; exceeds its rounding error except for tiny rays
+RAY_LENGTH_SAFETY_FACTOR = 1.1  # factor of the ray's length for Open3D's search; exceeds its rounding error except for tiny rays
 _MIN_POINTS_TO_REFINE = 2_000  # fewer simultaneous queries are not worth refined distances
 _SHORT_LIVED_GRID_CELLS = 1000
 
@@ -55,7 +55,7 @@ class ProximityQueries(ABC):
     origin: Vectors
     _is_short_lived: bool
     _stores_tables: bool
-    _faces: Faces
+    _faces: TriangleFaces
     _first_face_of_mesh: Index
     _is_empty: bool
     _grid: DistanceGrid | None
@@ -158,7 +158,7 @@ class ProximityQueries(ABC):
                 left.append((number, unknown_rows))
         return left
 
-    def get_tables(self) -> Tables | None:
+    def get_tables(self) -> GridTableArrays | None:
         """Return the arrays of the triangle grid that kernels read; None if there is no grid."""
         grid = self._get_triangle_grid()
         return None if grid is None else grid.tables
@@ -203,7 +203,7 @@ class ProximityQueries(ABC):
                 self._grid = self._get_distance_grid()
             candidates = np.flatnonzero(self._grid.compute_lower_bounds(x, y, z) <= reach)
             points = np.stack([x[candidates], y[candidates], z[candidates]], axis=1).astype(np.float64)
-            _, _, place, distance = self.find_closest(points, threads, reach[candidates] * RAY_LENGTH_FACTOR)
+            _, _, place, distance = self.find_closest(points, threads, reach[candidates] * RAY_LENGTH_SAFETY_FACTOR)
             hit_rows = np.flatnonzero(distance.astype(np.float32) <= reach[candidates])
             unit_offsets = (points[hit_rows] - place[hit_rows]) / np.maximum(distance[hit_rows], 1e-12)[:, None]
             t[candidates[hit_rows]] = distance[hit_rows]
@@ -219,16 +219,18 @@ class ProximityQueries(ABC):
         The distance is negative inside a mesh, which means behind the nearest face. The query is slow far from the surface."""
         grid = self._get_usable_grid((x, y, z))
         if grid is None:
-            return self._measure_from_faces(np.stack([x, y, z], axis=1).astype(np.float64), max_distance, threads)
+            return self._measure_signed_distances_to_faces(np.stack([x, y, z], axis=1).astype(np.float64), max_distance, threads)
         results, left = grid.measure_signed_distances((x, y, z), threads)
         if left:
             unknown_rows = np.flatnonzero(np.isnan(results[0]))
             points = np.stack([each.take(unknown_rows) for each in (x, y, z)], axis=1).astype(np.float64)
             max_distances = np.broadcast_to(np.asarray(max_distance), (len(x),)).take(unknown_rows)
-            results[0, unknown_rows], results[1:, unknown_rows] = self._measure_from_faces(points, max_distances, threads)
+            results[0, unknown_rows], results[1:, unknown_rows] = self._measure_signed_distances_to_faces(
+                points, max_distances, threads
+            )
         return results[0], results[1:]
 
-    def _measure_from_faces(
+    def _measure_signed_distances_to_faces(
         self, points: Vectors, max_distance: NDArray[Any] | float, threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the results of `measure_signed_distances` for points [n,3], from their nearest faces."""

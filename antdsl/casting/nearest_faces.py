@@ -9,15 +9,15 @@ from antdsl.casting.grid_rays import GridTables, ThreeColumns
 from antdsl.casting.tolerances import (
     FACE_BEYOND_GRID,
     MAX_SEARCH_RINGS,
-    NEAREST_BEYOND_RANGE,
-    NEAREST_UNKNOWN,
+    NEAREST_FACE_BEYOND_RANGE,
+    NEAREST_FACE_UNKNOWN,
     TOUCHING_DISTANCE_MM,
 )
 from antdsl.machine_code.kernels import inlined, kernel, kernel_helper, prefetch, round_to_int
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus
 
-_PREFETCHED_FACES = 12  # prefetched faces of a row of cubes
+_PREFETCHED_FACE_COUNT = 12  # prefetched faces of a row of cubes
 
 
 @kernel
@@ -43,7 +43,7 @@ def measure_signed_distance(grid: GridTables, place: Vec3F32, max_distance: F64)
     p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
     a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
     square, face, q = find_nearest_face(grid, a, max_distance)
-    if face == NEAREST_UNKNOWN:
+    if face == NEAREST_FACE_UNKNOWN:
         square, face, q = find_nearest_face(grid, a, np.inf)
     gap, x, y, z = np.float32(np.nan), np.float32(0), np.float32(0), np.float32(0)
     if face >= 0:
@@ -57,7 +57,7 @@ def measure_signed_distance(grid: GridTables, place: Vec3F32, max_distance: F64)
             x, y, z = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
         else:
             x, y, z = np.float32(offset[0] * part), np.float32(offset[1] * part), np.float32(offset[2] * part)
-    elif face == NEAREST_BEYOND_RANGE:
+    elif face == NEAREST_FACE_BEYOND_RANGE:
         gap = np.float32(np.inf)
     return gap, (x, y, z)
 
@@ -74,14 +74,14 @@ def write_nearest_points(
 
 
 @inlined
-def prefetch_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
+def prefetch_cells_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
     """Prefetch the start of the face lists of the cubes around a position. Write these cubes, as nine rows of three, to `rows`
     from index 9 * `k` on."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
-    mx = _find_layer(np.float64(place[0]) - shape[6], shape[0], part, size[0])
-    my = _find_layer(np.float64(place[1]) - shape[7], shape[1], part, size[1])
-    mz = _find_layer(np.float64(place[2]) - shape[8], shape[2], part, size[2])
+    mx = _find_cell_layer(np.float64(place[0]) - shape[6], shape[0], part, size[0])
+    my = _find_cell_layer(np.float64(place[1]) - shape[7], shape[1], part, size[1])
+    mz = _find_cell_layer(np.float64(place[2]) - shape[8], shape[2], part, size[2])
     for x in range(3):
         for y in range(3):
             row = min(max(mx + x - 1, 0), size[0] - 1) * size[1] + min(max(my + y - 1, 0), size[1] - 1)
@@ -91,32 +91,31 @@ def prefetch_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64)
 
 
 @inlined
-def prefetch_lists(grid: GridTables, rows: Array1[I64], count: I64) -> None:
+def prefetch_face_lists_of_rows(grid: GridTables, rows: Array1[I64], count: I64) -> None:
     """Prefetch the first faces of `count` rows of three cubes."""
     first, face_list, bound = grid[2], grid[3], grid[4]
     last = first.size - 1
     for n in range(count):
         begin, end = first[rows[n]], first[min(rows[n] + 3, last)]
-        for k in range(begin, min(end, begin + _PREFETCHED_FACES), 2):
+        for k in range(begin, min(end, begin + _PREFETCHED_FACE_COUNT), 2):
             prefetch(bound, 8 * k)
         if begin < end:
             prefetch(face_list, begin)
 
 
 @inlined
-def _find_layer(coordinate: F64, low: F64, part: F64, size: I64) -> I64:
+def _find_cell_layer(coordinate: F64, low: F64, offset: F64, size: I64) -> I64:
     """Return the number of the layer of cubes at a coordinate (mm), limited to the grid. `part`: cubes per mm."""
-    return min(max(round_to_int(np.floor((coordinate - low) * part)), 0), size - 1)
+    return min(max(round_to_int(np.floor((coordinate - low) * offset)), 0), size - 1)
 
 
 @kernel_helper
 def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64, I64, Vec3]:
     """Return the squared distance to a point's nearest face, that face, and the nearest position on it.
 
-    If all faces are farther than `max_distance` (mm), the result may be NEAREST_BEYOND_RANGE or NEAREST_UNKNOWN instead of a
-    face. NEAREST_BEYOND_RANGE means that the point is in front of the nearest face, which is not measured. This is certain if a
-    face with the point in front of it is nearer than all faces with the point behind them. Bounds of the distances can show
-    it."""
+    If all faces are farther than `max_distance` (mm), the result may be NEAREST_FACE_BEYOND_RANGE or NEAREST_FACE_UNKNOWN
+    instead of a face. NEAREST_FACE_BEYOND_RANGE means that the point is in front of the nearest face, which is not measured. This
+    is certain if bounds of the distances show that a face with the point in front of it is nearer than all others."""
     shape, size, first, face_list, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, slack = shape[3], shape[4]
     part = 1.0 / width
@@ -147,7 +146,7 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
                     last = high if side else z
                     if side or abs(z - mz) == ring:
                         for k in range(first[row + z], first[row + last + 1]):
-                            height, from_ball = _measure_plane_and_ball(bound, k, p)
+                            height, from_ball = _measure_distances_to_plane_and_ball(bound, k, p)
                             if height > slack:
                                 if from_ball < ahead:
                                     ahead = from_ball
@@ -178,14 +177,14 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
         is_searching = not square_limit <= searched * searched
         ring += 1
     if max_distance < np.inf and (is_searching or best > max_distance * max_distance):
-        return np.inf, NEAREST_BEYOND_RANGE if square_limit < best and not is_searching else NEAREST_UNKNOWN, p
+        return np.inf, NEAREST_FACE_BEYOND_RANGE if square_limit < best and not is_searching else NEAREST_FACE_UNKNOWN, p
     if is_searching:
         best, face, place = np.inf, FACE_BEYOND_GRID, p
     return best, face, place
 
 
 @inlined
-def _measure_plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
+def _measure_distances_to_plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
     """Return a point's height above a face's plane, and its squared distance from the centre of the face's bounding ball."""
     nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
     height = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])

@@ -14,8 +14,9 @@ from antdsl.numerics.vectors import VectorComponents
 
 
 class Obstacle(Protocol):
-    """A surface that agents can sense ahead: a mesh (`RayScene`) or a solid (`SolidFeelers`). Positions and directions are 1-D
-    arrays of one length n; lengths are in mm."""
+    """A surface that agents can sense ahead: a mesh (`RayScene`) or a solid (`SolidProximityQueries`).
+
+    Positions and directions are 1-D arrays of one length n; lengths are in mm."""
 
     def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (float32[n]) from each position within which there is no surface; 0 near a surface."""

@@ -28,7 +28,7 @@ class PictureHits:
     v: NDArray[np.float32]
     normal: NDArray[np.float32]
 
-    def select(self, rows: Any) -> PictureHits:
+    def select_rows(self, rows: Any) -> PictureHits:
         """Return the hits in `rows`, which are numbers or a slice."""
         return PictureHits(*(getattr(self, each.name)[rows] for each in fields(self)))
 
@@ -66,7 +66,7 @@ class PictureRays:
         normal[faces_away] *= -1
         return PictureHits(t, face, u, v, normal)
 
-    def find_occluded(
+    def find_occluded_rays(
         self, origin: NDArray[Any], direction: NDArray[np.float32], max_parameter: float = np.inf, threads: int = 1
     ) -> NDArray[np.bool_]:
         """Return whether each ray hits anything before `max_parameter` lengths of its direction."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 _TRIANGLES_PER_CHUNK = 1 << 15  # triangles per batch
 # Pairs of a triangle and a cell per batch: the intermediate results fit into the processor's cache
 _PAIRS_PER_CHUNK = 1 << 13
-_CELL_SLACK = 1e-9  # cells
+_CELL_WIDTH_SLACK = 1e-9  # cells
 _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
 _MAX_TRIANGLE_EXTENT = 2.0  # extent in cells; a larger triangle is cut in four
 _MAX_CELL_NUMBER = float(1 << 62)
@@ -54,16 +54,18 @@ def _iterate_touched_cells(
         tri, triangle_numbers = tri[large], triangle_numbers[large]
         thin = _find_thin_triangles(tri)
         if not thin.all():
-            quarters, names = _quarter_triangles(tri[~thin]), np.tile(triangle_numbers[~thin], 4)
+            quarters, names = _split_triangles_in_four(tri[~thin]), np.tile(triangle_numbers[~thin], 4)
             for a in range(0, len(quarters), _TRIANGLES_PER_CHUNK):
                 todo.append((quarters[a : a + _TRIANGLES_PER_CHUNK], names[a : a + _TRIANGLES_PER_CHUNK]))
         if thin.any():
-            for slices, slice_rows in _slice_triangles(tri[thin]):
+            for slices, slice_rows in _iterate_triangle_chunks(tri[thin]):
                 for pairs in _iterate_touched_cells(slices, triangle_numbers[thin][slice_rows], exact, margin):
-                    yield _drop_repeats(*pairs)
+                    yield _drop_repeated_pairs(*pairs)
 
 
-def _drop_repeats(cells: NDArray[np.int64], triangle_numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _drop_repeated_pairs(
+    cells: NDArray[np.int64], triangle_numbers: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the pairs of cell and triangle without most duplicates. Duplicates occur because halves of a slice, and neighbouring
     parts, share cells."""
     lowest = cells.min(axis=0, initial=np.iinfo(np.int64).max)
@@ -87,7 +89,7 @@ def _find_thin_triangles(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
     return thin
 
 
-def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+def _iterate_triangle_chunks(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
     """Yield batches of slices of triangles, cut across their longest side, and the triangle number of each slice.
 
     A batch has at most `_TRIANGLES_PER_CHUNK` slices. The height cuts a triangle in two. Each half is cut along the height, from
@@ -114,7 +116,7 @@ def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.floa
         yield parts, np.tile(half % len(tri), 2)
 
 
-def _quarter_triangles(tri: NDArray[np.float64]) -> NDArray[np.float64]:
+def _split_triangles_in_four(tri: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return each triangle divided into four at the middles of its sides."""
     a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
@@ -167,11 +169,11 @@ def _find_touching_cells(
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]
     normal = [e[0][p] * e[1][q] - e[0][q] * e[1][p] for p, q in _OTHER_AXES]
     distance = np.abs(normal[0] * v[0][0] + normal[1] * v[0][1] + normal[2] * v[0][2])
-    touch: NDArray[np.bool_] = distance <= half * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _CELL_SLACK
+    touch: NDArray[np.bool_] = distance <= half * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _CELL_WIDTH_SLACK
     for edge in e:
         length = [np.abs(part) for part in edge]
         for p, q in _OTHER_AXES:
-            reach = half * (length[p] + length[q]) + _CELL_SLACK
+            reach = half * (length[p] + length[q]) + _CELL_WIDTH_SLACK
             projections = [edge[p] * w[q] - edge[q] * w[p] for w in v]
             touch &= np.minimum(np.minimum(projections[0], projections[1]), projections[2]) <= reach
             touch &= np.maximum(np.maximum(projections[0], projections[1]), projections[2]) >= -reach

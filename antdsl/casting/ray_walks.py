@@ -18,21 +18,21 @@ from numpy.typing import NDArray
 
 from antdsl.casting.faces import find_nearest_on_face
 from antdsl.casting.grid_rays import GridTables
-from antdsl.casting.tolerances import NEAREST_UNKNOWN, NO_FACE
+from antdsl.casting.tolerances import NEAREST_FACE_UNKNOWN, NO_FACE
 from antdsl.machine_code.kernels import inlined, kernel, kernel_helper, load_consecutive, prefetch, round_to_int
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
 
 if TYPE_CHECKING:
-    from antdsl.casting.faces import Faces
+    from antdsl.casting.faces import TriangleFaces
 
 RingTables = tuple[Array1[F64], Array1[I32], Array1[F32]]  # as `build_ring_tables`
 Plane = tuple[F64, F64, F64, F64]
 Arrays = tuple[NDArray[Any], ...]
 CornerTables = tuple[Array1[I64], Array1[I64], Array1[I64], Array1[BOOL]]
 
-RING_ROW_WORDS, LINK_OFFSET, BALL_OFFSET = 32, 24, 28  # 4-byte words per row, and the offsets of its parts
+WORDS_PER_RING_ROW, SIDE_LINK_OFFSET, CLEAR_BALL_OFFSET = 32, 24, 28  # 4-byte words per row, and the offsets of its parts
 _MAX_SEARCHED_FACES, _MAX_WALKED_FACES = (
     4,
     3,
@@ -44,12 +44,12 @@ _SQUARE_ROUNDING_FACTOR = 1 + 1e-5  # exceeds the rounding error of a square in 
 _MIN_FACES_PER_THREAD = 512  # fewer faces are not worth another thread
 
 
-def build_ring_tables(faces: Faces, grid: GridTables, store_tables: bool, threads: int = 1) -> Arrays:
+def build_ring_tables(faces: TriangleFaces, grid: GridTables, store_tables: bool, threads: int = 1) -> Arrays:
     """Return the table that walks read: two cache lines for each face, as three views of one array.
 
     - float64[16 m]: the three planes of a face
-    - int32[32 m]: at LINK_OFFSET, the face across the side opposite each corner, -1 for none
-    - float32[32 m]: at BALL_OFFSET, the middle and squared radius of the ball; the radius is 0 if the ring is open or not flat
+    - int32[32 m]: at SIDE_LINK_OFFSET, the face across the side opposite each corner, -1 for none
+    - float32[32 m]: at CLEAR_BALL_OFFSET, middle and squared radius of the ball; radius 0 if the ring is open or not flat
 
     If `store_tables`, the table is stored for other runs."""
     count = len(faces.corners) if store_tables else 0
@@ -59,13 +59,17 @@ def build_ring_tables(faces: Faces, grid: GridTables, store_tables: bool, thread
     space = np.zeros(16 * len(faces.corners) + 8)
     rows = space[-space.ctypes.data % 64 // 8 :][: 16 * len(faces.corners)].reshape(-1, 4, 4)
     links, balls = (rows.reshape(-1, 16).view(kind) for kind in (np.int32, np.float32))
-    rows[:, :3], links[:, LINK_OFFSET : LINK_OFFSET + 3], balls[:, BALL_OFFSET:] = grid[5], tables["links"], tables["balls"]
+    rows[:, :3], links[:, SIDE_LINK_OFFSET : SIDE_LINK_OFFSET + 3], balls[:, CLEAR_BALL_OFFSET:] = (
+        grid[5],
+        tables["links"],
+        tables["balls"],
+    )
     return rows.ravel(), links.ravel(), balls.ravel()
 
 
-def _compute_ring_tables(faces: Faces, grid: GridTables, threads: int) -> stored_tables.Tables:
+def _compute_ring_tables(faces: TriangleFaces, grid: GridTables, threads: int) -> stored_tables.Tables:
     """Return the links and balls of all faces, as `build_ring_tables` describes them."""
-    tables = faces.build_tables()
+    tables = faces.build_kernel_tables()
     assert tables is not None
     weld, first, face_list = tables[2:]
     three = weld.reshape(-1, 3)
@@ -78,7 +82,7 @@ def _compute_ring_tables(faces: Faces, grid: GridTables, threads: int) -> stored
     closed[three[thin]] = False
     balls = np.zeros((len(links), 4), np.float32)
     parallel.run_in_parts(
-        partial(_find_balls, grid, (weld, first, face_list, closed), balls), len(links), threads, _MIN_FACES_PER_THREAD
+        partial(_write_clear_balls, grid, (weld, first, face_list, closed), balls), len(links), threads, _MIN_FACES_PER_THREAD
     )
     return {"links": links, "balls": balls}
 
@@ -100,7 +104,7 @@ def _find_side_links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
 
 
 @kernel
-def _find_balls(grid: GridTables, corners: CornerTables, balls: Array2[F32], begin: I64, end: I64) -> None:
+def _write_clear_balls(grid: GridTables, corners: CornerTables, balls: Array2[F32], begin: I64, end: I64) -> None:
     """Write the middle and squared radius of the balls of faces `begin` to `end` (exclusive) into `balls`.
 
     `corners`: the last three arrays of `Faces.build_tables`, and for each vertex whether no side at it is open."""
@@ -110,14 +114,14 @@ def _find_balls(grid: GridTables, corners: CornerTables, balls: Array2[F32], beg
         for j in range(3):
             middle = plus(middle, (points[f, j, 0] / 3.0, points[f, j, 1] / 3.0, points[f, j, 2] / 3.0))
         radius = 0.0
-        if _has_flat_ring(grid, corners, f, middle):
+        if _is_ring_flat(grid, corners, f, middle):
             radius = max(_measure_ring_clearance(grid, weld, f, middle) - 2.0 * grid[0][4], 0.0)
         balls[f, 0], balls[f, 1], balls[f, 2] = np.float32(middle[0]), np.float32(middle[1]), np.float32(middle[2])
         balls[f, 3] = np.float32(radius * radius / _SQUARE_ROUNDING_FACTOR)
 
 
 @kernel_helper
-def _has_flat_ring(grid: GridTables, corners: CornerTables, f: I64, middle: Vec3) -> BOOL:
+def _is_ring_flat(grid: GridTables, corners: CornerTables, f: I64, middle: Vec3) -> BOOL:
     """Return whether the ring of a face is closed and, seen along the normal, its border goes once around the middle."""
     points, normals = grid[6], grid[7]
     weld, first, face_list, closed = corners
@@ -197,18 +201,18 @@ def prefetch_first_face(rings: RingTables, face: I64) -> None:
 def find_hit_by_walk(grid: GridTables, rings: RingTables, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """Return the result of `find_first_hit`, found by a walk over faces from the face below the ray's origin `a`.
 
-    The search for this first face begins at the face `start`. The face in the result is NEAREST_UNKNOWN if a walk cannot
+    The search for this first face begins at the face `start`. The face in the result is NEAREST_FACE_UNKNOWN if a walk cannot
     answer."""
     links, balls = rings[1], rings[2]
     f = _find_face_below(rings, start, a)
-    if f < 0 or not _is_in_ball(balls, f, a):
-        return np.inf, NEAREST_UNKNOWN
-    plane, _, _ = _load_planes(rings, f)
+    if f < 0 or not _is_in_clear_ball(balls, f, a):
+        return np.inf, NEAREST_FACE_UNKNOWN
+    plane, _, _ = _load_side_planes(rings, f)
     up = plane[0], plane[1], plane[2]
     h = grid[0][5] / np.sqrt(dot(w, w))
     g, count = f, 0
     while g >= 0 and count < _MAX_WALKED_FACES:
-        plane, plane1, plane2 = _load_planes(rings, g)
+        plane, plane1, plane2 = _load_side_planes(rings, g)
         height, slope = _evaluate_plane(plane, a), _evaluate_plane_slope(plane, w)
         a1, d1 = _evaluate_plane(plane1, a), _evaluate_plane_slope(plane1, w)
         a2, d2 = _evaluate_plane(plane2, a), _evaluate_plane_slope(plane2, w)
@@ -216,7 +220,9 @@ def find_hit_by_walk(grid: GridTables, rings: RingTables, start: I64, a: Vec3, w
         if t > h and t <= 1.0:
             w1, w2 = a1 + t * d1, a2 + t * d2
             least_weight = min(min((1.0 - w1) - w2, w1), w2)
-            if least_weight >= _MIN_INSIDE_WEIGHT and _is_in_ball(balls, f, (a[0] + t * w[0], a[1] + t * w[1], a[2] + t * w[2])):
+            if least_weight >= _MIN_INSIDE_WEIGHT and _is_in_clear_ball(
+                balls, f, (a[0] + t * w[0], a[1] + t * w[1], a[2] + t * w[2])
+            ):
                 return t, g
             if least_weight > -_MIN_INSIDE_WEIGHT:
                 break
@@ -229,14 +235,14 @@ def find_hit_by_walk(grid: GridTables, rings: RingTables, start: I64, a: Vec3, w
         face_end = min(min(min(out0, out1), -a2 / d2 if d2 < 0 else 1.0), 1.0)
         w0, w1, w2 = a0 + face_end * d0, a1 + face_end * d1, a2 + face_end * d2
         if face_end == 1.0:
-            if min(min(w0, w1), w2) >= _MIN_INSIDE_WEIGHT and _is_in_ball(balls, f, plus(a, w)):
+            if min(min(w0, w1), w2) >= _MIN_INSIDE_WEIGHT and _is_in_clear_ball(balls, f, plus(a, w)):
                 return np.inf, NO_FACE
             break
         if max(max(min(w0, w1), min(w1, w2)), min(w2, w0)) < _MIN_INSIDE_WEIGHT:
             break
-        g = links[RING_ROW_WORDS * g + LINK_OFFSET + _find_least_index(w0, w1, w2)]
+        g = links[WORDS_PER_RING_ROW * g + SIDE_LINK_OFFSET + _find_index_of_minimum(w0, w1, w2)]
         count += 1
-    return np.inf, NEAREST_UNKNOWN
+    return np.inf, NEAREST_FACE_UNKNOWN
 
 
 @inlined
@@ -245,19 +251,23 @@ def _find_face_below(rings: RingTables, start: I64, place: Vec3) -> I64:
     the position is near a side."""
     f, count = start, 0
     while f >= 0 and count < _MAX_SEARCHED_FACES:
-        _, plane1, plane2 = _load_planes(rings, f)
+        _, plane1, plane2 = _load_side_planes(rings, f)
         w1, w2 = _evaluate_plane(plane1, place), _evaluate_plane(plane2, place)
         w0 = (1.0 - w1) - w2
         least_weight = min(min(w0, w1), w2)
         if least_weight >= _MIN_INSIDE_WEIGHT:
             return f
-        f = np.int64(rings[1][RING_ROW_WORDS * f + LINK_OFFSET + _find_least_index(w0, w1, w2)]) if least_weight < 0 else -1
+        f = (
+            np.int64(rings[1][WORDS_PER_RING_ROW * f + SIDE_LINK_OFFSET + _find_index_of_minimum(w0, w1, w2)])
+            if least_weight < 0
+            else -1
+        )
         count += 1
     return -1
 
 
 @inlined
-def _load_planes(rings: RingTables, f: I64) -> tuple[Plane, Plane, Plane]:
+def _load_side_planes(rings: RingTables, f: I64) -> tuple[Plane, Plane, Plane]:
     """Return the three planes of a face: the plane of the face, and two that give the weights of its second and third corner."""
     x0, y0, z0, c0, x1, y1, z1, c1, x2, y2, z2, c2 = load_consecutive(rings[0], 16 * f, 12)
     return (x0, y0, z0, c0), (x1, y1, z1, c1), (x2, y2, z2, c2)
@@ -276,14 +286,14 @@ def _evaluate_plane_slope(plane: Plane, displacement: Vec3) -> F64:
 
 
 @inlined
-def _find_least_index(a: F64, b: F64, c: F64) -> I64:
+def _find_index_of_minimum(a: F64, b: F64, c: F64) -> I64:
     """Return the index of the least number; of equal ones, the first."""
     return 0 if a <= b and a <= c else (1 if b <= c else 2)
 
 
 @inlined
-def _is_in_ball(balls: Array1[F32], f: I64, place: Vec3) -> BOOL:
+def _is_in_clear_ball(balls: Array1[F32], f: I64, place: Vec3) -> BOOL:
     """Return whether a position is in the ball of a face."""
-    x, y, z, square = load_consecutive(balls, RING_ROW_WORDS * f + BALL_OFFSET, 4)
+    x, y, z, square = load_consecutive(balls, WORDS_PER_RING_ROW * f + CLEAR_BALL_OFFSET, 4)
     gap = minus(place, (np.float64(x), np.float64(y), np.float64(z)))
     return dot(gap, gap) < np.float64(square)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
-from antdsl.casting.faces import Faces, find_nearest_on_triangle
-from antdsl.casting.nearby import RAY_LENGTH_FACTOR, Index, ProximityQueries, Vectors
+from antdsl.casting.faces import TriangleFaces, find_nearest_on_triangle
+from antdsl.casting.nearby import RAY_LENGTH_SAFETY_FACTOR, Index, ProximityQueries, Vectors
 from antdsl.casting.open3d_module import load_open3d, require_open3d
 from antdsl.casting.ray_walks import Arrays, build_ring_tables
 from antdsl.casting.tolerances import FACE_BEYOND_GRID, NO_FACE
@@ -23,7 +23,9 @@ RayHits = tuple[Index, Vectors, Index, Vectors]
 
 _RAYS_PER_CHUNK = 1 << 16  # rays per chunk
 _MAX_RECASTS = 16  # maximum number of faces that a ray may miss by less than the tolerance
-_NUDGE_IN_TOLERANCES = 8.0  # tolerances; a point moved this far from its face is nearer to an equally near face on another side
+_RECAST_NUDGE_IN_TOLERANCES = (
+    8.0  # tolerances; a point moved this far from its face is nearer to an equally near face on another side
+)
 _MAX_RAYS_IN_ONE_CAST = 128  # for up to this number of rays, one cast to the end of the scene is faster than two queries
 _MAX_NEAREST_DISTANCE_MM = 1e15  # much farther away, Open3D reports no nearest face, because squares overflow in float32
 FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero, float32 is exact to a ten-thousandth of a millimetre
@@ -100,7 +102,7 @@ class RayScene(ProximityQueries):
         middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
         # Multiples of a metre, and zero near the origin, so that another mesh at the border changes no bit of other results.
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR_FROM_ORIGIN_MM else np.zeros(3)
-        self._faces = Faces(corners - self.origin, self._is_short_lived, self._largest_coordinate)
+        self._faces = TriangleFaces(corners - self.origin, self._is_short_lived, self._largest_coordinate)
         self._is_empty = not len(corners)
         if not self._is_empty:
             require_open3d()
@@ -234,7 +236,7 @@ class RayScene(ProximityQueries):
             are_many = len(rows) > _MAX_RAYS_IN_ONE_CAST and not most_hit
             if max_parameter < np.inf and are_many:
                 # A ray without a hit traverses the complete scene. Only occlusion queries can limit its length.
-                maybe = self._test_occlusions(rays, max_parameter * RAY_LENGTH_FACTOR, threads).nonzero()[0]
+                maybe = self._test_open3d_occlusions(rays, max_parameter * RAY_LENGTH_SAFETY_FACTOR, threads).nonzero()[0]
                 rows, rays = rows.take(maybe), rays.take(maybe, axis=0)
                 a, w = a.take(maybe, axis=0), w.take(maybe, axis=0)
                 begin = None if begin is None else begin[maybe]
@@ -244,7 +246,7 @@ class RayScene(ProximityQueries):
             if (
                 max_parameter < np.inf and not are_many
             ):  # a ray is occluded before the end exactly if its first hit lies before the end
-                reported[part > np.float32(max_parameter * RAY_LENGTH_FACTOR)] = -1
+                reported[part > np.float32(max_parameter * RAY_LENGTH_SAFETY_FACTOR)] = -1
             t: NDArray[Any] = part if begin is None else begin + part
             if reported.min() < 0:
                 named_rows = np.flatnonzero(reported >= 0)
@@ -252,7 +254,7 @@ class RayScene(ProximityQueries):
                     break
                 rows, t, reported = (rows.take(named_rows), t.take(named_rows), reported.take(named_rows))
                 a, w = a.take(named_rows, axis=0), w.take(named_rows, axis=0)
-            fractions, weights, hit, tolerances = self._faces.check_hits(reported, a, w, t)
+            fractions, weights, hit, tolerances = self._faces.recompute_reported_hits(reported, a, w, t)
             if hit.all():
                 batches.append((rows, fractions, reported, weights))
                 break
@@ -297,7 +299,7 @@ class RayScene(ProximityQueries):
         facing: NDArray[np.float32] = np.where(projection[:, None] > 0, -normal, normal).astype(np.float32)
         return facing
 
-    def find_occluded(
+    def find_occluded_rays(
         self, origin: Vectors, direction: Vectors, max_parameter: float = np.inf, threads: int = 1
     ) -> NDArray[np.bool_]:
         """Return whether each ray hits anything before `max_parameter` lengths of its direction. The result is Open3D's: for
@@ -305,9 +307,9 @@ class RayScene(ProximityQueries):
         rays = np.empty((len(origin), 6), np.float32)
         np.subtract(origin, self.origin, out=rays[:, :3], casting="unsafe")
         rays[:, 3:] = direction
-        return self._test_occlusions(rays, max_parameter, threads)
+        return self._test_open3d_occlusions(rays, max_parameter, threads)
 
-    def _test_occlusions(self, rays: NDArray[np.float32], max_parameter: float, threads: int) -> NDArray[np.bool_]:
+    def _test_open3d_occlusions(self, rays: NDArray[np.float32], max_parameter: float, threads: int) -> NDArray[np.bool_]:
         """Return whether prepared rays hit anything before `max_parameter` lengths of their directions, by Open3D."""
         if self._is_empty or len(rays) == 0:
             return np.zeros(len(rays), bool)
@@ -355,7 +357,7 @@ class RayScene(ProximityQueries):
         if candidates.size:
             local_points, square, one = local_points[candidates], square[candidates], face[candidates]
             nudge = (local_points - place[candidates]) * (
-                _NUDGE_IN_TOLERANCES * self._faces.tolerance / np.maximum(distance[candidates], 1e-30)
+                _RECAST_NUDGE_IN_TOLERANCES * self._faces.tolerance / np.maximum(distance[candidates], 1e-30)
             )[:, None]
             other_places, other_squares, other = self._faces.find_nearest(
                 local_points, self._query_open3d_nearest(local_points + nudge, threads)

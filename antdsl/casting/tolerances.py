@@ -7,6 +7,6 @@ ROUNDING_BOUND = 1e-4  # relative, and in mm; exceeds any rounding of a position
 
 NO_FACE, FACE_BEYOND_GRID = -1, -2  # results instead of a face: no face; the grid has no answer
 # Results of a search within a distance: the nearest face is farther and faces the point; the grid has no answer
-NEAREST_BEYOND_RANGE, NEAREST_UNKNOWN = -3, -4
+NEAREST_FACE_BEYOND_RANGE, NEAREST_FACE_UNKNOWN = -3, -4
 MAX_RAY_CUBES = 16.0  # maximum number of cubes along a ray, summed over the axes; many longer rays are faster in a tree
 MAX_SEARCH_RINGS = 4  # rings of cubes around a point that are searched for its nearest face

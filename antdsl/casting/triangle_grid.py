@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting import grid_rays, nearest_faces
 from antdsl.casting.distance_grid import choose_cell_width, measure_sides_and_area
-from antdsl.casting.faces import Faces
+from antdsl.casting.faces import TriangleFaces
 from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.tolerances import MAX_RAY_CUBES, MAX_SEARCH_RINGS
 from antdsl.numerics import parallel, stored_tables
@@ -27,7 +27,7 @@ Index = NDArray[np.int64]
 Float32Array = NDArray[np.float32]
 PointColumns = tuple[Float32Array, Float32Array, Float32Array]
 Arrays = tuple[NDArray[Any], ...]
-Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Float32Array, Floats, Floats, Floats]
+GridTableArrays = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Float32Array, Floats, Floats, Floats]
 
 _CUBE_WIDTH_IN_FACE_EDGES = 1.0  # edge of a cube, in mean face edges
 _MAX_CUBES = 400_000
@@ -47,7 +47,7 @@ class TriangleGrid:
     - plane and bounding ball of each listed face, float32[e,8]
     - planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces"""
 
-    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats, store_tables: bool = True) -> None:
+    def __init__(self, faces: TriangleFaces, planes: Floats, width: float, origin: Floats, store_tables: bool = True) -> None:
         corners = faces.corners
         low = corners.min(axis=(0, 1)) - width / 4
         size = np.floor((corners.max(axis=(0, 1)) + width / 4 - low) / width).astype(np.int64) + 1
@@ -58,13 +58,13 @@ class TriangleGrid:
         slack = 1e-6 * (
             float(np.abs(corners).max()) + (MAX_RAY_CUBES + MAX_SEARCH_RINGS) * width
         )  # several times the rounding error of float32
-        self.tables: Tables = (
+        self.tables: GridTableArrays = (
             np.array([*low, width, slack, faces.tolerance, *origin]),  # lowest corner of the grid; world position of its zero
             size,
             first,
             face_list,
             _compute_face_bounds(corners, normals)[face_list],
-            np.ascontiguousarray(_drop_thin_planes(corners, planes)),
+            np.ascontiguousarray(_clear_planes_of_thin_faces(corners, planes)),
             np.ascontiguousarray(corners),
             normals,
         )
@@ -72,12 +72,12 @@ class TriangleGrid:
         self.mean_faces_per_cube = float((faces_per_cube * faces_per_cube).sum() / max(faces_per_cube.sum(), 1.0))
 
     @staticmethod
-    def from_faces(faces: Faces, origin: Floats, store_tables: bool = True) -> TriangleGrid | None:
+    def from_faces(faces: TriangleFaces, origin: Floats, store_tables: bool = True) -> TriangleGrid | None:
         """Return a grid if it is useful and not too large; otherwise None. Its size is computed before any allocation.
 
         - `origin`: the world position that the corners of the faces are relative to
         - `store_tables`: whether another run may need the same faces"""
-        tables = faces.build_tables()
+        tables = faces.build_kernel_tables()
         width = None if tables is None else _choose_cube_width(faces.corners)
         if tables is None or width is None:
             return None
@@ -200,7 +200,7 @@ def _compute_face_bounds(corners: Floats, normals: Floats) -> Float32Array:
     return np.concatenate([plane, middle, radius[:, None]], axis=1).astype(np.float32)
 
 
-def _drop_thin_planes(corners: Floats, planes: Floats) -> Floats:
+def _clear_planes_of_thin_faces(corners: Floats, planes: Floats) -> Floats:
     """Return planes [m,3,4], set to zero for faces that are too thin to define one."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     size = dot(planes[:, 0, :3], planes[:, 0, :3])

@@ -16,7 +16,7 @@ from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.rays import MeshArrays
 from antdsl.fields.block_index import EMPTY_BLOCK_INDEX, EMPTY_CELLS, BlockIndex, compute_group_ranks, sum_by_key
 from antdsl.fields.cell_lookup import VoxelCellIndex, update_cell_lookups
-from antdsl.ground.mesh.topology import find_facing_sides
+from antdsl.ground.mesh.topology import classify_normal_directions
 from antdsl.numerics import parallel, stored_tables
 
 Floats = NDArray[np.float64]
@@ -93,7 +93,7 @@ class SurfaceCells:
         """Return the arrays `keys`, `position` and `normal` of all cells of triangles with the given `corners` and normals.
 
         `scaled_corners`: the corners in units of voxels. `max_cells`: the number of cells above which FieldTooFine is raised."""
-        side = find_facing_sides(normal)
+        side = classify_normal_directions(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
         for voxel, face in iterate_triangle_cells(scaled_corners):
@@ -115,7 +115,7 @@ class SurfaceCells:
 
     @property
     def side_by_cell(self) -> NDArray[np.int64]:
-        """Return the side of each cell: the number of the axis direction that it faces, as from `find_facing_sides`."""
+        """Return the side of each cell: the number of the axis direction that it faces, as from `classify_normal_directions`."""
         return self._keys % 6
 
     def _pack_keys(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
@@ -159,10 +159,10 @@ class SurfaceCells:
 
         If there is none, return the nearest cell in the 27 voxels around the point that does not have the opposite side, else
         -1. `normals` [n,3]: the normal of the face under each point, also if an agent walks on its back."""
-        return self.find_cells_by_side(points, find_facing_sides(np.asarray(normals).reshape(-1, 3)))
+        return self.find_cells_by_side(points, classify_normal_directions(np.asarray(normals).reshape(-1, 3)))
 
     def find_cells_by_side(self, points: Floats, sides: NDArray[np.int8]) -> Cells:
-        """Return cells as `find_cells` does, for faces with sides int8[n] as numbered by `find_facing_sides`."""
+        """Return cells as `find_cells` does, for faces with sides int8[n] as numbered by `classify_normal_directions`."""
         return self.update_cells(points, sides, None)[0]
 
     def update_cells(
@@ -265,7 +265,7 @@ class SurfaceCells:
         return table
 
     def get_sides_of_cells(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Return the sides of the given cells, numbered as by `find_facing_sides`."""
+        """Return the sides of the given cells, numbered as by `classify_normal_directions`."""
         return self._keys.take(cell) % 6
 
     def _find_nearby_cells(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:

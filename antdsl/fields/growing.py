@@ -11,7 +11,7 @@ from antdsl import limits
 from antdsl.casting.rays import MeshArrays
 from antdsl.fields.block_index import sum_by_key
 from antdsl.fields.cells import VOXEL_BLOCK_OFFSETS, Cells, Floats, SurfaceCells, are_sides_compatible
-from antdsl.ground.mesh.topology import find_facing_sides
+from antdsl.ground.mesh.topology import classify_normal_directions
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, allocate_scratch, inlined, kernel
 
 _GROWTH_DIVISOR = 8  # capacity grows by 1 / this number, so that most steps need no copy
@@ -47,7 +47,7 @@ class GrowingCells(SurfaceCells):
         voxel = np.floor(positions / self.cell + 0.5).astype(np.int64) - self._low
         is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         positions, normals, voxel = positions[is_in_box], normals[is_in_box], voxel[is_in_box]
-        key = self._pack_keys(voxel, find_facing_sides(normals))
+        key = self._pack_keys(voxel, classify_normal_directions(normals))
         fresh = self._find_cells_by_key(key, np.ones(len(key), np.bool_)) < 0
         keys, sums = sum_by_key(key[fresh], np.column_stack([positions[fresh], normals[fresh], np.ones(int(fresh.sum()))]))
         normal = sums[:, 3:6] / np.maximum(np.sqrt((sums[:, 3:6] ** 2).sum(axis=1)), 1e-300)[:, None]

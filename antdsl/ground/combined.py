@@ -10,11 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import find_facing_sides
+from antdsl.ground.mesh.topology import classify_normal_directions
 from antdsl.ground.protocol import Floats, Footing, GroundMove, MeshSurfaces
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid import move_over_solid as walk_on
-from antdsl.ground.solid_queries import cast_down, cast_from_above, compute_normals, find_entry_fraction
+from antdsl.ground.solid_queries import (
+    compute_solid_normals,
+    find_entry_fraction,
+    find_surface_points_below,
+    find_top_surface_points,
+)
 from antdsl.numerics.vector_rows import compute_unit_tangents, find_rows_in_box, length, make_columns_contiguous, take_rows
 from antdsl.numerics.vectors import rotate_between_normals
 
@@ -22,11 +27,11 @@ Rows = NDArray[np.intp]
 
 _OPEN_DEPTH_VOXELS = 0.05  # voxels below a solid's surface; mesh ground down to this depth is still open
 _MAX_SURFACE_CHANGES = 4  # maximum number of changes between meshes and solids in one step
-_EYE_HEIGHT_PER_BODY = 0.02  # body lengths above the path from which an agent searches for meshes
+_EYE_HEIGHT_BODY_LENGTHS = 0.02  # body lengths above the path from which an agent searches for meshes
 
 
 @dataclass(slots=True)
-class _WalkState:
+class _CombinedWalkState:
     """Agents during a walk: footings, positions, orientations, and remaining displacements. Each component is contiguous."""
 
     footing: Footing
@@ -42,8 +47,7 @@ class _WalkState:
 
 @dataclass(slots=True)
 class _SolidEntries:
-    """Agents that entered undug solid: their rows, the numbers of the solids, the fraction of their path before the entry, and
-    the positions of the entries."""
+    """Agents that entered undug solid: their rows, solid numbers, path fractions before the entry, and entry positions."""
 
     rows: Rows
     solids: NDArray[np.intp]
@@ -65,7 +69,7 @@ class CombinedGround:
 
     def create_unplaced(self, n: int) -> Footing:
         """Return footings for n agents that stand on nothing yet."""
-        return Footing.create_unplaced(n).add_position_columns()
+        return Footing.create_unplaced(n).with_position_columns()
 
     def place_points(
         self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None
@@ -83,22 +87,22 @@ class CombinedGround:
         footing, is_placed = self.create_unplaced(len(points)), np.zeros(len(points), np.bool_)
         if meshes and self.meshes is not None:
             on_mesh, is_placed = self.meshes.place_points(points, up, meshes)
-            footing = on_mesh.add_position_columns()
+            footing = on_mesh.with_position_columns()
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
         place = self.position(footing)
         known = footing.mesh >= 0
         height = np.where(known, ((place - points) * up).sum(axis=1), -np.inf)
         for k, volume in enumerate(self._volumes):
             is_requested = self.names[self._count + k] in names
-            buried = known & (volume.sample(place) < -_OPEN_DEPTH_VOXELS * volume.voxel)
+            buried = known & (volume.sample_distances(place) < -_OPEN_DEPTH_VOXELS * volume.voxel)
             rows = np.arange(len(points)) if is_requested else np.flatnonzero(buried)
             if not rows.size:
                 continue
-            top, is_hit = cast_from_above(volume, points[rows], up[rows])
+            top, is_hit = find_top_surface_points(volume, points[rows], up[rows])
             higher = is_hit & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
             higher |= is_hit & buried[rows]
             chosen = rows[higher]
-            footing.put_rows(chosen, Footing.from_solids(self._count + k, top[higher]))
+            footing.write_rows(chosen, Footing.from_solids(self._count + k, top[higher]))
             place[chosen] = top[higher]
             height[chosen] = ((top[higher] - points[chosen]) * up[chosen]).sum(axis=1)
             is_placed = is_placed.copy()
@@ -115,7 +119,7 @@ class CombinedGround:
         meshes = [name for name in self.names[: self._count] if name in names]
         if meshes and self.meshes is not None:
             on_mesh, distance = self.meshes.find_nearest(points, meshes)
-            footing, distance = on_mesh.add_position_columns(), distance.copy()
+            footing, distance = on_mesh.with_position_columns(), distance.copy()
         for k, volume in enumerate(self._volumes):
             if self.names[self._count + k] not in names:
                 continue
@@ -123,7 +127,7 @@ class CombinedGround:
             landed = volume.project_to_surface(points, hints / np.maximum(length(hints), 1e-12)[:, None], volume.distance_band[1])
             away = length(landed.points - points)
             rows = np.flatnonzero(landed.is_in_reach & (away < distance))
-            footing.put_rows(rows, Footing.from_solids(self._count + k, landed.points[rows]))
+            footing.write_rows(rows, Footing.from_solids(self._count + k, landed.points[rows]))
             distance[rows] = away[rows]
         return footing, distance
 
@@ -132,7 +136,7 @@ class CombinedGround:
         place = np.stack([footing.x, footing.y, footing.z], axis=1)
         rows = self._find_mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            place[rows] = self.meshes.position(footing.take_on_meshes(rows))
+            place[rows] = self.meshes.position(footing.select_rows_on_meshes(rows))
         return place
 
     def normal(self, footing: Footing) -> Floats:
@@ -140,30 +144,30 @@ class CombinedGround:
         normal = np.zeros((len(footing), 3))
         rows = self._find_mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            normal[rows] = self.meshes.normal(footing.take_on_meshes(rows))
+            normal[rows] = self.meshes.normal(footing.select_rows_on_meshes(rows))
         for k, volume in enumerate(self._volumes):
             rows = self._find_solid_rows(footing, k)
             if rows.size:
-                normal[rows] = compute_normals(volume, self.position(footing.take_rows(rows)))
+                normal[rows] = compute_solid_normals(volume, self.position(footing.select_rows(rows)))
         return normal
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Return the axis direction nearest to each normal, numbered as in `MeshGround.find_sides`."""
         rows = self._find_mesh_rows(footing)
         if rows.size == len(footing) and self.meshes is not None:
-            return self.meshes.find_sides(footing.take_on_meshes(rows), threads)
-        return np.where(footing.mesh >= 0, find_facing_sides(self.normal(footing)), np.int8(0))
+            return self.meshes.find_sides(footing.select_rows_on_meshes(rows), threads)
+        return np.where(footing.mesh >= 0, classify_normal_directions(self.normal(footing)), np.int8(0))
 
     def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Return smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
         result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)))
         rows = self._find_mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            result[rows] = self.meshes.compute_upright_normals(footing.take_on_meshes(rows), result[rows])
+            result[rows] = self.meshes.compute_upright_normals(footing.select_rows_on_meshes(rows), result[rows])
         for k, volume in enumerate(self._volumes):
             rows = self._find_solid_rows(footing, k)
             if rows.size:
-                result[rows] = volume.compute_upright_normals(self.position(footing.take_rows(rows)), result[rows])
+                result[rows] = volume.compute_upright_normals(self.position(footing.select_rows(rows)), result[rows])
         return result
 
     # ---- moving
@@ -184,7 +188,7 @@ class CombinedGround:
         remaining = make_columns_contiguous(displacement)
         np.nan_to_num(remaining, copy=False, posinf=0.0, neginf=0.0)
         ahead = make_columns_contiguous(heading)
-        walk = _WalkState(
+        walk = _CombinedWalkState(
             footing.copy(),
             np.empty((3, n)).T,
             make_columns_contiguous(up),
@@ -201,13 +205,13 @@ class CombinedGround:
         for hop in range(_MAX_SURFACE_CHANGES):
             if not rows.size:
                 break
-            rows = self._walk_stretch(walk, rows, body, threads, is_last=hop == _MAX_SURFACE_CHANGES - 1)
+            rows = self._walk_until_surface_change(walk, rows, body, threads, is_last=hop == _MAX_SURFACE_CHANGES - 1)
         lost = footing.mesh < 0
         return GroundMove(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.distance, walk.is_blocked, lost)
 
     # ---- parts of moving
 
-    def _walk_stretch(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
+    def _walk_until_surface_change(self, walk: _CombinedWalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
         """Walk `rows` on their current mesh or solid. Agents that reach another one are placed on its surface. Return the agents
         with distance left."""
         again = []
@@ -221,19 +225,19 @@ class CombinedGround:
                 again.append(self._walk_on_solid(walk, mine, k, volume, body, threads, is_last))
         return np.sort(np.concatenate(again))
 
-    def _walk_on_meshes(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
+    def _walk_on_meshes(self, walk: _CombinedWalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
         """Walk `rows` over meshes, up to the first solid. Return the agents with distance left."""
         meshes = self.meshes
         assert meshes is not None
-        previous_footing = walk.footing.take_on_meshes(rows)
+        previous_footing = walk.footing.select_rows_on_meshes(rows)
         wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining_displacements, walk.heading, walk.up))
         moved = meshes.move(previous_footing, wish, ahead, up, body[rows], threads, walk.stops_at_borders)
-        entries = self._find_entries(moved.position, lambda rows: meshes.position(previous_footing.take_rows(rows)))
+        entries = self._find_solid_entries(moved.position, lambda rows: meshes.position(previous_footing.select_rows(rows)))
         self._finish_walks(walk, rows, entries.rows, moved)
         return self._step_onto_solid(walk, rows, entries, moved, body, threads, is_last)
 
     @staticmethod
-    def _finish_walks(walk: _WalkState, rows: Rows, unfinished_rows: Rows, move: GroundMove) -> None:
+    def _finish_walks(walk: _CombinedWalkState, rows: Rows, unfinished_rows: Rows, move: GroundMove) -> None:
         """Store the results of all agents in `rows` that have finished their walk. The agents in `unfinished_rows` have not."""
         footing, vectors = move.footing, [move.position, move.up, move.heading, move.direction]
         travelled, blocked = move.travelled, move.is_blocked
@@ -241,10 +245,10 @@ class CombinedGround:
             has_ended = np.ones(rows.size, np.bool_)
             has_ended[unfinished_rows] = False
             of = np.flatnonzero(has_ended)
-            rows, footing = rows[of], footing.take_rows(of)
+            rows, footing = rows[of], footing.select_rows(of)
             vectors = [take_rows(v, of) for v in vectors]
             travelled, blocked = travelled[of], blocked[of]
-        walk.footing.put_rows(rows, footing)
+        walk.footing.write_rows(rows, footing)
         for into, vector in zip((walk.place, walk.up, walk.heading, walk.direction), vectors, strict=True):
             for axis in range(3):
                 into[rows, axis] = vector[:, axis]
@@ -252,7 +256,7 @@ class CombinedGround:
         walk.is_blocked[rows] |= blocked
         walk.remaining_displacements[rows] = 0.0
 
-    def _find_entries(self, end: Floats, start: Callable[[Rows], Floats], ignored_solid: int = -1) -> _SolidEntries:
+    def _find_solid_entries(self, end: Floats, start: Callable[[Rows], Floats], ignored_solid: int = -1) -> _SolidEntries:
         """Return the agents that enter undug solid on the path to `end`.
 
         `start`: returns the start positions of some rows. `ignored_solid`: the number of a solid that is ignored."""
@@ -262,7 +266,7 @@ class CombinedGround:
             if k == ignored_solid:
                 continue
             near = find_rows_in_box(end, volume.low, volume.high)
-            inside = near[volume.sample(take_rows(end, near)) < -_OPEN_DEPTH_VOXELS * volume.voxel]
+            inside = near[volume.sample_distances(take_rows(end, near)) < -_OPEN_DEPTH_VOXELS * volume.voxel]
             if not inside.size:
                 continue
             a, b = start(inside), end[inside]
@@ -275,7 +279,14 @@ class CombinedGround:
         return _SolidEntries(who, which[who], part[who], positions[who])
 
     def _step_onto_solid(
-        self, walk: _WalkState, rows: Rows, entries: _SolidEntries, move: GroundMove, body: Floats, threads: int, is_last: bool
+        self,
+        walk: _CombinedWalkState,
+        rows: Rows,
+        entries: _SolidEntries,
+        move: GroundMove,
+        body: Floats,
+        threads: int,
+        is_last: bool,
     ) -> Rows:
         """Place the agents of `entries` on the surface of the solid that each entered. Return the agents with distance left."""
         again = [np.empty(0, np.intp)]
@@ -285,14 +296,14 @@ class CombinedGround:
                 continue
             of, part = entries.rows[mine], entries.path_fraction[mine]
             # From slightly above: an agent exactly at the seam might be below a mesh after its next step.
-            above = entries.place[mine] + move.up[of] * (_EYE_HEIGHT_PER_BODY * body[rows[of]])[:, None]
-            landed = volume.project_to_surface(above, compute_normals(volume, above), 2 * volume.voxel)
+            above = entries.place[mine] + move.up[of] * (_EYE_HEIGHT_BODY_LENGTHS * body[rows[of]])[:, None]
+            landed = volume.project_to_surface(above, compute_solid_normals(volume, above), 2 * volume.voxel)
             ok = landed.is_in_reach
             if self.meshes is not None:
                 ok &= ~self.meshes.find_path_hits(above, landed.points - above, threads)[0]
             shut = rows[of[~ok]]  # no reachable position, so they return to the start of the step
             walk.is_blocked[shut], walk.remaining_displacements[shut] = True, 0.0
-            walk.place[shut] = self.position(walk.footing.take_rows(shut))
+            walk.place[shut] = self.position(walk.footing.select_rows(shut))
             on, of, part = rows[of[ok]], of[ok], part[ok]
             normal, place = landed.normals[ok], landed.points[ok]
             previous_up, direction = move.up[of], move.direction[of]
@@ -302,12 +313,12 @@ class CombinedGround:
             walk.distance[on] += move.travelled[of] * part
             rest = np.zeros(len(on)) if is_last else move.travelled[of] * (1 - part)
             walk.remaining_displacements[on] = walk.direction[on] * rest[:, None]
-            walk.footing.put_rows(on, Footing.from_solids(self._count + k, place))
+            walk.footing.write_rows(on, Footing.from_solids(self._count + k, place))
             again.append(on[rest > 0])
         return np.concatenate(again)
 
     def _walk_on_solid(
-        self, walk: _WalkState, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, is_last: bool
+        self, walk: _CombinedWalkState, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, is_last: bool
     ) -> Rows:
         """Walk `rows` over solid number `k`, up to the first mesh. Return the agents with distance left."""
         previous_footing = walk.footing
@@ -315,7 +326,7 @@ class CombinedGround:
         wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining_displacements, walk.heading, walk.up))
         moved = walk_on(volume, start, wish, ahead, up, body[rows], self._count + k)
         is_hit, part, footing = self._find_mesh_crossings(start, moved.position, up, moved.up, body[rows], threads)
-        entries = self._find_entries(moved.position, lambda rows: start[rows], k)
+        entries = self._find_solid_entries(moved.position, lambda rows: start[rows], k)
         earlier = entries.path_fraction < part[entries.rows]
         entries = _SolidEntries(
             entries.rows[earlier], entries.solids[earlier], entries.path_fraction[earlier], entries.place[earlier]
@@ -326,12 +337,12 @@ class CombinedGround:
         other = is_hit | lost
         other[entries.rows] = True
         self._finish_walks(walk, rows, np.flatnonzero(other), moved)
-        self._drop_to_ground(walk, rows[lost])
+        self._project_to_ground(walk, rows[lost])
         again = self._step_onto_solid(walk, rows, entries, moved, body, threads, is_last)
         down = rows[is_hit]
         if not down.size or self.meshes is None:
             return again
-        onto = footing.take_rows(is_hit)
+        onto = footing.select_rows(is_hit)
         normal = self.meshes.compute_upright_normals(
             onto, start[is_hit] - moved.position[is_hit]
         )  # the side from which the agents come
@@ -340,35 +351,35 @@ class CombinedGround:
             rotate_between_normals(moved.heading[is_hit].T, tilted.T, normal.T, direction.T).T, normal
         )
         walk.direction[down] = rotate_between_normals(direction.T, tilted.T, normal.T, direction.T).T
-        walk.footing.put_rows(down, onto)
+        walk.footing.write_rows(down, onto)
         walk.place[down], walk.up[down] = self.meshes.position(onto), normal
         walk.distance[down] += moved.travelled[is_hit] * part[is_hit]
         rest = np.zeros(len(down)) if is_last else moved.travelled[is_hit] * (1 - part[is_hit])
         walk.remaining_displacements[down] = walk.direction[down] * rest[:, None]
         return np.concatenate([again, down[rest > 0]])
 
-    def _drop_to_ground(self, walk: _WalkState, rows: Rows) -> None:
+    def _project_to_ground(self, walk: _CombinedWalkState, rows: Rows) -> None:
         """Move agents without a solid nearby down, along the scene's up axis, onto the ground below.
 
         If there is no ground below, move them to the nearest ground."""
         if not rows.size:
             return
-        start = self.position(walk.footing.take_rows(rows))
+        start = self.position(walk.footing.select_rows(rows))
         onto, _ = self.find_nearest(start)
         least = np.full(len(rows), np.inf)
         for k, volume in enumerate(self._volumes):
             reach = length(np.maximum(np.abs(volume.high - start), np.abs(start - volume.low)))
-            place, is_hit = cast_down(volume, start, np.broadcast_to(self._up, start.shape), reach)
+            place, is_hit = find_surface_points_below(volume, start, np.broadcast_to(self._up, start.shape), reach)
             drop = length(place - start)
             first = np.flatnonzero(is_hit & (drop < least))
-            onto.put_rows(first, Footing.from_solids(self._count + k, place[first]))
+            onto.write_rows(first, Footing.from_solids(self._count + k, place[first]))
             least[first] = drop[first]
         if self.meshes is not None:
             far = self.meshes.extent + length(start - (self.meshes.low + self.meshes.high) / 2)
             is_hit, part, footing = self.meshes.find_path_hits(start, -self._up * far[:, None])
             first = np.flatnonzero(is_hit & (part * far < least))
-            onto.put_rows(first, footing.take_rows(first))
-        walk.footing.put_rows(rows, onto)
+            onto.write_rows(first, footing.select_rows(first))
+        walk.footing.write_rows(rows, onto)
         walk.place[rows] = self.position(onto)
         normal = self.compute_upright_normals(onto, walk.up[rows])
         walk.heading[rows] = walk.direction[rows] = compute_unit_tangents(walk.heading[rows], normal)
@@ -383,7 +394,7 @@ class CombinedGround:
         n = len(start)
         if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.create_unplaced(n)
-        lift = (_EYE_HEIGHT_PER_BODY * body)[:, None]
+        lift = (_EYE_HEIGHT_BODY_LENGTHS * body)[:, None]
         a, b = start + up * lift, end + end_up * lift
         return self.meshes.find_path_hits(a, b - a, threads)
 

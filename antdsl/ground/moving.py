@@ -15,7 +15,7 @@ from antdsl.casting.rays import MeshArrays, RayHitArrays, RayScene
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.surface_clearance import FacePartClearances, PieceClearances
 from antdsl.ground.mesh.surroundings import RELATIVE_DISTANCE_NOISE
-from antdsl.ground.mesh.topology import update_shape
+from antdsl.ground.mesh.topology import update_face_shapes
 from antdsl.ground.protocol import Floats, Footing, Index
 
 FaceAxes = tuple[Floats, Floats, Floats]
@@ -39,7 +39,7 @@ class MovingGround(MeshGround):
         self._static_face_count = int((self._topology.is_live & ~self._is_moving.take(self._mesh_of_face)).sum())
         self._box_by_mesh = {name: _compute_box(self._vertices[rows]) for name, rows in self._vertex_slices.items()}
         self._static_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
-        self._clearances = _MovingClearances(self)  # type: ignore[assignment]
+        self._clearances = _MovingPieceClearances(self)  # type: ignore[assignment]
         # A moving mesh may rise above feet by any height, so a face with its back to an agent always counts as below.
         self._scale = replace(self._scale, max_below_height=np.inf)
 
@@ -49,26 +49,26 @@ class MovingGround(MeshGround):
         ground._vertices, ground._topology = self._vertices.copy(), self._topology.copy()
         ground._box_tree = replace(self._box_tree, bounds=self._box_tree.bounds.copy())
         ground._ray_scenes, ground._walk_tables, ground._box_by_mesh = {}, None, dict(self._box_by_mesh)
-        ground._clearances = _MovingClearances(ground)  # type: ignore[assignment]
+        ground._clearances = _MovingPieceClearances(ground)  # type: ignore[assignment]
         return ground
 
-    def pose_meshes(self, vertices_by_name: Mapping[str, Floats]) -> None:
+    def set_mesh_vertices(self, vertices_by_name: Mapping[str, Floats]) -> None:
         """Set the vertices (n, 3) of moving meshes to their current positions."""
         for name, vertices in vertices_by_name.items():
             rows = self._face_slices[name]
             self._vertices[self._vertex_slices[name]] = vertices
-            update_shape(self._topology, self._vertices, self._faces, rows)
+            update_face_shapes(self._topology, self._vertices, self._faces, rows)
             if self._walk_tables is not None:
                 self._walk_tables.update_faces(rows)
             self._box_by_mesh[name] = _compute_box(vertices)
         self.low = np.min([low for low, _ in self._box_by_mesh.values()], axis=0)
         self.high = np.max([high for _, high in self._box_by_mesh.values()], axis=0)
         self.extent = max(self.extent, float((self.high - self.low).max()))
-        self._box_tree.refit(self._vertices, self._faces, self._static_face_count)
+        self._box_tree.refit_boxes(self._vertices, self._faces, self._static_face_count)
         self._ray_scenes = {}
         self._clearances.reset()  # type: ignore[attr-defined]
 
-    def find_rows_on_moving(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
+    def find_rows_on_moving_meshes(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
         """Return the rows of agents that stand on a moving mesh; mesh numbers out of range do not count."""
         known = (mesh >= 0) & (mesh < len(self._is_moving))
         return np.flatnonzero(known & self._is_moving.take(np.where(known, mesh, 0)))
@@ -113,7 +113,7 @@ class MovingGround(MeshGround):
                 self._static_scenes[still] = self._build_ray_scene(still)
             moved, live = self._build_ray_scene(tuple(k for k in chosen if self._is_moving[k]), store_tables=False)
             first, first_live = self._static_scenes[still]
-            self._ray_scenes[chosen] = _RayScenePair(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
+            self._ray_scenes[chosen] = _StillAndMovingRayScenes(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
         return self._ray_scenes[chosen]
 
     def _build_ray_scene(self, surfaces: tuple[int, ...], store_tables: bool = True) -> tuple[RayScene, Index]:
@@ -134,7 +134,7 @@ def _compute_face_boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Flo
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
-class _RayScenePair:
+class _StillAndMovingRayScenes:
     """Combines two ray scenes of one mesh each. Faces of the second scene are numbered after the faces of the first."""
 
     def __init__(self, first: RayScene, second: RayScene, faces: int) -> None:
@@ -178,7 +178,7 @@ class _RayScenePair:
         return np.where(second, b[0], a[0]), face, np.where(second[:, None], b[2], a[2]), np.where(second, b[3], a[3])
 
 
-class _MovingClearances:
+class _MovingPieceClearances:
     """Clearances as `PieceClearances`. Distances between static meshes are measured once.
 
     Agents near the box of a moving mesh, and agents on a moving mesh near anything, always search."""
@@ -206,10 +206,10 @@ class _MovingClearances:
     def get_face_parts(self, reach: float) -> FacePartClearances:
         """Return clearances that distinguish distances up to `reach` mm, at the current positions of the meshes."""
         if self._parts is None or self._parts.reach < reach:
-            self._parts = self._build_parts(1.5 * reach)
+            self._parts = self._build_face_parts(1.5 * reach)
         return self._parts
 
-    def _build_parts(self, reach: float) -> FacePartClearances:
+    def _build_face_parts(self, reach: float) -> FacePartClearances:
         """Return the clearances of static meshes; faces near moving meshes get the clearance 0."""
         ground = self._ground
         still = self._static_clearances.get_face_parts(reach)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import find_facing_sides
+from antdsl.ground.mesh.topology import classify_normal_directions
 from antdsl.ground.protocol import Floats, Footing, GroundMove
 from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
 from antdsl.numerics.kernel_vectors import AgentPose, Vec3, dot, minus, plus, times
@@ -69,7 +69,7 @@ class PlaneGround:
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Return the axis direction nearest to the plane's normal, int8[n], as `Ground.find_sides`."""
-        return find_facing_sides(self.normal(footing))
+        return classify_normal_directions(self.normal(footing))
 
     def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Return the plane's normal, on whichever side agents stand."""
@@ -88,13 +88,13 @@ class PlaneGround:
         """Move agents straight ahead on the plane."""
         n, none = len(displacement), np.zeros(len(displacement), np.bool_)
         point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
-        walk_all_straight(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
+        walk_all_agents_straight(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
         above = np.broadcast_to(self._up, up.shape)
         return GroundMove(Footing.from_plane(point), point, above, ahead, direction, travelled, none, none)
 
 
 @inlined
-def walk_straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[AgentPose, F64]:
+def walk_straight_on_plane(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[AgentPose, F64]:
     """Move one agent straight ahead; return its pose and the distance travelled."""
     step, look = minus(displacement, times(up, dot(displacement, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))
@@ -105,7 +105,7 @@ def walk_straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tup
 
 
 @kernel
-def walk_all_straight(
+def walk_all_agents_straight(
     up: Array1[F64],
     point: Strided2[F64],
     displacements: Strided2[F64],
@@ -119,7 +119,7 @@ def walk_all_straight(
     normal = (up[0], up[1], up[2])
     for i in range(travelled.size):
         step, look = (displacements[i, 0], displacements[i, 1], displacements[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
-        pose, far = walk_straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
+        pose, far = walk_straight_on_plane(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
         for k in range(3):
             end_positions[i, k], heading[i, k], direction[i, k] = pose.position[k], pose.heading[k], pose.direction[k]
         travelled[i] = far

@@ -19,18 +19,18 @@ from antdsl.ground.mesh.topology import MeshTopology
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Index = NDArray[np.int64]
-Numbers = NDArray[np.int32]
+Int32Array = NDArray[np.int32]
 Rows = NDArray[np.integer[Any]] | Flags
 ColumnArray = NDArray[Any]
 
 _FACE_COLUMNS = ("mesh", "face", "b1", "b2", "over")
 _POSITION_COLUMNS = ("x", "y", "z")
-_MESH_DEFAULTS: dict[str, ColumnArray | float] = dict.fromkeys(
+_DEFAULT_MESH_COLUMNS: dict[str, ColumnArray | float] = dict.fromkeys(
     _POSITION_COLUMNS, 0.0
 )  # agents on meshes of a ground that has solids
 
 
-def take_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
+def select_array_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
     """Return the rows `rows` of an array. NumPy's `take` is several times faster than indexing."""
     return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
 
@@ -54,13 +54,13 @@ class Footing:
     # ---- made
 
     @staticmethod
-    def from_faces(mesh: Numbers, face: Numbers, b1: Floats, b2: Floats, heights: Floats | None = None) -> Footing:
+    def from_faces(mesh: Int32Array, face: Int32Array, b1: Floats, b2: Floats, heights: Floats | None = None) -> Footing:
         """Return footings on faces of meshes. Without `heights`, no agent is stepping over a border."""
         heights = np.zeros(len(face)) if heights is None else heights
         return Footing({"mesh": mesh, "face": face, "b1": b1, "b2": b2, "over": heights})
 
     @staticmethod
-    def from_solids(mesh: int | Numbers, place: Floats) -> Footing:
+    def from_solids(mesh: int | Int32Array, place: Floats) -> Footing:
         """Return footings at positions [n,3] on the surfaces of solids with number `mesh` (one, or [n])."""
         n = len(place)
         on = Footing.from_faces(np.full(n, mesh, np.int32), np.zeros(n, np.int32), *np.zeros((2, n)))
@@ -76,7 +76,7 @@ class Footing:
         """Return footings of agents that stand on no face of any mesh."""
         return Footing.from_faces(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
 
-    def add_position_columns(self) -> Footing:
+    def with_position_columns(self) -> Footing:
         """Return a copy of footings on meshes for a ground that also has solids."""
         return self.copy()._add_position_columns(np.zeros((3, len(self))))
 
@@ -89,12 +89,12 @@ class Footing:
         return len(self.columns["mesh"])
 
     @property
-    def mesh(self) -> Numbers:
+    def mesh(self) -> Int32Array:
         """Return the number of the surface or solid, int32[n]; -1 = nowhere."""
         return self.columns["mesh"]
 
     @property
-    def face(self) -> Numbers:
+    def face(self) -> Int32Array:
         """Return the number of the face in its mesh, int32[n]."""
         return self.columns["face"]
 
@@ -135,19 +135,19 @@ class Footing:
 
     # ---- rows
 
-    def take_rows(self, rows: Rows | slice) -> Footing:
+    def select_rows(self, rows: Rows | slice) -> Footing:
         """Return the footings of some rows: copies, or views for a slice."""
         if isinstance(rows, slice):
             return Footing({name: column[rows] for name, column in self.columns.items()})
-        return Footing({name: take_rows(column, rows) for name, column in self.columns.items()})
+        return Footing({name: select_array_rows(column, rows) for name, column in self.columns.items()})
 
-    def take_on_meshes(self, rows: Rows) -> Footing:
+    def select_rows_on_meshes(self, rows: Rows) -> Footing:
         """Return the footings of rows that stand on meshes, for a ground of meshes alone."""
-        return Footing({name: take_rows(self.columns[name], rows) for name in _FACE_COLUMNS})
+        return Footing({name: select_array_rows(self.columns[name], rows) for name in _FACE_COLUMNS})
 
-    def put_rows(self, rows: Rows, other: Footing) -> None:
+    def write_rows(self, rows: Rows, other: Footing) -> None:
         """Write other footings into rows. They belong to the same kind of ground, or only to its meshes."""
-        columns = _MESH_DEFAULTS | other.columns
+        columns = _DEFAULT_MESH_COLUMNS | other.columns
         for name, column in self.columns.items():
             column[rows] = columns[name]
 
@@ -163,7 +163,7 @@ class Footing:
         )
 
     @staticmethod
-    def select(use_first: Flags, first: Footing, second: Footing) -> Footing:
+    def choose_rows(use_first: Flags, first: Footing, second: Footing) -> Footing:
         """Return footings on meshes: those of `first` where `use_first` is true, else those of `second`."""
         return Footing({name: np.where(use_first, column, second.columns[name]) for name, column in first.columns.items()})
 
@@ -193,15 +193,17 @@ class GroundMove:
         """Return all fields except the footing, in order."""
         return self.position, self.up, self.heading, self.direction, self.travelled, self.is_blocked, self.is_lost
 
-    def take_rows(self, rows: Rows) -> GroundMove:
+    def select_rows(self, rows: Rows) -> GroundMove:
         """Return the results of the agents in some rows."""
-        position, up, heading, direction, travelled, blocked, lost = (take_rows(column, rows) for column in self.list_columns())
-        return GroundMove(self.footing.take_rows(rows), position, up, heading, direction, travelled, blocked, lost)
+        position, up, heading, direction, travelled, blocked, lost = (
+            select_array_rows(column, rows) for column in self.list_columns()
+        )
+        return GroundMove(self.footing.select_rows(rows), position, up, heading, direction, travelled, blocked, lost)
 
-    def put_rows(self, rows: Rows, other: GroundMove) -> None:
+    def write_rows(self, rows: Rows, other: GroundMove) -> None:
         """Write other results of the same ground into rows. Values common to all agents of a ground (a plane's `up`) do not
         change."""
-        self.footing.put_rows(rows, other.footing)
+        self.footing.write_rows(rows, other.footing)
         for column, values in zip(self.list_columns(), other.list_columns(), strict=True):
             if column.flags.writeable:
                 column[rows] = values
@@ -240,8 +242,8 @@ class Ground(Protocol):
         """Return unit normals, float64[n,3]: of faces by their winding, of solids outwards; zero for agents without a footing."""
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for agents without a
-        footing."""
+        """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z. Agents without a
+        footing get 0."""
 
     def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for agents without
@@ -280,7 +282,7 @@ class MeshSurfaces(Ground, Protocol):
         """Return the longest side of the box around all vertices, mm. For moving meshes, it is the longest side so far."""
 
     @property
-    def triangles(self) -> tuple[Floats, Numbers, Numbers, MeshTopology]:
+    def triangles(self) -> tuple[Floats, Int32Array, Int32Array, MeshTopology]:
         """Return all surfaces as one mesh: vertices [n,3], faces [m,3], the surface number of each face, and the topology
         tables."""
 

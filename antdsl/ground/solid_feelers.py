@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 from antdsl.casting.nearby import FeelerHits, FeelerQuery, list_query_rows
 from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES
+from antdsl.ground.solid.bricks import NODES_PER_BRICK, NODES_PER_BRICK_SIDE
 from antdsl.numerics import parallel
 from antdsl.numerics.vectors import VectorComponents
 
 Floats = NDArray[np.float64]
 
 _MAX_MARCH_STEPS = 96  # most steps of a ray near the surface, after which it counts as free
-_MIN_MARCH_VOXELS = 0.5  # smallest step of a ray, in voxels
+_MIN_MARCH_STEP_VOXELS = 0.5  # smallest step of a ray, in voxels
 _ALLOWED_DEPTH_VOXELS = 0.02  # depth in voxels that a ray along the surface may have without a hit
 _ENTRY_BISECTIONS = 8
 _SAMPLE_BLOCK_NODES = 4  # edge, in nodes, of the blocks that give one sample of the surface each, for distant queries
 
 
-class SolidFeelers:
+class SolidProximityQueries:
     """Queries of one solid: feelers, nearby walls and clearances. Each call uses the current state of the solid."""
 
     def __init__(self, volume: Volume) -> None:
@@ -46,7 +46,7 @@ class SolidFeelers:
         outside: NDArray[np.float32] = np.sqrt((away * away).sum(axis=1)).astype(np.float32)
         within = np.flatnonzero(outside == 0)
         if within.size:
-            near = np.abs(self.volume.sample(place[within])) - np.float32(self.volume.voxel)
+            near = np.abs(self.volume.sample_distances(place[within])) - np.float32(self.volume.voxel)
             outside[within] = np.maximum(near, np.float32(0))
         return outside
 
@@ -67,11 +67,11 @@ class SolidFeelers:
         progress = np.where(first > _MAX_MARCH_STEPS * self.volume.distance_band[1], first, 0.0)
         free, shut = np.zeros(n), np.full(n, np.inf)
         rows = np.flatnonzero((far > 0) & (first <= far))
-        previous_distance = self.volume.sample(origin[rows] + progress[rows, None] * direction[rows]).astype(np.float64)
+        previous_distance = self.volume.sample_distances(origin[rows] + progress[rows, None] * direction[rows]).astype(np.float64)
         for _ in range(_MAX_MARCH_STEPS + int((far - progress)[rows].max(initial=0.0) / self.volume.distance_band[1])):
-            step = np.maximum(np.abs(previous_distance), _MIN_MARCH_VOXELS * voxel)
+            step = np.maximum(np.abs(previous_distance), _MIN_MARCH_STEP_VOXELS * voxel)
             ahead = np.minimum(progress[rows] + step, far[rows])
-            next_distance = self.volume.sample(origin[rows] + ahead[:, None] * direction[rows]).astype(np.float64)
+            next_distance = self.volume.sample_distances(origin[rows] + ahead[:, None] * direction[rows]).astype(np.float64)
             is_hit = (next_distance < through) & (previous_distance >= through)
             free[rows[is_hit]], shut[rows[is_hit]] = progress[rows[is_hit]], ahead[is_hit]
             on = ~is_hit & (ahead < far[rows])
@@ -94,8 +94,8 @@ class SolidFeelers:
     def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the nearest surface within `reach` (mm, one or float[n]) of points (1-D arrays): the distance (0 inside), and
-        the unit direction from the surface to the point."""
+        """Return the distance (mm; 0 inside) to the nearest surface within `reach` (mm, one or float[n]), and the unit
+        direction from it."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (len(place),))
         distance, slope = self.volume.sample_with_gradients(place)
@@ -126,7 +126,9 @@ class SolidFeelers:
         exact to 1/256 of the interval."""
         for _ in range(_ENTRY_BISECTIONS):
             middle = (free_lengths + inside_lengths) / 2
-            solid = self.volume.sample(origin + middle[:, None] * direction) < -_ALLOWED_DEPTH_VOXELS * self.volume.voxel
+            solid = (
+                self.volume.sample_distances(origin + middle[:, None] * direction) < -_ALLOWED_DEPTH_VOXELS * self.volume.voxel
+            )
             free_lengths, inside_lengths = np.where(solid, free_lengths, middle), np.where(solid, middle, inside_lengths)
         return free_lengths
 
@@ -154,15 +156,15 @@ class SolidFeelers:
 
     def _sample_surface(self) -> Floats:
         """Return points float64[n,3] on the surface, one for each small block of nodes that the surface crosses."""
-        bricks, parts = self.volume.bricks, BRICK_SIDE_NODES // _SAMPLE_BLOCK_NODES
+        bricks, parts = self.volume.bricks, NODES_PER_BRICK_SIDE // _SAMPLE_BLOCK_NODES
         stored = np.flatnonzero(bricks.table >= 2)
-        pool = bricks.values[: bricks.used_slots * BRICK_NODES].reshape((-1,) + (parts, _SAMPLE_BLOCK_NODES) * 3)[
+        pool = bricks.values[: bricks.used_slots * NODES_PER_BRICK].reshape((-1,) + (parts, _SAMPLE_BLOCK_NODES) * 3)[
             bricks.table[stored]
         ]
         blocks = np.abs(pool.transpose(0, 1, 3, 5, 2, 4, 6).reshape(len(stored), parts**3, _SAMPLE_BLOCK_NODES**3))
         least = blocks.argmin(axis=2)
         brick, block = np.nonzero(np.take_along_axis(blocks, least[:, :, None], axis=2)[:, :, 0] < bricks.voxel)
-        corner = np.stack(np.unravel_index(stored[brick], bricks.shape), axis=1) * BRICK_SIDE_NODES
+        corner = np.stack(np.unravel_index(stored[brick], bricks.shape), axis=1) * NODES_PER_BRICK_SIDE
         corner += np.stack(np.unravel_index(block, (parts,) * 3), axis=1) * _SAMPLE_BLOCK_NODES
         corner += np.stack(np.unravel_index(least[brick, block], (_SAMPLE_BLOCK_NODES,) * 3), axis=1)
         place: Floats = bricks.origin + corner * bricks.voxel

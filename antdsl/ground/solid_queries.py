@@ -1,5 +1,4 @@
-"""Queries about one solid, for walking on ground with solids: where a path enters the solid, what lies below a point, and which
-direction is out."""
+"""Queries about one solid for walking: where a path enters it, what is below a point, and which direction leads out."""
 
 from __future__ import annotations
 
@@ -7,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.numerics.vector_rows import length
 
 Floats = NDArray[np.float64]
 
-_STEP_SAMPLES = 8  # samples of a step that are tested for an entry into a solid
+_SAMPLES_PER_STEP = 8  # samples of a step that are tested for an entry into a solid
 _ENTRY_REFINEMENTS = 5  # number of refinements: the interval with the entry is sampled again
 
 
@@ -22,33 +21,35 @@ def find_entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
     The fraction ends at the last sample in air. It is 0 if `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
     for _ in range(_ENTRY_REFINEMENTS):
-        parts = free + long * (np.arange(_STEP_SAMPLES) / _STEP_SAMPLES)[:, None]
+        parts = free + long * (np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP)[:, None]
         positions = start + parts[:, :, None] * (end - start)
-        solid = (volume.sample(positions.reshape(-1, 3)) < 0).reshape(parts.shape)
-        first = np.where(solid.any(axis=0), solid.argmax(axis=0), _STEP_SAMPLES)
-        long /= _STEP_SAMPLES
+        solid = (volume.sample_distances(positions.reshape(-1, 3)) < 0).reshape(parts.shape)
+        first = np.where(solid.any(axis=0), solid.argmax(axis=0), _SAMPLES_PER_STEP)
+        long /= _SAMPLES_PER_STEP
         free += np.maximum(first - 1, 0) * long
     return free
 
 
-def compute_normals(volume: Volume, place: Floats) -> Floats:
+def compute_solid_normals(volume: Volume, place: Floats) -> Floats:
     """Return unit normals float64[n,3] out of a solid; zero where its field is flat."""
     slope = volume.sample_gradients(place).astype(np.float64)
     normal: Floats = slope / np.maximum(length(slope), 1e-12)[:, None]
     return normal
 
 
-def cast_from_above(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def find_top_surface_points(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first point of a solid that a ray from far above along -`up` hits, and whether there is such a point."""
     height = float(length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
-    return cast_down(volume, start, up, 2 * height)
+    return find_surface_points_below(volume, start, up, 2 * height)
 
 
-def cast_down(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
+def find_surface_points_below(
+    volume: Volume, start: Floats, up: Floats, reach: Floats | float
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first point of a solid that a ray along -`up` hits within `reach` (mm), and whether there is such a point."""
-    hits = SolidFeelers(volume).cast_feelers(start.T, -up.T, reach)
+    hits = SolidProximityQueries(volume).cast_feelers(start.T, -up.T, reach)
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project_to_surface(place, up, 2 * volume.voxel)
     return landed.points, hits.hit & landed.is_in_reach

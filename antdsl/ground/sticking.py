@@ -10,13 +10,13 @@ import numpy as np
 from antdsl.ground.protocol import Floats, Footing, GroundMove, MeshSurfaces
 from antdsl.numerics.vectors import compute_stacked_cross, dot
 
-EYE_HEIGHT_PER_BODY = 0.5  # in body lengths: height of the ray origin above the feet
-RAY_LENGTH_PER_BODY = 1.5  # length of both rays, in body lengths
-FORWARD_SHARE, UPWARD_SHARE = np.sqrt(0.75), 0.5  # direction of the second ray: ahead and 30 degrees up
+RAY_START_HEIGHT_BODY_LENGTHS = 0.5  # in body lengths: height of the ray origin above the feet
+RAY_LENGTH_BODY_LENGTHS = 1.5  # length of both rays, in body lengths
+RAY_FORWARD_SHARE, RAY_UPWARD_SHARE = np.sqrt(0.75), 0.5  # direction of the second ray: ahead and 30 degrees up
 _MIN_VECTOR_LENGTH = 1e-9  # a shorter vector has no direction
 
 
-def move_by_rays(
+def move_agents_by_rays(
     ground: MeshSurfaces, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, threads: int
 ) -> GroundMove:
     """Move n agents from their footings by `wish`, as `Ground.move` does. Vectors are (3, n), mm; `body` is (n,).
@@ -32,15 +32,15 @@ def move_by_rays(
     place, length = ground.position(footing).T, np.sqrt(dot(wish, wish))
     going = length > _MIN_VECTOR_LENGTH
     ahead = np.where(going, wish / np.where(going, length, 1.0), heading)
-    eye, reach = place + up * (EYE_HEIGHT_PER_BODY * body), RAY_LENGTH_PER_BODY * body
-    down, slant = -up * reach, (ahead * FORWARD_SHARE + up * UPWARD_SHARE) * reach
+    eye, reach = place + up * (RAY_START_HEIGHT_BODY_LENGTHS * body), RAY_LENGTH_BODY_LENGTHS * body
+    down, slant = -up * reach, (ahead * RAY_FORWARD_SHARE + up * RAY_UPWARD_SHARE) * reach
     found1, part1, footing1 = ground.find_path_hits((eye + wish).T, down.T, threads)
     found2, part2, footing2 = ground.find_path_hits(eye.T, slant.T, threads)
     second = found2 & ~(found1 & (part1 <= part2))
     is_hit = known & going & (found1 | found2)
     towards = np.where(second, slant, down)
     hit = np.where(second, eye, eye + wish) + towards * np.where(second, part2, part1)
-    onto = Footing.select(is_hit, Footing.select(second, footing2, footing1), footing)
+    onto = Footing.choose_rows(is_hit, Footing.choose_rows(second, footing2, footing1), footing)
     normal = ground.compute_upright_normals(onto, np.where(is_hit, -towards, up).T).T
     turned, new_direction = (np.where(is_hit, _project_heading(vector, up, normal), vector) for vector in (heading, ahead))
     hit = np.where(is_hit, hit, place)

@@ -214,7 +214,7 @@ def _measure_penetration(world: World, population: Population) -> FloatArray:
         if isinstance(scene, RayScene):
             depth = np.maximum(depth, scene.measure_depth_inside(population.position))
     for volume in world.solids.values():
-        depth = np.maximum(depth, -volume.sample(population.position))
+        depth = np.maximum(depth, -volume.sample_distances(population.position))
     return depth.astype(np.float32)
 
 
@@ -223,7 +223,7 @@ def _measure_surface_distance(world: World, population: Population) -> FloatArra
     distance: NDArray[np.float64] = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)
-        distance[rows] = np.maximum(distance[rows], np.abs(volume.sample(population.position[rows])))
+        distance[rows] = np.maximum(distance[rows], np.abs(volume.sample_distances(population.position[rows])))
     clearance = population.start.get("clearance", np.zeros(len(population)))
     deviation: FloatArray = np.abs(distance - clearance).astype(np.float32)
     return deviation

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES
+from antdsl.ground.solid.bricks import NODES_PER_BRICK, NODES_PER_BRICK_SIDE
 from antdsl.outputs.pictures.model import Picture, Solid
 from antdsl.scene.quantities import QuantityError, parse_number
 
@@ -58,19 +58,21 @@ class CutPlane:
         nodes = bricks.origin[self.axis] + np.arange(bricks.node_counts[self.axis]) * bricks.voxel
         depth = (nodes + offset[self.axis]) * scale - self.at
         depth = (-depth if self.cuts_below else depth) / scale
-        low = depth.reshape(-1, BRICK_SIDE_NODES).max(axis=1) > bricks.min_distance  # layers of bricks that the plane changes
+        low = depth.reshape(-1, NODES_PER_BRICK_SIDE).max(axis=1) > bricks.min_distance  # layers of bricks that the plane changes
         index = np.unravel_index(np.arange(bricks.table.size), bricks.shape)[self.axis]
         changed = np.flatnonzero(low[index] & (bricks.table != 0))
-        bricks.prepare_bricks(changed)
-        pool = bricks.values.reshape(-1, BRICK_NODES)
+        bricks.allocate_bricks(changed)
+        pool = bricks.values.reshape(-1, NODES_PER_BRICK)
         shape = [1, 1, 1, 1]
-        shape[self.axis + 1] = BRICK_SIDE_NODES
-        cut = np.minimum(depth.reshape(-1, BRICK_SIDE_NODES)[index[changed]].astype(np.float32), np.float32(bricks.max_distance))
+        shape[self.axis + 1] = NODES_PER_BRICK_SIDE
+        cut = np.minimum(
+            depth.reshape(-1, NODES_PER_BRICK_SIDE)[index[changed]].astype(np.float32), np.float32(bricks.max_distance)
+        )
         slots = bricks.table[changed]
         spread = cut.reshape([len(changed), *shape[1:]])
-        pool[slots] = np.maximum(pool[slots].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES), spread).reshape(
-            -1, BRICK_NODES
-        )
+        pool[slots] = np.maximum(
+            pool[slots].reshape(-1, NODES_PER_BRICK_SIDE, NODES_PER_BRICK_SIDE, NODES_PER_BRICK_SIDE), spread
+        ).reshape(-1, NODES_PER_BRICK)
         return copied
 
     def cut_picture(self, picture: Picture) -> Picture:

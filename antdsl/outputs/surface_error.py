@@ -36,6 +36,6 @@ def _find_greatest_error(world: World, population: Population, ground: NDArray[n
     distance = np.sqrt((x * x + y * y) + z * z)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)
-        off = np.abs(volume.sample(population.position[rows].astype(np.float32).astype(np.float64)))
+        off = np.abs(volume.sample_distances(population.position[rows].astype(np.float32).astype(np.float64)))
         distance[rows] = np.maximum(distance[rows], off)
     return float((np.abs(distance - clearance) / np.maximum(size.astype(np.float64), 1e-9)).max())

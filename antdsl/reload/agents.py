@@ -59,7 +59,7 @@ def migrate_agents(
     old_population, new_population = old_world.populations[name], world.populations[name]
     migrated = MigratedSpecies(name, len(rows))
     footing, place, moved = find_footings(old_world, world, old_population)
-    add_rows(new_population, old_population.ids[rows].copy(), old_world.frame, place[rows], footing.take_rows(rows))
+    add_rows(new_population, old_population.ids[rows].copy(), old_world.frame, place[rows], footing.select_rows(rows))
     new_population.columns |= {name: old_population.columns[name][rows] for name in _MIGRATED_COLUMNS}
     new_population.next_id = old_population.next_id
     new_population.events |= {name: flags[rows] for name, flags in old_population.events.items() if name in new_population.events}

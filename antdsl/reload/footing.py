@@ -61,11 +61,11 @@ def _migrate_footing(old_world: World, world: World, old_population: Population)
     was = old_population.footing.mesh
     mesh = np.where(was >= 0, number.take(np.maximum(was, 0)), -1).astype(np.int32)
     footing = ground.create_unplaced(len(mesh))
-    footing.put_rows(np.arange(len(mesh)), old_population.footing)
+    footing.write_rows(np.arange(len(mesh)), old_population.footing)
     footing.mesh[:] = mesh
     lost = np.flatnonzero(mesh < 0)
     if len(lost):
-        footing.put_rows(lost, ground.find_nearest(place[lost])[0])
+        footing.write_rows(lost, ground.find_nearest(place[lost])[0])
     return footing
 
 

@@ -187,7 +187,7 @@ def _migrate_items(old_world: World, world: World, migration: Migration) -> None
 def _migrate_solids(old_world: World, world: World, migration: Migration) -> None:
     for name, volume in world.solids.items():
         if name in old_world.solids and is_same_solid(old_world, world, name):
-            volume.restore_changes({key: array.copy() for key, array in old_world.solids[name].state().items()})
+            volume.restore_changes({key: array.copy() for key, array in old_world.solids[name].get_changes().items()})
         else:
             migration.reset_solids.append(name)
 

@@ -60,7 +60,9 @@ def take_checkpoint(world: World) -> Arrays:
     arrays |= collect_line_arrays(world)
     arrays |= {} if world.notes is None else {f"{NOTE_PREFIX}{name}": array for name, array in world.notes.memory.items()}
     arrays |= {f"motion.{name}": array for name, array in world.motion.checkpoint_arrays().items()}
-    arrays |= {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
+    arrays |= {
+        f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.get_changes().items()
+    }
     return {name: array.copy() for name, array in arrays.items()}
 
 
@@ -98,7 +100,7 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             )
         field.amounts[:] = _read_array_of_shape(arrays, f"field.{name}", field.amounts.shape)
     for name, volume in world.solids.items():
-        solid_state = {key: _read_array_of_shape(arrays, f"solid.{name}.{key}") for key in volume.state()}
+        solid_state = {key: _read_array_of_shape(arrays, f"solid.{name}.{key}") for key in volume.get_changes()}
         try:
             volume.restore_changes(solid_state)
         except ValueError as error:

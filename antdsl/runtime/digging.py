@@ -102,7 +102,7 @@ def sample_wall_points(volume: Volume, centres: Floats, radius: Floats, spacing:
     for number in np.unique(lines):
         rows, directions = np.flatnonzero(lines == number), _make_sphere_directions(max(int(number), 1))
         points = (centres[rows, None, :] + radius[rows, None, None] * directions).reshape(-1, 3)
-        near = np.flatnonzero(np.abs(volume.sample(points)) < _SURFACE_DISTANCE_VOXELS * volume.voxel)
+        near = np.flatnonzero(np.abs(volume.sample_distances(points)) < _SURFACE_DISTANCE_VOXELS * volume.voxel)
         found.append((points[near], -np.broadcast_to(directions, (len(rows), *directions.shape)).reshape(-1, 3)[near]))
     points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return points, normals

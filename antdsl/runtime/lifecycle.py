@@ -156,7 +156,7 @@ def _collect_births(world: World) -> dict[str, BirthRows]:
             registers = {name: population.now[name][rows] for name in MIGRATED_REGISTERS}
             columns = {name: population.columns[of][rows] for name, of in _INHERITED_COLUMNS.items()}
             births.setdefault(species, []).append(
-                (population, rows, population.position[rows], population.footing.take_rows(rows), registers, columns)
+                (population, rows, population.position[rows], population.footing.select_rows(rows), registers, columns)
             )
     return births
 
@@ -173,7 +173,7 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
             continue
         ids = np.arange(population.next_id, population.next_id + count)
         population.next_id += count
-        new = add_rows(population, ids, world.frame + 1, position[:count], footing.take_rows(slice(count)))
+        new = add_rows(population, ids, world.frame + 1, position[:count], footing.select_rows(slice(count)))
         for arrays, inherited in ((population.now, registers), (population.columns, columns)):
             for name, value in inherited.items():
                 arrays[name][new] = value[:count]

@@ -86,11 +86,11 @@ def _wrap_agents(world: World, population: Population) -> None:
         population.position[rows] = box.move_points(population.position[rows], -counts[rows])
         footing.columns["point"] = population.position.copy()
     else:
-        standing = footing.take_rows(rows)
+        standing = footing.select_rows(rows)
         for number, images in enumerate(world.periodic.faces):
             own = np.flatnonzero((standing.mesh == number) & (standing.face >= 0))
             standing.face[own] = images.source[standing.face[own]]
-        footing.put_rows(rows, standing)
+        footing.write_rows(rows, standing)
         population.position[rows] = world.ground.position(standing)
     for k, axis in enumerate(AXES):
         population.now[f"position.{axis}"][rows] = population.position[rows, k]

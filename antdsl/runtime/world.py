@@ -352,7 +352,7 @@ def _reorder_columns(population: Population, rows: NDArray[np.intp]) -> None:
     population.reordered = (population.ids, rows)
     for name, array in population.columns.items():
         population.columns[name] = _select_vectors(array, rows) if name == "position" else array.take(rows, axis=0)
-    population.footing = population.footing.take_rows(rows)
+    population.footing = population.footing.select_rows(rows)
     population.cells.clear()
     for table in (population.events, population.raised_events):
         for name, array in table.items():

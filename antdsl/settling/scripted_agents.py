@@ -72,7 +72,7 @@ def _place_agents(
         originals = population.find_rows(ids[missing] % max(period, 1))
         nearest = rows[np.maximum(np.searchsorted(known, ids[missing], side="right") - 1, 0)]
         templates = np.where(originals >= 0, originals, nearest)
-        added = add_rows(population, ids[missing], world.frame, position[missing], footing.take_rows(missing))
+        added = add_rows(population, ids[missing], world.frame, position[missing], footing.select_rows(missing))
         for registers in {id(table): table for table in (population.now, population.start)}.values():
             for array in registers.values():
                 array[added] = array[templates]
@@ -84,7 +84,7 @@ def _place_agents(
     at = np.flatnonzero(rows >= 0)
     rows = rows[at]
     population.position[rows] = world.ground.position(footing)[at]
-    population.footing.put_rows(rows, footing.take_rows(at))
+    population.footing.write_rows(rows, footing.select_rows(at))
     heading, up, _ = np.moveaxis(
         quaternion_to_matrix(normalise_quaternion(np.asarray(arrays["orient"], np.float64)[own_rows[at]])), 2, 0
     )

@@ -78,7 +78,7 @@ def test_boids_see_about_as_many_as_is_said(name: str, least: float, most: float
 def test_a_scene_is_scaled_or_the_reason_is_given(tmp_path: Path) -> None:
     scene = resources.example_file("minimal/scene.yaml")
     assert sum(crowd.count for crowd in find_case(str(scene)).make_shot(33).setting.crowds) == 33
-    with pytest.raises(CaseError, match="stand still"):
+    with pytest.raises(CaseError, match="fixed meshes"):
         open_shot(resources.example_file("tunnel/scene.yaml"), 10)
     (tmp_path / "scene.yaml").write_text("antdsl: 1\n")
     with pytest.raises(CaseError) as why:
@@ -107,7 +107,7 @@ def test_a_full_run_costs_more_than_its_step() -> None:
     run = measurement.full_run
     assert run is not None and run.cpu > run.step > run.feet >= 0 and run.frames >= 8
     assert measurement.memory > measurement.state
-    with pytest.raises(MeasuringError, match="stand still"):
+    with pytest.raises(MeasuringError, match="fixed meshes"):
         measure_in_process(BenchJob("tunnel", 7, ("numpy",)))
 
 

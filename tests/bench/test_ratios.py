@@ -122,7 +122,7 @@ def test_however_a_crowd_of_parts_is_scaled_the_total_is_the_requested_one(agent
 def test_what_cannot_be_scaled_is_refused() -> None:
     shot, _ = open_scene(EXAMPLES / "tunnel" / "scene.yaml")
     assert shot is not None
-    with pytest.raises(ValueError, match="stand still"):
+    with pytest.raises(ValueError, match="fixed meshes"):
         scale_setting(shot.setting, 10)
 
 

@@ -71,7 +71,7 @@ def test_cells_of_thin_triangles_equal_the_separating_axis_test():
 
 
 def test_wide_triangles_are_quartered(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(rasterise, "_slice_triangles", lambda tri: pytest.fail("a triangle that is not thin was sliced"))
+    monkeypatch.setattr(rasterise, "_iterate_triangle_chunks", lambda tri: pytest.fail("a triangle that is not thin was sliced"))
     wide = np.array([[[0.0, 0, 0], [200, 0, 0], [0, 1, 200]], [[0, 0, 0], [60, 0, 0], [60, 0, 1e-3]]])
     assert [len(cells) > 60 for cells in named(wide)] == [True, True]
 

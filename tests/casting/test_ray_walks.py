@@ -8,11 +8,11 @@ import numpy as np
 import open_shapes
 import pytest
 
-from antdsl.casting.faces import Faces, find_nearest_on_triangle
+from antdsl.casting.faces import TriangleFaces, find_nearest_on_triangle
 from antdsl.casting.grid_rays import GridTables
-from antdsl.casting.ray_walks import BALL_OFFSET, LINK_OFFSET, RING_ROW_WORDS, RingTables, find_hit_by_walk
+from antdsl.casting.ray_walks import CLEAR_BALL_OFFSET, SIDE_LINK_OFFSET, WORDS_PER_RING_ROW, RingTables, find_hit_by_walk
 from antdsl.casting.rays import RayScene
-from antdsl.casting.tolerances import NEAREST_UNKNOWN, NO_FACE
+from antdsl.casting.tolerances import NEAREST_FACE_UNKNOWN, NO_FACE
 from antdsl.machine_code.kernels import F64, I64, Array1, Strided2, kernel, simd_range
 from antdsl.numerics.vector_rows import dot
 from tests.meshes import Mesh, ball, box, grid, terrain
@@ -97,7 +97,7 @@ def walked(scene: RayScene, starts: np.ndarray, origin: np.ndarray, direction: n
     return t, face
 
 
-def first_of_all(faces: Faces, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int]:
+def first_of_all(faces: TriangleFaces, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int]:
     """What a ray hits first, by a loop over all faces."""
     every = np.arange(len(faces.corners))
     t, _, inside, _ = faces.intersect_planes(every, np.tile(origin, (len(every), 1)), np.tile(direction, (len(every), 1)))
@@ -139,12 +139,12 @@ def test_walks_hit_what_a_loop_over_all_faces_hits(name: str) -> None:
     faces = scene._faces
     starts, origin, direction = rays(faces.corners, scene.get_tables()[0][3])  # type: ignore[index]
     t, face = walked(scene, starts, origin, direction)
-    for k in np.flatnonzero(face != NEAREST_UNKNOWN):
+    for k in np.flatnonzero(face != NEAREST_FACE_UNKNOWN):
         assert (t[k], face[k]) == first_of_all(faces, origin[k], direction[k])
-    assert (face != NEAREST_UNKNOWN).mean() >= share
+    assert (face != NEAREST_FACE_UNKNOWN).mean() >= share
     # A walk from elsewhere answers the same or not at all.
     other_t, other = walked(scene, np.random.default_rng(2).integers(0, len(faces.corners), RAYS), origin, direction)
-    both = (face != NEAREST_UNKNOWN) & (other != NEAREST_UNKNOWN)
+    both = (face != NEAREST_FACE_UNKNOWN) & (other != NEAREST_FACE_UNKNOWN)
     assert (t[both] == other_t[both]).all() and (face[both] == other[both]).all()
 
 
@@ -154,8 +154,8 @@ def test_balls_contain_only_faces_of_the_ring() -> None:
     corners, rings = scene._faces.corners, scene.get_ring_tables()
     assert rings is not None
     links, balls = (
-        rings[1].reshape(-1, RING_ROW_WORDS)[:, LINK_OFFSET : LINK_OFFSET + 3],
-        rings[2].reshape(-1, RING_ROW_WORDS)[:, BALL_OFFSET:],
+        rings[1].reshape(-1, WORDS_PER_RING_ROW)[:, SIDE_LINK_OFFSET : SIDE_LINK_OFFSET + 3],
+        rings[2].reshape(-1, WORDS_PER_RING_ROW)[:, CLEAR_BALL_OFFSET:],
     )
     points = (np.round(corners * 1e6).astype(np.int64) @ np.array([1, 10**9, 10**5])).reshape(-1, 3)
     for f in range(len(links)):

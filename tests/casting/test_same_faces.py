@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.casting.faces import Faces, _find_largest_index, find_nearest_on_face, find_nearest_on_triangle
+from antdsl.casting.faces import TriangleFaces, _find_largest_index, find_nearest_on_face, find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from tests.meshes import ball, box, terrain
 
@@ -130,9 +130,9 @@ def test_rays_hit_the_face_that_float64_computes():
 
 def test_widened_triangles_cover_their_faces():
     corners = np.concatenate([v[f] for v, f in meshes()])
-    faces = Faces(corners)
+    faces = TriangleFaces(corners)
     wide = faces.compute_widened_corners().reshape(-1, 3, 3).astype(np.float64)
-    outer = Faces(wide)
+    outer = TriangleFaces(wide)
     for k in range(3):
         _, weights, _, _ = outer.intersect_planes(
             np.arange(len(wide)), corners[:, k] + 0.0, np.cross(*(wide[:, j] - wide[:, 0] for j in (1, 2)))

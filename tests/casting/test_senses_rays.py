@@ -77,7 +77,7 @@ def test_results_do_not_depend_on_batches_and_threads():
 def test_empty_scenes_have_no_hits():
     scene = RayScene(np.empty((0, 3)), np.empty((0, 3), np.int32))
     hits = scene.find_first_hits(np.zeros((2, 3)), np.ones((2, 3)))
-    assert np.isinf(hits.t).all() and not scene.find_occluded(np.zeros((2, 3)), np.ones((2, 3))).any()
+    assert np.isinf(hits.t).all() and not scene.find_occluded_rays(np.zeros((2, 3)), np.ones((2, 3))).any()
     zero = np.zeros(2, np.float32)
     assert not scene.cast_feelers((zero, zero, zero), (zero, zero, zero + 1), 5.0).hit.any()
     assert np.isinf(scene.find_closest(np.zeros((2, 3)))[3]).all()

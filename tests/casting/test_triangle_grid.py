@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from antdsl.casting import triangle_grid
-from antdsl.casting.faces import Faces, find_nearest_on_triangle
+from antdsl.casting.faces import TriangleFaces, find_nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import FACE_BEYOND_GRID, MAX_RAY_CUBES, NO_FACE
 from antdsl.casting.triangle_grid import TriangleGrid
@@ -91,7 +91,7 @@ def by_open3d(scene: RayScene, origin: np.ndarray, displacement: np.ndarray) -> 
     return t, face
 
 
-def of_all(faces: Faces, origin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def of_all(faces: TriangleFaces, origin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """For one ray, after what part it meets each face (inf = it does not)."""
     every = np.arange(len(faces.corners))
     t, _, inside, _ = faces.intersect_planes(every, np.tile(origin, (len(every), 1)), np.tile(displacement, (len(every), 1)))
@@ -244,7 +244,7 @@ def test_feelers_and_distances_are_equal_with_and_without_a_grid():
 def test_grids_are_built_only_if_small_and_useful(monkeypatch: pytest.MonkeyPatch):
     vertices, faces = terrain(100, 20)
     assert RayScene(vertices, faces, is_short_lived=True)._get_triangle_grid() is None
-    assert TriangleGrid.from_faces(Faces(np.empty((0, 3, 3))), np.zeros(3)) is None
+    assert TriangleGrid.from_faces(TriangleFaces(np.empty((0, 3, 3))), np.zeros(3)) is None
     dense = RayScene.from_meshes([terrain(10_000, 1), ball(1.0, (0, 200, 0), 60)])
     assert dense._get_triangle_grid() is None  # thousands of faces in one cube
     listed = []

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from antdsl.fields.cells import FieldTooFineError, SurfaceCells, are_sides_compatible, find_facing_sides
+from antdsl.fields.cells import FieldTooFineError, SurfaceCells, are_sides_compatible, classify_normal_directions
 from antdsl.fields.pheromone import DEPOSIT_QUANTUM, MAX_DEPOSIT, PheromoneField
 from antdsl.scene.field_settings import compute_max_diffusion
 from tests.meshes import Mesh, ball, box, grid, terrain
@@ -39,7 +39,7 @@ def test_every_surface_point_has_a_cell_of_its_side(mesh, cell):
     points, normals = on_surface(mesh, 5000)
     cell_numbers = cells.find_cells(points, normals)
     assert (cell_numbers >= 0).all()
-    assert np.array_equal(cells.side_by_cell[cell_numbers], find_facing_sides(normals))
+    assert np.array_equal(cells.side_by_cell[cell_numbers], classify_normal_directions(normals))
     assert np.abs(cells.position[cell_numbers] - points).max() < 1.6 * cell
     assert len(np.unique(cell_numbers)) <= len(cells) <= 3.2 * np.abs(points.max() - points.min() + cell) ** 2 * 6 / cell**2
 
@@ -101,7 +101,7 @@ def test_cells_are_searched_again_only_in_another_voxel(monkeypatch):
     monkeypatch.setattr(module, "_MAX_DENSE_VOXELS", 0)
     mesh, rng = ball(30, (3, 4, 5)), np.random.default_rng(2)
     cells, (points, normals) = SurfaceCells([mesh], 4.0), on_surface(mesh, 2000)
-    side, known = find_facing_sides(normals), None
+    side, known = classify_normal_directions(normals), None
     for step in range(8):
         points = points + rng.normal(0, 0.4, points.shape)
         points[step], points[10 * step] = np.nan, 1e9

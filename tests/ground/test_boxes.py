@@ -8,7 +8,7 @@ from meshes import ball, terrain
 from numpy.typing import NDArray
 from open_shapes import joined, soup
 
-from antdsl.ground.mesh.boxes import FaceBoxes, FaceList, find_first_hit, gather_faces
+from antdsl.ground.mesh.boxes import FaceBoxes, FaceList, find_first_face_hit, list_faces_near_segment
 from antdsl.ground.mesh.surface import MeshGround
 
 Floats = NDArray[np.float64]
@@ -38,8 +38,8 @@ def first_met(ground: MeshGround, origin: Floats, step: Floats, face: int, piece
     face_list = FaceList(np.empty(len(table.is_live), np.int64), 0)
     one, displacement = tuple(origin.tolist()), tuple(step.tolist())
     with np.errstate(all="ignore"):
-        count = gather_faces(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, face_list)
-        hit = find_first_hit(ground._get_walk_tables().packed_table, boxes, face_list, count, one, displacement, 1e-6)
+        count = list_faces_near_segment(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, face_list)
+        hit = find_first_face_hit(ground._get_walk_tables().packed_table, boxes, face_list, count, one, displacement, 1e-6)
     return hit.face, hit.path_fraction, *hit.weights
 
 
@@ -87,7 +87,7 @@ def test_refitted_boxes_are_those_that_are_built_afresh() -> None:
     held = np.isin(faces, loose).any(axis=1)
     boxes = FaceBoxes.build(vertices, faces, live, held.astype(np.int32))
     fresh = FaceBoxes.build(moved_vertices, faces, live, held.astype(np.int32))
-    boxes.refit(moved_vertices, faces, int((~held[live]).sum()))
+    boxes.refit_boxes(moved_vertices, faces, int((~held[live]).sum()))
     moved, corners = moved_vertices[faces], faces
     low = rng.uniform(-15, 30, (3, 50))
     for high in (low + 0.1, low + 8.0):

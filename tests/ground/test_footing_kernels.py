@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.creases import find_candidates_near_rises, mark_rows_in_near_cells
-from antdsl.ground.mesh.footings import find_max_step_and_size, write_positions, write_sides
+from antdsl.ground.mesh.creases import find_candidates_near_slopes, mark_rows_in_near_cells
+from antdsl.ground.mesh.footings import find_max_step_and_size, write_footing_positions, write_footing_sides
 
 N = 2000
 FIRST = 0, 11, 30  # the first face of each of two meshes, and the number of faces
@@ -36,7 +36,7 @@ def test_positions_are_those_of_corners_to_the_sign_of_zero() -> None:
     over[::2] *= 0.0
     b1[:600] = b2[:600] = -0.0  # so that a corner's negative zero is not lost before the normal is added
     tables, place = (vertices.ravel(), faces, normal, first), np.full((N, 3), 7.0)
-    assert write_positions(*tables, mesh, face, b1, b2, over, place)
+    assert write_footing_positions(*tables, mesh, face, b1, b2, over, place)
     known = (mesh >= 0) & (face >= 0)
     number = np.where(known, first[np.maximum(mesh, 0)] + face, 0)
     a, b, c = (vertices[faces[number, k]] for k in range(3))
@@ -45,13 +45,13 @@ def test_positions_are_those_of_corners_to_the_sign_of_zero() -> None:
     assert np.array_equal(place.view(np.int64), expected.view(np.int64)) and (np.signbit(place) & (place == 0)).any()
     for wrong_mesh, wrong_face, is_valid in ((2, 0, False), (2, 3, False), (1, 19, False), (1, 18, True), (-1, 99, True)):
         mesh[9], face[9] = wrong_mesh, wrong_face
-        assert write_positions(*tables, mesh, face, b1, b2, over, place) == is_valid
+        assert write_footing_positions(*tables, mesh, face, b1, b2, over, place) == is_valid
 
 
 def test_sides_are_those_of_faces() -> None:
     rng, mesh, face = random_footings(2, 2)
     first, side, sides = embed(FIRST[:2], 3), rng.integers(1, 6, 30).astype(np.int8), np.full(N, 7, np.int8)
-    write_sides(mesh, face, first, side, sides, 5, N - 5)
+    write_footing_sides(mesh, face, first, side, sides, 5, N - 5)
     known = (mesh >= 0) & (face >= 0)
     expected = np.where(known, side[np.where(known, first[np.maximum(mesh, 0)] + face, 0)], 0)
     expected[:5] = expected[-5:] = 7
@@ -83,7 +83,7 @@ def test_candidates_have_the_rung_of_their_reach() -> None:
     rung = np.frexp(np.clip(reach, width, largest))[1] - np.frexp(width)[1]
     for begin, end in ((0, 900), (900, N)):
         rows, rungs = np.full((2, N), -9)
-        at, count, bits = find_candidates_near_rises(
+        at, count, bits = find_candidates_near_slopes(
             mesh, face, first, clearances, sizes, reach, width, largest, rows, rungs, begin, end
         )
         expected = []

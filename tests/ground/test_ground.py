@@ -214,11 +214,11 @@ def test_same_bits_in_any_batch_order_and_thread_count():
     at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.compute_upright_normals(footing, UP), 4.0)
     order = rng.permutation(n)
     one = step(ground, at, 3.0)
-    two = ground.move(at.footing.take_rows(order), at.heading[order] * 3.0, at.heading[order], at.up[order], 4.0, threads=2)
+    two = ground.move(at.footing.select_rows(order), at.heading[order] * 3.0, at.heading[order], at.up[order], 4.0, threads=2)
     for name in ("position", "up", "heading", "direction", "travelled", "is_blocked"):
         assert np.array_equal(getattr(one, name)[order], getattr(two, name)), name
     for k in range(0, n, 101):
-        alone = ground.move(at.footing.take_rows(np.array([k])), at.heading[[k]] * 3.0, at.heading[[k]], at.up[[k]], 4.0)
+        alone = ground.move(at.footing.select_rows(np.array([k])), at.heading[[k]] * 3.0, at.heading[[k]], at.up[[k]], 4.0)
         assert np.array_equal(alone.position[0], one.position[k]) and np.array_equal(alone.heading[0], one.heading[k])
 
 
@@ -286,8 +286,8 @@ def test_steps_on_a_plane_are_taken_back() -> None:
     ahead, up = np.tile([1.0, 0.0, 0.0], (3, 1)), np.tile(UP, (3, 1))
     moved = plane.move(plane.create_unplaced(3), 5 * ahead, ahead, up, 1.0)
     subset = np.array([0, 2])
-    back = moved.take_rows(subset)
-    moved.put_rows(subset, plane.move(back.footing, -3 * ahead[subset], back.heading, back.up, 1.0))
+    back = moved.select_rows(subset)
+    moved.write_rows(subset, plane.move(back.footing, -3 * ahead[subset], back.heading, back.up, 1.0))
     assert (moved.position - start)[:, 0].tolist() == [2, 5, 2] and (moved.up == UP).all()
     assert moved.travelled.tolist() == [3, 5, 3]
 
@@ -315,6 +315,6 @@ def test_every_ground_has_the_same_doors() -> None:
         assert np.allclose(ground.compute_upright_normals(footing, UP), UP)
         moved = ground.move(footing, np.full((4, 3), (1.0, 0.0, 0.0)), np.full((4, 3), (1.0, 0.0, 0.0)), np.tile(UP, (4, 1)), 4.0)
         assert np.allclose(moved.position - at, (1.0, 0.0, 0.0)) and not moved.is_lost.any()
-        footing.put_rows(np.array([0, 1]), moved.footing.take_rows(np.array([2, 3])))
+        footing.write_rows(np.array([0, 1]), moved.footing.select_rows(np.array([2, 3])))
         assert np.allclose(ground.position(footing)[:2], moved.position[2:])
     assert both.place_points(positions, UP)[0].mesh.tolist() == [1, 0]

@@ -10,10 +10,10 @@ from walked import Reference
 from antdsl.bench.cases import find_case
 from antdsl.ground.mesh import open_borders as module
 from antdsl.ground.mesh import walk_events
-from antdsl.ground.mesh.face_table import EDGE_LINK, EDGES_OFFSET, OPEN_BORDER_LINK, ROW_FLOATS, mark_border_links
+from antdsl.ground.mesh.face_table import EDGE_LINK_INDEX, EDGES_OFFSET, FLOATS_PER_FACE_ROW, OPEN_BORDER_LINK, mark_border_links
 from antdsl.ground.mesh.open_borders import find_open_borders
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE
 from antdsl.ground.moving import MovingGround
 from antdsl.runtime import Options, World, bind, step
 from tests.meshes import Mesh, box, grid, terrain
@@ -89,7 +89,7 @@ def test_no_way_leads_on_from_an_open_border(name: str) -> None:
 )
 def test_borders_are_open_where_nothing_is_near(name: str, share: float) -> None:
     ground = MeshGround(GROUNDS[name])
-    assert len(find_borders(ground)) == share * np.count_nonzero(ground._topology.link[0] == NO_LINK)
+    assert len(find_borders(ground)) == share * np.count_nonzero(ground._topology.link[0] == NO_LINKED_EDGE)
 
 
 def test_wider_bodies_find_more() -> None:
@@ -110,7 +110,8 @@ def test_no_more_pairs_are_looked_at_than_pay(monkeypatch: pytest.MonkeyPatch) -
 def marked(walk: walk_events.WalkTables) -> int:
     return int(
         np.count_nonzero(
-            walk.packed_table.reshape(-1, ROW_FLOATS)[:, EDGES_OFFSET + EDGE_LINK : EDGES_OFFSET + 12 : 4] == OPEN_BORDER_LINK
+            walk.packed_table.reshape(-1, FLOATS_PER_FACE_ROW)[:, EDGES_OFFSET + EDGE_LINK_INDEX : EDGES_OFFSET + 12 : 4]
+            == OPEN_BORDER_LINK
         )
     )
 
@@ -119,14 +120,14 @@ def test_marks_are_for_the_widest_of_a_crowd_and_go_where_a_mesh_moves() -> None
     ground = MeshGround(GROUNDS["a sheet far below"])
     for widest, count in ((4.0, 8), (1.0, 8), (30.0, 0), (4.0, 0)):
         walk = ground.build_crowd_walk(1.0, widest)
-        assert walk is not None and marked(walk.walk) == count
+        assert walk is not None and marked(walk.walk_tables) == count
     moving = MovingGround(GROUNDS["a sheet far below"], ("other",))
     walk = moving.build_crowd_walk(1.0, 4.0)
-    assert walk is not None and marked(walk.walk) == 8
-    moving.pose_meshes({"other": GROUNDS["a sheet far below"]["other"][0] + np.array([0, 8.5, 0])})
-    assert not marked(walk.walk)
+    assert walk is not None and marked(walk.walk_tables) == 8
+    moving.set_mesh_vertices({"other": GROUNDS["a sheet far below"]["other"][0] + np.array([0, 8.5, 0])})
+    assert not marked(walk.walk_tables)
     moving.build_crowd_walk(1.0, 8.0)
-    assert not marked(walk.walk)
+    assert not marked(walk.walk_tables)
 
 
 def bound(size: int) -> World:
@@ -145,7 +146,7 @@ def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.Monke
         step(world)
         walk = world.ground.meshes._get_walk_tables()
         if not marks:
-            mark_border_links(walk.packed_table, walk._open_half_edges, NO_LINK)
+            mark_border_links(walk.packed_table, walk._open_half_edges, NO_LINKED_EDGE)
         waiting.clear()
         for _ in range(60):
             step(world)

@@ -240,7 +240,7 @@ def test_who_hangs_over_a_border_moves_with_it_and_climbs_back_when_nothing_is_l
     ground = MovingGround({"near": near, "far": far}, ["near"])
     at, _ = walk_straight(ground, on(ground, -0.2), 0.5, 2)
     lifted = (near[0] + np.array([0.0, 5.0, 0.0]), near[1])
-    ground.pose_meshes({"near": lifted[0]})
+    ground.set_mesh_vertices({"near": lifted[0]})
     assert np.allclose(ground.position(at.footing), [[0, 4.2, 1.3]])
     for _ in range(2):
         at = ground.move(at.footing, np.array([[0.5, 0, 0]]), at.heading, at.up, BODY)
@@ -249,7 +249,7 @@ def test_who_hangs_over_a_border_moves_with_it_and_climbs_back_when_nothing_is_l
 
 def test_footings_over_a_border_stay_where_there_are_solids_too() -> None:
     footing = Footing.from_faces(np.zeros(3, np.int32), np.arange(3, dtype=np.int32), *np.random.default_rng(1).random((3, 3)))
-    face_footing = footing.add_position_columns().take_on_meshes(np.arange(3))
+    face_footing = footing.with_position_columns().select_rows_on_meshes(np.arange(3))
     assert list(face_footing.columns) == ["mesh", "face", "b1", "b2", "over"]
     assert all(np.array_equal(column, footing.columns[name]) for name, column in face_footing.columns.items())
 

@@ -20,11 +20,13 @@ def mixed(count: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_faces_of_all_sizes_are_cut_by_those_that_are_found_among_all_pairs(seed: int, monkeypatch: pytest.MonkeyPatch):
     corners, names = mixed(400, seed), np.arange(1200, dtype=np.int32).reshape(-1, 3)
-    cuts = self_cuts.find_cuts(corners, names, np.zeros(400, np.int32), 1e-9)
+    cuts = self_cuts.find_self_intersections(corners, names, np.zeros(400, np.int32), 1e-9)
     monkeypatch.setattr(self_cuts, "_iterate_overlapping_pairs", lambda *_: iter([np.triu_indices(400, 1)]))
-    all_of_them = self_cuts.find_cuts(corners, names, np.zeros(400, np.int32), 1e-9)
+    all_of_them = self_cuts.find_self_intersections(corners, names, np.zeros(400, np.int32), 1e-9)
     assert len(cuts.cutting_faces) > 400
-    assert np.array_equal(cuts.first, all_of_them.first) and np.array_equal(cuts.cutting_faces, all_of_them.cutting_faces)
+    assert np.array_equal(cuts.cut_starts, all_of_them.cut_starts) and np.array_equal(
+        cuts.cutting_faces, all_of_them.cutting_faces
+    )
 
 
 @pytest.mark.parametrize("large", [[[0, 5, 0], [4e6, 5, 3.6e6], [0, 5, 4e6]], [[0, 5, 0], [4e6, 5, 3.6e6], [0, 5, 2]]])
@@ -42,6 +44,6 @@ def test_one_large_face_among_small_ones_costs_little(large: list[list[float]], 
 
     monkeypatch.setattr(self_cuts, "_iterate_pairs_in_cells", pairing)
     names = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
-    self_cuts.find_cuts(corners, names, np.zeros(len(corners), np.int32), 1e-6)
+    self_cuts.find_self_intersections(corners, names, np.zeros(len(corners), np.int32), 1e-6)
     assert len(corners) <= sum(parts) <= 10 * len(corners)
     assert sum(looked) <= 100 * len(corners)

@@ -53,7 +53,7 @@ def test_a_whole_surface_is_closed_and_seen_from_outside(mesh: meshes.Mesh, voxe
     vertices, faces = joined((v, f) for _, v, f in solid.iterate_brick_meshes())
     assert unpaired(faces) == 0
     assert abs(volume_of(vertices, faces) / solid.measure_volume() - 1) < 0.01
-    assert np.abs(solid.sample(vertices)).max() < 2e-3 * voxel
+    assert np.abs(solid.sample_distances(vertices)).max() < 2e-3 * voxel
 
 
 def test_only_what_changed_is_made_again_and_fits_the_rest() -> None:
@@ -88,6 +88,6 @@ def test_a_brick_that_was_dug_away_is_given_without_faces() -> None:
 def test_a_restored_solid_has_the_same_surface() -> None:
     a, b = (make_solid(meshes.ball(12.0)) for _ in range(2))
     a.carve_balls(np.array([[0.0, 12, 0], [3.0, 9, 0]]), np.array([4.0, 3.0]), np.arange(2))
-    b.restore_changes(a.state())
+    b.restore_changes(a.get_changes())
     for (key, v, f), (other, w, g) in zip(a.iterate_brick_meshes(), b.iterate_brick_meshes(), strict=True):
         assert key == other and np.array_equal(v, w) and np.array_equal(f, g)

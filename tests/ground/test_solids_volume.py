@@ -8,9 +8,9 @@ import meshes
 import numpy as np
 import pytest
 
-from antdsl.ground.solid import UnusableMesh, Volume, trilinear
+from antdsl.ground.solid import UnusableMeshReason, Volume, trilinear
 from antdsl.ground.solid.bricks import UINT64_MASK, compute_fill_steps, hash_nodes
-from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.ground.solid_feelers import SolidProximityQueries
 
 Dig = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -55,12 +55,12 @@ def test_a_ball_is_as_far_away_as_it_should_be(voxel: float) -> None:
     solid, directions = make_solid(mesh, voxel), random_directions(2000)
     inner, outer = solid.distance_band
     for away, rough in ((0.0, 0.0), (0.2 * outer, 0.0), (0.5 * outer, 0.1 * voxel)):
-        error = solid.sample(directions * (24 + away)) - np.float32(away)
+        error = solid.sample_distances(directions * (24 + away)) - np.float32(away)
         # Facets lie inside the ball, and the field is straight between nodes.
         assert np.abs(error).max() < 0.02 + voxel * voxel / 18 + rough
-    assert (solid.sample(directions * (24 + 0.6 * inner)) < 0.5 * inner).all()
-    assert (solid.sample(directions * 3) == np.float32(inner)).all() and (
-        solid.sample(directions * 500) == np.float32(outer)
+    assert (solid.sample_distances(directions * (24 + 0.6 * inner)) < 0.5 * inner).all()
+    assert (solid.sample_distances(directions * 3) == np.float32(inner)).all() and (
+        solid.sample_distances(directions * 500) == np.float32(outer)
     ).all()
     assert abs(solid.measure_volume() / (4 / 3 * np.pi * 24**3) - 1) < 0.01
 
@@ -72,7 +72,7 @@ def test_a_box_has_flat_sides_where_they_should_be() -> None:
         points = rng.uniform(-3, 3, (500, 3))
         for away in (-0.5, 0.0, 0.5, 2.0):
             points[:, axis] = side + away
-            assert np.abs(solid.sample(points) - away).max() < 1e-5
+            assert np.abs(solid.sample_distances(points) - away).max() < 1e-5
         # Nodes above the sides know no corner, so the slope is that of the side.
         slope = solid.sample_gradients(points)
         assert np.abs(slope - np.eye(3)[axis]).max() < 1e-5
@@ -86,7 +86,7 @@ def test_distances_are_those_to_the_mesh() -> None:
     vertices = vertices * [1.0, 0.4, 0.7] + [3.3, 0.1, -7.7]
     solid = make_solid((vertices, faces))
     points = nodes(solid)
-    distances = solid.sample(points)
+    distances = solid.sample_distances(points)
     near = np.flatnonzero((distances > solid.distance_band[0]) & (distances < solid.distance_band[1]))
     truth = RayScene(vertices, faces).find_closest(points[near])[3]
     assert near.size > 5000
@@ -104,7 +104,7 @@ def test_the_gradient_is_that_of_the_samples() -> None:
         ends = [points + sign * step * np.eye(3)[axis] for sign in (-1, 1)]
         cells = [np.floor((end - solid.low) / solid.voxel) for end in ends]
         same_cell &= (cells[0] == cells[1]).all(axis=1)
-        differences[:, axis] = (solid.sample(ends[1]).astype(float) - solid.sample(ends[0])) / (2 * step)
+        differences[:, axis] = (solid.sample_distances(ends[1]).astype(float) - solid.sample_distances(ends[0])) / (2 * step)
     assert same_cell.sum() > 350
     assert np.abs(differences - slope)[same_cell].max() < 2e-3
 
@@ -126,7 +126,7 @@ def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> No
         for axis in range(3):
             gradient[axis] += (2 * corner[axis] - 1) * np.delete(share, axis, axis=1).prod(axis=1) * value / voxel
     values, *slope = trilinear.sample_with_gradients(solid.bricks, *points.T)
-    assert np.abs(values - distance).max() < 1e-12 and np.array_equal(values.astype(np.float32), solid.sample(points))
+    assert np.abs(values - distance).max() < 1e-12 and np.array_equal(values.astype(np.float32), solid.sample_distances(points))
     inner = ~(np.abs(at - np.round(at)) < 1e-9).any(axis=1)  # at nodes the slope is that of either side
     assert np.abs(np.stack(slope) - gradient)[:, inner].max() < 1e-10 and inner.sum() > 10_000
     assert np.abs(trilinear.sample_distances(solid.bricks, *points.T) - distance).max() < 1e-12
@@ -145,7 +145,9 @@ def test_points_are_projected_by_limited_newton_steps() -> None:
     start, hints = rng.uniform(-15, 15, (n, 3)), random_directions(n, 7)
     start[:3] = np.nan, np.inf, -np.inf
     tolerance, landed, normals, is_on_surface = 1e-5 * voxel, np.empty((n, 3)), np.empty((n, 3)), np.empty(n, np.bool_)
-    trilinear.project_points(trilinear.to_brick_tables(solid.bricks), start, hints, tolerance, landed, normals, is_on_surface)
+    trilinear.project_points_to_surface(
+        trilinear.make_brick_tables(solid.bricks), start, hints, tolerance, landed, normals, is_on_surface
+    )
     place, pending = start.copy(), np.isfinite(start).all(axis=1)
     expected, expected_normals, is_expected = start.copy(), hints.copy(), np.zeros(n, np.bool_)
     for turn in range(60):
@@ -177,9 +179,9 @@ def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right
     inward = make_solid((v1, f1[:, ::-1]))
     twice = make_solid((np.concatenate([v1, v1 + np.array([9.0, 0, 0])]), np.concatenate([f1, f1 + len(v1)])))
     middle = np.array([[0.0, 0, 0], [4.5, 0, 0], [11.5, 0, 0], [20.0, 0, 0]])
-    assert list(hollow.sample(middle) < 0) == [False, False, True, False]
-    assert list(inward.sample(middle) < 0) == [True, True, True, False]
-    assert list(twice.sample(middle) < 0) == [True, True, True, True]
+    assert list(hollow.sample_distances(middle) < 0) == [False, False, True, False]
+    assert list(inward.sample_distances(middle) < 0) == [True, True, True, False]
+    assert list(twice.sample_distances(middle) < 0) == [True, True, True, True]
 
 
 def test_faces_wound_in_disorder_make_the_same_solid() -> None:
@@ -191,25 +193,25 @@ def test_faces_wound_in_disorder_make_the_same_solid() -> None:
 @pytest.mark.parametrize("voxel", [0.0, -1.0, float("nan"), 1e-6])
 def test_a_voxel_that_cannot_be_is_refused_before_memory_is_taken(voxel: float) -> None:
     problem = Volume.from_mesh(*meshes.ball(12.0), voxel)
-    assert isinstance(problem, UnusableMesh) and problem.help
+    assert isinstance(problem, UnusableMeshReason) and problem.help
 
 
 def test_too_many_voxels_name_a_size_that_will_do() -> None:
     problem = Volume.from_mesh(*meshes.ball(12.0), 0.5, cap=10_000)
-    assert isinstance(problem, UnusableMesh) and "more than 10,000" in problem.message
+    assert isinstance(problem, UnusableMeshReason) and "more than 10,000" in problem.message
     size = float(problem.help.split("voxel: ")[1].split(" mm")[0])
     assert isinstance(Volume.from_mesh(*meshes.ball(12.0), size, cap=10_000), Volume)
 
 
 @pytest.mark.parametrize("mesh", [(np.zeros((0, 3)), np.zeros((0, 3), int)), (np.full((3, 3), np.nan), np.array([[0, 1, 2]]))])
 def test_meshes_without_sense_are_no_solids(mesh: meshes.Mesh) -> None:
-    assert isinstance(Volume.from_mesh(*mesh, 1.0), UnusableMesh)
+    assert isinstance(Volume.from_mesh(*mesh, 1.0), UnusableMeshReason)
 
 
 def test_an_open_mesh_is_no_solid() -> None:
     vertices, faces = meshes.ball(12.0)
     problem = Volume.from_mesh(vertices, faces[:-1], 1.0)
-    assert isinstance(problem, UnusableMesh) and "3 edges" in problem.message
+    assert isinstance(problem, UnusableMeshReason) and "3 edges" in problem.message
 
 
 # ---- digging
@@ -224,7 +226,7 @@ def test_what_is_removed_is_what_is_missing_and_what_analysis_says() -> None:
     assert solid.carve_balls(np.zeros((1, 3)), np.array([5.5]), np.array([0]))[0] == 0
     directions = random_directions(500)
     points = directions * np.random.default_rng(1).uniform(5, 7, (500, 1))
-    assert np.abs(solid.sample(points) - (6 - np.linalg.norm(points, axis=1))).max() < 0.1
+    assert np.abs(solid.sample_distances(points) - (6 - np.linalg.norm(points, axis=1))).max() < 0.1
 
 
 @pytest.mark.parametrize("voxel", [1.0, 0.3, 0.7])
@@ -256,7 +258,7 @@ def test_digging_in_parts_ends_in_the_same_solid() -> None:
     for subset in np.array_split(np.random.default_rng(6).permutation(len(radii)), 7):
         b.carve_balls(centres[subset], radii[subset], owners[subset])
     assert a.compute_digest() == b.compute_digest() and a.measure_volume() == b.measure_volume()
-    assert (a.sample(centres) == b.sample(centres)).all()
+    assert (a.sample_distances(centres) == b.sample_distances(centres)).all()
 
 
 def test_what_two_dig_at_once_goes_to_the_deeper_and_at_a_tie_to_the_least_owner() -> None:
@@ -314,12 +316,12 @@ def test_balls_without_sense_and_far_away_dig_nothing_and_great_ones_everything(
 def test_a_great_ball_digs_as_a_small_one() -> None:
     solid = ball(60.0, 2.0)
     points = nodes(solid)
-    old_distances = solid.sample(points)
+    old_distances = solid.sample_distances(points)
     solid.carve_balls(np.array([[60.0, 0, 0]]), np.array([70.0]), np.array([0]))
     brush = 70 - np.linalg.norm(points - [60.0, 0, 0], axis=1)
     want = np.clip(np.maximum(old_distances, brush), *solid.distance_band)
     assert (old_distances != want).mean() > 0.1
-    assert np.abs(solid.sample(points) - want).max() < 1e-5
+    assert np.abs(solid.sample_distances(points) - want).max() < 1e-5
 
 
 # ---- keeping
@@ -329,9 +331,9 @@ def test_a_state_is_restored_even_where_more_was_dug() -> None:
     a, b = ball(), ball()
     first, second = digging(), digging(seed=9)
     a.carve_balls(*first)
-    state, digest = a.state(), a.compute_digest()
+    state, digest = a.get_changes(), a.compute_digest()
     a.carve_balls(*second)
-    b.restore_changes(a.state())
+    b.restore_changes(a.get_changes())
     assert b.compute_digest() == a.compute_digest() != digest and a.measure_volume() == b.measure_volume()
     for solid in (a, b):
         solid.restore_changes(state)
@@ -342,9 +344,9 @@ def test_a_state_is_restored_even_where_more_was_dug() -> None:
 def test_a_state_of_something_else_is_refused() -> None:
     solid = ball()
     solid.carve_balls(*digging())
-    state = solid.state()
+    state = solid.get_changes()
     for wrong in (
-        ball(voxel=0.9).state(),
+        ball(voxel=0.9).get_changes(),
         state | {"values": state["values"][:-1]},
         state | {"bricks": state["bricks"] + 10_000},
         state | {"values": np.full_like(state["values"], np.nan)},
@@ -356,12 +358,12 @@ def test_a_state_of_something_else_is_refused() -> None:
 def test_memory_is_that_of_the_surface() -> None:
     solid = ball(60.0)
     assert solid.nbytes < 0.6 * np.prod(solid.bricks.node_counts) * 4
-    assert solid.sample(np.full((1, 3), np.nan)).shape == (1,)
+    assert solid.sample_distances(np.full((1, 3), np.nan)).shape == (1,)
 
 
 def test_a_ray_without_measure_ends_where_nothing_solid_is_left() -> None:
     """From within reach the same hits to the bit as with a short reach; from far away the one that stands in the way."""
-    feelers = SolidFeelers(ball())
+    feelers = SolidProximityQueries(ball())
     start, directions = 30 * random_directions(200, 4), -random_directions(200, 4) + 0.6 * random_directions(200, 5)
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     short, endless = (feelers.cast_feelers(start.T, directions.T, reach) for reach in (90.0, 3e38))

@@ -10,7 +10,7 @@ import pytest
 
 from antdsl.ground.protocol import GroundMove
 from antdsl.ground.solid import Volume, move_over_solid
-from antdsl.ground.solid.trilinear import BrickTables, to_brick_tables
+from antdsl.ground.solid.trilinear import BrickTables, make_brick_tables
 from antdsl.ground.solid.walking import _project_to_surface
 from antdsl.machine_code.kernels import F64, Array1, Array2, kernel
 
@@ -86,7 +86,7 @@ def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str) -> None:
         start = standing(solid, directions * 18, directions[::-1])
     stopped = 0
     for previous_position, moved in wandering(solid, start, STEPS):
-        assert np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
+        assert np.abs(solid.sample_distances(moved.position)).max() <= 1e-4 * BODY
         assert not moved.is_lost.any()
         assert np.abs((moved.heading * moved.up).sum(axis=1)).max() < 1e-9
         assert np.abs(np.linalg.norm(moved.heading, axis=1) - 1).max() < 1e-9
@@ -121,7 +121,7 @@ def test_who_walks_into_a_hole_goes_through_the_tunnel_and_out() -> None:
         moved = move_over_solid(solid, place, head, head, up, BODY)
         place, up, head = moved.position, moved.up, moved.heading
         positions.append(place[0])
-        assert solid.sample(place)[0] > -1e-4 * BODY
+        assert solid.sample_distances(place)[0] > -1e-4 * BODY
     inside = [p for p in positions if abs(p[0]) < 18]
     assert len(inside) > 25 and all(3.7 < np.hypot(p[1], p[2]) < 4.1 for p in inside)
     assert max(p[0] for p in positions) > 19.99 and positions[-1][0] > 19.8 and positions[-1][1] > 8, "up the other side"
@@ -133,7 +133,7 @@ def test_no_agent_passes_a_wall_of_less_than_a_voxel() -> None:
     middle = -0.37  # where nodes are: between nodes such a wall is not seen at all
     solid.carve_balls(np.array([[middle - 6.1, 0, 0], [middle + 6.1, 0, 0]]), np.array([5.8, 5.8]), np.array([0, 1]))
     wall = np.stack(np.meshgrid([middle], np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9)), axis=-1).reshape(-1, 3)
-    assert (solid.sample(wall) < 0).all() and (solid.sample(wall) > -0.5).all()
+    assert (solid.sample_distances(wall) < 0).all() and (solid.sample_distances(wall) > -0.5).all()
     directions = unit(np.random.default_rng(4).normal(size=(60, 3)))
     start = standing(solid, directions * 3 - [6.4, 0, 0], -directions)
     for _, moved in wandering(solid, start, STEPS // 4, turn=0.3):
@@ -231,16 +231,16 @@ def test_ends_of_steps_are_brought_to_the_surface_at_sharp_edges_too() -> None:
     solid, rng = cheese(), np.random.default_rng(8)
     directions = unit(rng.normal(size=(3000, 3)))
     place, normal, head = standing(solid, directions * 18, directions[::-1])
-    assert np.abs(solid.sample(place)).max() < 1e-3
+    assert np.abs(solid.sample_distances(place)).max() < 1e-3
     length, close, count = rng.uniform(0.05, 1, len(place)), 1.5e-4, len(place)
     points, slopes, distances = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
-    project_all(to_brick_tables(solid.bricks), place, normal, head, length, close, points, slopes, distances)
+    project_all(make_brick_tables(solid.bricks), place, normal, head, length, close, points, slopes, distances)
     own_distance, own_slope = solid.sample_with_gradients(points)
     assert np.abs(distances - own_distance).max() < 1e-5 and np.abs(slopes - own_slope).max() < 1e-3
     end = place + head * length[:, None]
-    beyond = solid.sample(end) > 0
+    beyond = solid.sample_distances(end) > 0
     near = place - np.where(beyond, 0.5, -0.5)[:, None] * length[:, None] * normal
-    bracketed = (solid.sample(near) > 0) != beyond
+    bracketed = (solid.sample_distances(near) > 0) != beyond
     assert (np.abs(distances) <= close)[bracketed].mean() > 0.999 and bracketed.mean() > 0.9
 
 
@@ -249,10 +249,10 @@ def test_who_loses_the_ground_goes_to_what_is_left() -> None:
     directions = unit(np.random.default_rng(1).normal(size=(40, 3)))
     place, up, head = standing(solid, directions * 20, directions)
     solid.carve_balls(place[:20], np.full(20, 6.0), np.arange(20))
-    assert (solid.sample(place[:20]) > 3).all()
+    assert (solid.sample_distances(place[:20]) > 3).all()
     for step in (0.0, 1.0):
         moved = move_over_solid(solid, place, head * step, head, up, BODY)
-        assert not moved.is_lost.any() and np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
+        assert not moved.is_lost.any() and np.abs(solid.sample_distances(moved.position)).max() <= 1e-4 * BODY
     solid.carve_balls(np.zeros((1, 3)), np.array([100.0]), np.array([0]))
     moved = move_over_solid(solid, place, head, head, up, BODY)
     assert moved.is_lost.all() and (moved.position == place).all()

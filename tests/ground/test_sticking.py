@@ -13,7 +13,7 @@ from torture_walks import BODY, crowd, wander
 
 from antdsl.ground.mesh import walk_events
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.sticking import EYE_HEIGHT_PER_BODY, RAY_LENGTH_PER_BODY
+from antdsl.ground.sticking import RAY_LENGTH_BODY_LENGTHS, RAY_START_HEIGHT_BODY_LENGTHS
 from antdsl.numerics import parallel
 from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import Options, bind, step
@@ -39,13 +39,13 @@ def test_on_level_ground_the_step_is_the_wish() -> None:
 def test_the_nearer_of_two_hits_wins() -> None:
     """A wall is climbed once the ray ahead and up is shorter than the one down, which is RISE bodies long on level ground."""
     ground = MeshGround({"floor": grid(100.0, 4), "wall": box((10.0, -5.0, -20.0), (14.0, 30.0, 20.0))}, by_rays=True)
-    turning = EYE_HEIGHT_PER_BODY * BODY * np.cos(np.radians(30.0))  # from the wall: there ray 2 is as long as ray 1
+    turning = RAY_START_HEIGHT_BODY_LENGTHS * BODY * np.cos(np.radians(30.0))  # from the wall: there ray 2 is as long as ray 1
     for away, climbs in ((turning + 0.05, False), (turning - 0.05, True)):
         moved = ground.move(stand(ground, (10.0 - away, 5.0, 0.0)), np.array([[0.01, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
         assert (moved.footing.mesh[0] == 1) == climbs
         if climbs:
             assert np.allclose(
-                moved.position[0], [10, EYE_HEIGHT_PER_BODY * BODY + np.tan(np.radians(30.0)) * away, 0], atol=1e-4
+                moved.position[0], [10, RAY_START_HEIGHT_BODY_LENGTHS * BODY + np.tan(np.radians(30.0)) * away, 0], atol=1e-4
             )
             assert np.allclose(moved.up, [[-1, 0, 0]]) and np.allclose(moved.heading, [[0, 1, 0]])
 
@@ -71,7 +71,7 @@ def test_it_steps_through_what_is_thin_where_walkers_do_not() -> None:
     mesh = SHAPES.can()
     rays, triangles = (long_walk("can", mesh, 300, 60, by_rays) for by_rays in (True, False))
     assert rays.through > 30 and triangles.through == 0
-    assert rays.measures.jump > 2 * triangles.measures.jump and RAY_LENGTH_PER_BODY * BODY > SHAPES.TIN
+    assert rays.measures.jump > 2 * triangles.measures.jump and RAY_LENGTH_BODY_LENGTHS * BODY > SHAPES.TIN
 
 
 def test_results_are_the_same_bits_for_any_threads() -> None:
@@ -87,7 +87,7 @@ def test_results_are_the_same_bits_for_any_threads() -> None:
 
 def test_agents_near_other_pieces_are_the_same_bits_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each part of the agents that wait for a search of other pieces has separate room."""
-    monkeypatch.setattr(walk_events, "_WAITING_PER_THREAD", 1)
+    monkeypatch.setattr(walk_events, "_WAITING_AGENTS_PER_THREAD", 1)
     monkeypatch.setattr(parallel, "count_available_cores", lambda: 8)
     hill, waiting = terrain(60.0, 20), []
     pieces = {"hill": hill, **{f"ball {k}": ball(4.0, (6.0 * k - 20.0, 0.0, 3.0 * k - 10.0), 12) for k in range(8)}}

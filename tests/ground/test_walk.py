@@ -14,7 +14,7 @@ from walked import Reference
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY
+from antdsl.ground.mesh.surroundings import EYE_HEIGHT_BODY_LENGTHS
 from antdsl.ground.moving import MovingGround
 from antdsl.ground.protocol import Footing, GroundMove
 from tests.meshes import ball, box, grid, terrain
@@ -128,7 +128,7 @@ def test_each_step_beside_a_mesh_that_moves_is_that_against_all_faces() -> None:
     ground, rng = MovingGround(meshes, ["stone"]), np.random.default_rng(16)
     at, blocked, carried = crowd(ground, rng, 4 * FEW), 0, 0
     for frame in range(6):
-        ground.pose_meshes({"stone": meshes["stone"][0] + np.array([1.5 * frame, 0.1 * frame, 0])})
+        ground.set_mesh_vertices({"stone": meshes["stone"][0] + np.array([1.5 * frame, 0.1 * frame, 0])})
         at = replace(at, position=ground.position(at.footing))
         wish, body = at.heading * 1.1, rng.uniform(0, 5, 4 * FEW)
         assert differing(ground, at, wish, at.heading, body) == 0
@@ -201,7 +201,7 @@ def test_how_far_agents_look_out_is_their_longest_way_and_widest_body() -> None:
         most = np.sqrt(square[square < np.inf].max(initial=0.0))
         assert (
             ground._compute_search_reach(wish, body)
-            == most + EYE_HEIGHT_PER_BODY * np.nanmax(body) + 3 * ground._scale.distance_noise
+            == most + EYE_HEIGHT_BODY_LENGTHS * np.nanmax(body) + 3 * ground._scale.distance_noise
         )
     assert np.isnan(ground._compute_search_reach(np.ones((3, 2)), np.full(2, np.nan)))
 
@@ -249,7 +249,7 @@ def test_places_and_sides_of_footings_are_those_of_their_corners(name: str) -> N
     if name == "a mesh that moves":
         stone = ball(14, (8, 4, 3), 9)
         ground: MeshGround = MovingGround({"stone": stone, "floor": grid(60, 9)}, ["stone"])
-        ground.pose_meshes({"stone": stone[0] * 1.25 + np.array([3.0, 0.1, -0.0])})  # type: ignore[attr-defined]
+        ground.set_mesh_vertices({"stone": stone[0] * 1.25 + np.array([3.0, 0.1, -0.0])})  # type: ignore[attr-defined]
     else:
         ground = MeshGround(GROUNDS[name]())
     footing = crowd(ground, rng).footing
@@ -269,7 +269,9 @@ def test_places_and_sides_of_footings_are_those_of_their_corners(name: str) -> N
     most = np.abs(table.normal[:, face]).argmax(axis=0)
     sides = 2 * most + (table.normal[most, face] < 0)
     assert np.array_equal(ground.find_sides(footing, 2), np.where(known, sides, 0))
-    assert not len(ground.position(footing.take_rows(slice(0, 0)))) and not len(ground.find_sides(footing.take_rows(slice(0, 0))))
+    assert not len(ground.position(footing.select_rows(slice(0, 0)))) and not len(
+        ground.find_sides(footing.select_rows(slice(0, 0)))
+    )
     for column, wrong in ((footing.face, len(faces)), (footing.mesh, len(ground.names) + 1)):
         cached, column[9] = column[9], wrong
         with pytest.raises(IndexError):

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
-from antdsl.casting.faces import Faces
+from antdsl.casting.faces import TriangleFaces
 from antdsl.casting.rays import RayScene
 from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.fields.cells import SurfaceCells
@@ -57,7 +57,7 @@ def topology(mesh: Mesh) -> MeshTopology:
 def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
     """All that is stored of a mesh, computed or not."""
     table, corners = topology(mesh), mesh[0][mesh[1]]
-    grid = TriangleGrid.from_faces(Faces(corners), np.zeros(3))
+    grid = TriangleGrid.from_faces(TriangleFaces(corners), np.zeros(3))
     assert grid is not None
     cells = SurfaceCells([mesh], 3.0)
     plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]
@@ -66,7 +66,7 @@ def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
         PieceClearances(corners, table.piece, table.cuts.is_cut, mesh[0].min(axis=0), 0.0).get_face_parts(9.0),
     )
     other = [
-        table.cuts.first,
+        table.cuts.cut_starts,
         table.cuts.cutting_faces,
         rise_map._face_clearances,
         rise_map._crease_map._get_cells_within(4),
@@ -199,7 +199,7 @@ def test_tables_of_moving_meshes_are_not_stored(folder: Path) -> None:
     ground = MovingGround({"deck": (vertices, faces)}, ["deck"])
     begin = len(list(folder.iterdir()))
     for frame in range(3):
-        ground.pose_meshes({"deck": vertices + np.array([0.0, frame + 1.0, 0.0])})
+        ground.set_mesh_vertices({"deck": vertices + np.array([0.0, frame + 1.0, 0.0])})
         scene, _ = ground._get_ray_scene(None)
         assert scene.find_hits_along_step(np.array([[0.0, 40.0 + frame, 0.0]]), np.array([[0.0, -60.0, 0.0]]))[0].size == 1
     assert len(list(folder.iterdir())) == begin

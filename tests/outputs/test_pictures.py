@@ -434,5 +434,5 @@ def test_no_face_stands_out_over_its_neighbours():
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     corners, normal = corners[normal[:, 1] > -0.5], normal[normal[:, 1] > -0.5]  # the others have the table before them
     near_a_side = (corners * np.array([0.495, 0.495, 0.01])[:, None]).sum(axis=1)
-    assert not still.rays.find_occluded(near_a_side + 0.001 * normal, normal, 5.0).any()
+    assert not still.rays.find_occluded_rays(near_a_side + 0.001 * normal, normal, 5.0).any()
     assert still.rays.find_first_hits(near_a_side + 0.5 * normal, -normal).t == pytest.approx(0.5, abs=1e-4)

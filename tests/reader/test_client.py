@@ -76,8 +76,8 @@ def test_invalid_and_large_images_are_rejected(reader: FileReader) -> None:
 @pytest.mark.parametrize(
     ("does", "words"),
     [
-        ("sys.exit(3)", "the library that reads it crashes"),
-        ("os.abort()", "the library that reads it crashes"),
+        ("sys.exit(3)", "the library for its format crashes"),
+        ("os.abort()", "the library for its format crashes"),
         ("os.write(1, b'what?' * 100)", "invalid answer"),
         ("send({'answer': 3})", "invalid answer"),
         ("send({'refusal': {'code': 'no-such-code', 'message': 'x', 'help': None, 'key': '', 'about': ''}})", "invalid answer"),

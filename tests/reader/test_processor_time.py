@@ -184,7 +184,7 @@ def test_prims_of_a_heavy_file_are_rejected_immediately(
         return usd.read_usd_mesh(stage)
 
     assert len(read("/ground").raw_mesh.faces) == 2
-    with pytest.raises(usd.UsdError, match="takes too long to be read"):
+    with pytest.raises(usd.UsdError, match="takes too long"):
         read("/r0")
     used = reader._used_cpu_seconds
     for number in range(1, 10):

@@ -103,7 +103,7 @@ def test_a_path_turns_as_far_as_it_reaches_over_an_edge(turn: float) -> None:
     assert walk is not None
     surface, points = walk.build_tables()[0], np.empty(FLOATS_PER_PATH)
     tree = walk.boxes.to_box_tree()
-    nearby = FacesNearby(tree, FaceList(np.empty(9, np.int64), 0), 0, table.piece, table.cuts.first)
+    nearby = FacesNearby(tree, FaceList(np.empty(9, np.int64), 0), 0, table.piece, table.cuts.cut_starts)
     start = table.corner[:, 0] + 0.25 * table.edge1[:, 0] + 0.25 * table.edge2[:, 0]
     for window in (20.0, 40.0):
         travel = np.array([1.0, 0.0, 0.0])

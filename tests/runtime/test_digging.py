@@ -14,10 +14,10 @@ from antdsl.bodies.shapes import build_sphere
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.ground.combined import CombinedGround
-from antdsl.ground.mesh.topology import find_facing_sides
+from antdsl.ground.mesh.topology import classify_normal_directions
 from antdsl.ground.protocol import Footing
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cut_plane import CutPlane
@@ -56,11 +56,11 @@ def watched(shot: Shot) -> tuple[World, list[str], dict[str, list[np.ndarray]]]:
             rows = population.rows_by_id()
             place, mesh = population.position[rows], population.footing.mesh[rows]
             positions_by_name[name].append(place)
-            away = hill.sample(place).astype(np.float64)
+            away = hill.sample_distances(place).astype(np.float64)
             assert (away[mesh == 0] > -0.06 * hill.voxel).all(), "on ground that is inside undug solid"
             level = 1.2 * np.sin(place[:, 0] / 20) + np.cos(place[:, 2] / 17)
             assert (place[:, 1] > level - 0.4).all(), "below the ground"
-            middle = hill.sample((place + previous_positions[name]) / 2)
+            middle = hill.sample_distances((place + previous_positions[name]) / 2)
             assert (middle > -0.75 * hill.voxel).all(), "through undug solid"
             distances = np.sqrt(((place - previous_positions[name]) ** 2).sum(axis=1))
             most = population.now["max_speed"][rows].astype(np.float64) / 24
@@ -79,7 +79,7 @@ def test_diggers_come_out_on_the_other_side_of_the_hill_they_went_into(watched, 
     _, _, positions_by_name = watched
     digger = np.stack(positions_by_name["digger"])
     fresh = bound(shot).solids["hill"]
-    inside = fresh.sample(digger.reshape(-1, 3)).reshape(digger.shape[:2])
+    inside = fresh.sample_distances(digger.reshape(-1, 3)).reshape(digger.shape[:2])
     through = (inside.min(axis=0) < -1.5) & (digger[0, :, 0] < -15) & (digger[-1, :, 0] > 15)
     assert through.sum() >= 3
     assert digger[:, through, 1].max() < 9, "through, not over: the hill is 17 high"
@@ -273,8 +273,8 @@ def test_cells_are_found_alike_however_many_are_looked_up(dense, monkeypatch):
     assert np.array_equal(one_by_one, cell_rows[::30])
     voxel = np.floor(positions / cells.cell + 0.5).astype(np.int64) - cells._low
     assert np.array_equal(
-        SurfaceCells._find_nearby_cells(cells, positions, voxel, find_facing_sides(normals).astype(np.int64)),
-        cells._find_nearby_cells(positions, voxel, find_facing_sides(normals).astype(np.int64)),
+        SurfaceCells._find_nearby_cells(cells, positions, voxel, classify_normal_directions(normals).astype(np.int64)),
+        cells._find_nearby_cells(positions, voxel, classify_normal_directions(normals).astype(np.int64)),
     )
     for count in (5, 16):
         assert np.array_equal(
@@ -286,7 +286,7 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
     vertices, faces = build_sphere(4)
     ball = Volume.from_mesh(vertices * 20.0, faces, 1.0)
     assert isinstance(ball, Volume)
-    feel = SolidFeelers(ball)
+    feel = SolidProximityQueries(ball)
     draw = np.random.default_rng(1)
     direction = draw.normal(size=(200, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
@@ -341,7 +341,7 @@ def test_one_solid_is_hard_for_who_walks_on_another(shot):
         moved = ground.move(place, direction * 1.1, direction, up, 4.0)
         place, direction, up = moved.footing, moved.direction, moved.up
         visited.add(int(place.mesh[0]))
-        assert min(volume.sample(moved.position)[0] for volume in solids.values()) > -0.06
+        assert min(volume.sample_distances(moved.position)[0] for volume in solids.values()) > -0.06
     assert visited == {0, 1} and moved.position[0, 0] > 12, "over the notch between them and on"
 
 
@@ -357,4 +357,4 @@ def test_a_cut_shows_the_inside(scene, shot):
     level = vertices[np.abs(vertices[:, 2] - 0.5) < 1e-3]
     inside = np.linalg.norm(level[:, :2] - [0.0, 6.0], axis=1)
     assert len(level) > 300 and inside.min() > 3.5, "a section with a hole where the cave is"
-    assert hill.sample(np.array([[0.0, 12.0, 5.0]]))[0] < 0, "the solid itself is whole"
+    assert hill.sample_distances(np.array([[0.0, 12.0, 5.0]]))[0] < 0, "the solid itself is whole"

@@ -283,7 +283,7 @@ def test_a_foot_without_its_ground_lifts_and_seeks_again(tmp_path: Path) -> None
         lifted |= not feet_of(world).is_standing[0, 1]
     feet = feet_of(world)
     assert lifted and feet.is_standing[0, 1]
-    assert abs(float(world.solids["ground"].sample(feet.place[:, 0, 1][None])[0])) < 0.02
+    assert abs(float(world.solids["ground"].sample_distances(feet.place[:, 0, 1][None])[0])) < 0.02
     assert np.array_equal(feet.place[:, 1], others.place[:, 1]) and np.linalg.norm(feet.place[:, 0, 1] - dug) > 0.1
 
 

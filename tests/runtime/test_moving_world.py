@@ -254,7 +254,7 @@ def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
     """A box drives over the plain: who climbs it rides along, and rays find it where it is now."""
     plain, lorry = meshes.grid(200, 8), meshes.box((-30, -5, -30), (30, 6, 30))
     ground = MovingGround({"plain": plain, "lorry": lorry}, ["lorry"])
-    ground.pose_meshes({"lorry": lorry[0] + (50, 0, 0)})
+    ground.set_mesh_vertices({"lorry": lorry[0] + (50, 0, 0)})
     up = np.array([[0.0, 1, 0]])
     foot, hit = ground.place_points(np.array([[15.0, 50, 1]]), up)
     assert hit.all() and foot.mesh[0] == 0, "there it was at rest"
@@ -262,7 +262,7 @@ def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
     assert walked.footing.mesh[0] == 1 and walked.position[0, 1] > 5, "up its side at 20 mm"
     foot = walked.footing
     previous_position = ground.position(foot)
-    ground.pose_meshes({"lorry": lorry[0] + (70, 0, 3)})
+    ground.set_mesh_vertices({"lorry": lorry[0] + (70, 0, 3)})
     assert np.allclose(ground.position(foot) - previous_position, [[20, 0, 3]])
     assert np.allclose(ground.compute_rest_positions(foot), previous_position - (50, 0, 0))
 
@@ -274,7 +274,7 @@ def test_posed_ground_is_rebuilt_ground() -> None:
     bend = ball[0] * (1.2, 0.8, 1) + (11, 2, -7)
     posed = MovingGround({"hill": hill, "ball": ball}, ["ball"])
     posed.move(*_crowd(posed, draw, 5))  # what it keeps was made before it was posed
-    posed.pose_meshes({"ball": bend})
+    posed.set_mesh_vertices({"ball": bend})
     rebuilt = MeshGround({"hill": hill, "ball": (bend, ball[1])})
     for name in (
         "corner",

@@ -406,7 +406,7 @@ def test_a_solid_by_area_is_covered_on_all_sides() -> None:
     up = ants.read_vector("up")
     for axis in range(3):
         assert (up[:, axis] > 0.9).sum() > 30 and (up[:, axis] < -0.9).sum() > 30
-    assert np.abs(bound_world.solids["block"].sample(ants.position)).max() < 0.1
+    assert np.abs(bound_world.solids["block"].sample_distances(ants.position)).max() < 0.1
 
 
 def test_a_density_goes_by_the_map_on_the_underside_too() -> None:

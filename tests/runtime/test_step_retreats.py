@@ -68,7 +68,7 @@ def move(world: World, row: int, x: float) -> None:
     ants.footing = ants.footing.copy()
     ants.position[row, 0] = ants.now["position.x"][row] = x
     place, *_ = world.ground.find_nearest(ants.position[row : row + 1])
-    ants.footing.put_rows(np.array([row]), place)
+    ants.footing.write_rows(np.array([row]), place)
 
 
 def test_a_pair_that_overlaps_returns_and_so_do_others_in_its_places() -> None:

@@ -70,7 +70,7 @@ def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
     mesh = SHAPES.can()
     ground, rng = MeshGround({"can": mesh}), np.random.default_rng(7)
     begin = crowd(ground, [mesh], N, rng)
-    begin = begin.take_rows(np.flatnonzero(~inside(mesh, above(ground, begin))))  # no agent in the tin
+    begin = begin.select_rows(np.flatnonzero(~inside(mesh, above(ground, begin))))  # no agent in the tin
     was, crossed = in_can(above(ground, begin), SHAPES.TIN), 0
     assert 0.3 < was.mean() < 0.7
     for k, (previous, at) in enumerate(wander(ground, begin, 2 * STEPS, rng)):
@@ -103,7 +103,7 @@ def test_no_agent_on_a_stack_of_stones_comes_into_a_stone() -> None:
     stack = parts(mesh, len(SHAPES.STACK))
     ground, rng = MeshGround({"stones": mesh}), np.random.default_rng(8)
     begin = crowd(ground, [mesh], 2 * N, rng)
-    begin = begin.take_rows(np.flatnonzero(~np.any([inside(s, above(ground, begin)) for s in stack], axis=0)))
+    begin = begin.select_rows(np.flatnonzero(~np.any([inside(s, above(ground, begin)) for s in stack], axis=0)))
     piece = ground.triangles[3].piece
     first, climbs = piece[ground.get_face_numbers(begin.footing)[0]], 0
     assert len(begin.up) > 0.6 * N
@@ -182,7 +182,7 @@ def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
     plain = (plain[0] + np.array([0.0, 19.0, 0.0]), plain[1])
     ground, intact_ground, rng = MeshGround({"broken": mesh}), MeshGround({"whole": plain}), np.random.default_rng(10)
     outside = crowd(intact_ground, [plain], N, rng)
-    outside = outside.take_rows(np.flatnonzero(winding(plain, above(intact_ground, outside)) < 0.5))
+    outside = outside.select_rows(np.flatnonzero(winding(plain, above(intact_ground, outside)) < 0.5))
     footing = intact_ground.find_nearest(outside.position)[0], ground.find_nearest(outside.position)[0]
     outside, at = (
         g.move(f, 0 * outside.up, outside.heading, outside.up, BODY)
@@ -264,7 +264,7 @@ def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:
         turn, shift = 0.05 * k, np.array([0.3 * k, 0.0, -0.2 * k])
         spin = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
         previous_axes = moving.compute_axes(at.footing)
-        moving.pose_meshes({"block": mesh[0] @ spin.T + shift})
+        moving.set_mesh_vertices({"block": mesh[0] @ spin.T + shift})
         heading, up = (
             sum(
                 axis * (was * v.T).sum(axis=0) for axis, was in zip(moving.compute_axes(at.footing), previous_axes, strict=True)
@@ -273,7 +273,7 @@ def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:
         )
         heading = heading + np.cross(up, heading) * rng.normal(0, 0.3, (len(up), 1))
         at = moving.move(at.footing, heading * STEP, heading, up, BODY)
-    moving.pose_meshes({"block": mesh[0]})
+    moving.set_mesh_vertices({"block": mesh[0]})
     rest_ground = MeshGround({"block": mesh})
     side = np.where(side_of(moving, at, spin) < 0, -1.0, 1.0)
     points = rest_ground.position(at.footing) + rest_ground.normal(at.footing) * (side * FINE)[:, None]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, ROW_FLOATS
+from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, FLOATS_PER_FACE_ROW
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, allocate_scratch, inlined, kernel_helper, prefetch
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, cross, dot, load_vector, minus
 from antdsl.numerics.sorting import compute_morton_codes
@@ -19,13 +19,13 @@ Index = NDArray[np.int64]
 BOXES_PER_NODE = 4  # child boxes of a box
 # Margin of corner weights for a hit, so that no path passes between two triangles at an edge
 EDGE_TOLERANCE = 1e-9
-MAX_LENGTHENING = 1e6  # maximum factor by which a path is extended
+MAX_STEP_EXTENSION_FACTOR = 1e6  # maximum factor by which a path is extended
 MIN_PLANE_SINE = 1e-12  # sine between a path and a plane; below it, the path counts as parallel, without a hit
 _GRID_STEPS_PER_AXIS = 1 << 21  # resolution of the Morton order along an axis
 _MAX_OPEN_BOXES = 128  # size of the stack of boxes; a tree of 2**40 triangles needs less
 
 
-class BoxTree(NamedTuple):
+class FaceBoxTree(NamedTuple):
     """The arrays of `FaceBoxes` for kernels."""
 
     triangle_order: Array1[I64]
@@ -36,8 +36,8 @@ class BoxTree(NamedTuple):
 class FaceList(NamedTuple):
     """A buffer for face numbers: an array, and the index where the buffer begins."""
 
-    numbers: Array1[I64]
-    begin: I64
+    face_numbers: Array1[I64]
+    first_index: I64
 
 
 class BoxHit(NamedTuple):
@@ -73,10 +73,10 @@ class FaceBoxes:
             counts.append(-(-counts[-1] // BOXES_PER_NODE))
         first = np.cumsum([0, *counts])
         boxes = FaceBoxes(order, first, np.empty((int(first[-1]), 6)))
-        boxes.refit(vertices, faces)
+        boxes.refit_boxes(vertices, faces)
         return boxes
 
-    def refit(self, vertices: Floats, faces: NDArray[np.int32], first_moved: int = 0) -> None:
+    def refit_boxes(self, vertices: Floats, faces: NDArray[np.int32], first_moved: int = 0) -> None:
         """Update `bounds` after triangles moved. Triangles before `first_moved` in the order have not moved."""
         a, b, c = (vertices.take(faces[self.triangle_order[first_moved:], k], axis=0) for k in range(3))
         ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
@@ -90,9 +90,9 @@ class FaceBoxes:
             rows = slice(self.level_starts[k] + first_moved, self.level_starts[k + 1])
             self.bounds[rows, :3], self.bounds[rows, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
 
-    def to_box_tree(self) -> BoxTree:
+    def to_box_tree(self) -> FaceBoxTree:
         """Return the arrays for kernels."""
-        return BoxTree(self.triangle_order, self.level_starts, self.bounds)
+        return FaceBoxTree(self.triangle_order, self.level_starts, self.bounds)
 
     def find_overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
         """Return the pairs of query boxes and triangle boxes that overlap, as two arrays of numbers.
@@ -115,9 +115,9 @@ class FaceBoxes:
 
 
 @kernel_helper
-def gather_faces(
+def list_faces_near_segment(
     pieces: Array1[I32],
-    boxes: BoxTree,
+    box_tree: FaceBoxTree,
     first_point: Vec3,
     second_point: Vec3,
     margin: F64,
@@ -129,7 +129,7 @@ def gather_faces(
 
     The query box contains the points `first_point` and `second_point`, and is `margin` mm larger. Triangles are given by
     positions in the order of all triangles. `face` and the triangles of the piece `piece` are left out."""
-    order, first, bounds = boxes
+    order, first, bounds = box_tree
     numbers, behind = face_list
     count, waiting = 0, 0
     low_x, low_y, low_z = (
@@ -164,8 +164,8 @@ def gather_faces(
 
 
 @kernel_helper
-def find_first_hit(
-    table: Array1[F64], boxes: BoxTree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, extension: F64
+def find_first_face_hit(
+    table: Array1[F64], box_tree: FaceBoxTree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, extension: F64
 ) -> BoxHit:
     """Return the first hit of a path from `origin` by `step`, extended by `extension` mm, among the first `count` triangles of
     `face_list`.
@@ -173,13 +173,13 @@ def find_first_hit(
     `table` is the packed table. Both sides of a triangle can be hit, if its box overlaps the path's box. A path in the triangle's
     plane does not hit. Of two hits at equal distance, the lower number counts (Möller, Trumbore, Fast, Minimum Storage
     Ray/Triangle Intersection, 1997, p. 22-24)."""
-    order, _, bounds = boxes
+    order, _, bounds = box_tree
     numbers, behind = face_list
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0
     if count == 0:
         return BoxHit(face, part, (b1, b2))
     square = dot(step, step)
-    long = 1.0 + min(extension / max(np.sqrt(square), 1e-300), MAX_LENGTHENING)
+    long = 1.0 + min(extension / max(np.sqrt(square), 1e-300), MAX_STEP_EXTENSION_FACTOR)
     end_x, end_y, end_z = origin[0] + step[0] * long, origin[1] + step[1] * long, origin[2] + step[2] * long
     low_x, low_y, low_z = min(origin[0], end_x), min(origin[1], end_y), min(origin[2], end_z)
     high_x, high_y, high_z = max(origin[0], end_x), max(origin[1], end_y), max(origin[2], end_z)
@@ -188,7 +188,7 @@ def find_first_hit(
         if is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
             continue
         f = order[b]
-        row = ROW_FLOATS * f
+        row = FLOATS_PER_FACE_ROW * f
         e1, e2, s = (
             load_vector(table, row + EDGE1_OFFSET),
             load_vector(table, row + EDGE2_OFFSET),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.casting.grid_filters import filter_maximum, filter_minimum
 from antdsl.casting.rasterise import iterate_triangle_cells
 from antdsl.casting.rays import RayScene
-from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE, MeshTopology
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array3, Strided2, float_to_bits, inlined, kernel
 from antdsl.numerics import elementary, parallel, stored_tables
 from antdsl.numerics.vectors import dot
@@ -26,13 +26,13 @@ Ints = NDArray[np.int32]
 _SAMPLES_PER_CREASE = 5  # points along a crease from which distances are measured
 _MAX_SEPARATE_PIECES = 64  # with more pieces, each face counts as near another
 _MAX_RELATIVE_DISTANCE = 0.1  # share of the size of the other pieces
-_DISTANCE_NOISE = 1e-4  # share of the ground's extent; exceeds the error of float32 distances
+_RELATIVE_DISTANCE_NOISE = 1e-4  # share of the ground's extent; exceeds the error of float32 distances
 _MAX_CELLS_PER_AXIS = 192  # cells along the longest side of a ground
 _SMOOTH_EDGE_COSINE = 0.7071067811865476  # cosine of the largest angle between faces at a smooth edge
 _MIN_BEND_ANGLE = np.radians(14.0)  # radians; a body on smoothed ground does not touch a smaller rise
 _MIN_WIDE_FACE_TURN = np.radians(5.0)  # radians; at an edge of a wide face that turns less, a body does not touch the ground
-_BEND_RINGS = 2  # rings of faces around such an edge; smoothed normals are off the normals of all faces at its ends
-_WIDE_FACE_PER_BODY = 0.6  # body lengths; a face of this height has at most one edge below either half of a body
+_BEND_NEIGHBOUR_RINGS = 2  # rings of faces around such an edge; smoothed normals are off the normals of all faces at its ends
+_WIDE_FACE_BODY_LENGTHS = 0.6  # body lengths; a face of this height has at most one edge below either half of a body
 _MAX_CURVATURE_PER_BODY = (
     0.84  # radians per body length; on ground that curves more, feet would turn faster than a body by default
 )
@@ -47,7 +47,7 @@ def find_inner_creases(table: MeshTopology, corners: Floats) -> Index:
     At an inner crease, the face beyond rises more steeply than at a smooth edge."""
     is_crease = np.zeros(table.link.shape[1], np.bool_)
     for side, sign in ((0, 1.0), (1, -1.0)):
-        half = np.flatnonzero(table.link[side] != NO_LINK)
+        half = np.flatnonzero(table.link[side] != NO_LINKED_EDGE)
         face, link = half // 3, table.link[side, half]
         other_face, k, flip = link >> 3, (link >> 1) & 3, link & 1
         up = table.normal.take(face, axis=1) * sign
@@ -75,25 +75,25 @@ def find_bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[
     area = np.sqrt((np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) ** 2).sum(axis=1))
     height = np.full(len(corners), np.inf)
     np.minimum.at(height, face, area[face] / np.maximum(length, 1e-300))
-    reach = _WIDE_FACE_PER_BODY * size
+    reach = _WIDE_FACE_BODY_LENGTHS * size
     is_wide, height = height >= reach, np.minimum(height[face], height[table.link[0, half] >> 3])
     turn = _MIN_BEND_ANGLE * np.minimum(height / reach, 1.0)
     far = corners[table.link[0, half] >> 3, (table.link[0, half] >> 1) & 3].T - corners[face, (half % 3 + 1) % 3].T
     climbs = dot(table.normal.take(face, axis=1), far) > 0
     # Agents may stand on either side of a sheet: an edge that descends on one side rises on the other.
-    climbs |= bool((table.link[0].reshape(-1, 3)[table.is_live] == NO_LINK).any())
+    climbs |= bool((table.link[0].reshape(-1, 3)[table.is_live] == NO_LINKED_EDGE).any())
     bends, wide = (cosine < elementary.cos(turn.astype(np.float32))) & climbs, height >= reach
     curls = cosine < elementary.cos((_MAX_CURVATURE_PER_BODY * np.minimum(height / size, 1.0)).astype(np.float32))
     has_bend = np.zeros(len(corners), np.bool_)
     has_bend[face[wide & (cosine < elementary.cos(np.float32(_MIN_WIDE_FACE_TURN)))]] = True
-    for _ in range(_BEND_RINGS):
+    for _ in range(_BEND_NEIGHBOUR_RINGS):
         has_bend[face[has_bend[table.link[0, half] >> 3]]] = True
     return half[(bends & ~wide) | curls], has_bend & is_wide
 
 
 def _measure_edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
     """Return the half-edges with a link, the cosine of the angle between the two faces at each, and the face of each."""
-    half = np.flatnonzero(table.link[0] != NO_LINK)
+    half = np.flatnonzero(table.link[0] != NO_LINKED_EDGE)
     face, link = half // 3, table.link[0, half]
     beyond = table.normal.take(link >> 3, axis=1) * np.where(link & 1, -1.0, 1.0)
     return half, dot(table.normal.take(face, axis=1), beyond), face
@@ -146,18 +146,20 @@ class CreaseMap:
                 is_marked[tuple(np.clip(cell, 0, self._shape - 1).T)] = True
         return is_marked
 
-    def find_rows_near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
+    def find_rows_near_creases(
+        self, rows: Index, distance_levels: Index, used_levels: int, place: Floats, threads: int
+    ) -> NDArray[np.bool_]:
         """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. No row that has one is missing.
 
         The rung of a reach is its binary exponent, counted from that of a cell. Rows of rung -1 count as near; others are tested
         by the grid of their rung. `rung_bits` has a bit for each such rung. The result for a position and a reach does not depend
         on the other queries."""
-        for rung in range(rung_bits.bit_length()):
-            if rung_bits >> rung & 1:
+        for rung in range(used_levels.bit_length()):
+            if used_levels >> rung & 1:
                 work = partial(
                     mark_rows_in_near_cells,
                     rows,
-                    rungs,
+                    distance_levels,
                     rung,
                     place,
                     self._low,
@@ -165,20 +167,22 @@ class CreaseMap:
                     self._get_cells_within(self._lowest_rung + rung),
                 )
                 parallel.run_in_parts(work, len(rows), threads, _POSITIONS_PER_THREAD)
-        is_near: NDArray[np.bool_] = rungs == -1
+        is_near: NDArray[np.bool_] = distance_levels == -1
         return is_near
 
-    def _get_cells_within(self, rung: int) -> NDArray[np.bool_]:
+    def _get_cells_within(self, distance_level: int) -> NDArray[np.bool_]:
         """Return the cells within 2**rung mm of a crease, another piece or a cut."""
-        if rung not in self._near_cells_by_rung:
-            rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
+        if distance_level not in self._near_cells_by_rung:
+            rings = int(min(np.ceil(np.ldexp(1.0, distance_level) / self._width) + 1, self._shape.max()))
             corners, table, minded, half = self._inputs
             inputs = (corners, table.is_live, table.link, table.piece, table.cuts.is_cut, minded, half, float(rings))
-            tables = stored_tables.get_or_compute("cells near creases", len(corners), inputs, partial(self._spread_cells, rings))
-            self._near_cells_by_rung[rung] = tables["near"]
-        return self._near_cells_by_rung[rung]
+            tables = stored_tables.get_or_compute(
+                "cells near creases", len(corners), inputs, partial(self._expand_crease_cells, rings)
+            )
+            self._near_cells_by_rung[distance_level] = tables["near"]
+        return self._near_cells_by_rung[distance_level]
 
-    def _spread_cells(self, rings: int) -> stored_tables.Tables:
+    def _expand_crease_cells(self, rings: int) -> stored_tables.Tables:
         """Return a mask of the cells within `rings` cells of a crease, another piece or a cut."""
         sharp, *pieces = self._crease_and_piece_grids
         is_near: NDArray[np.bool_] = filter_maximum(sharp, rings) if sharp.any() else sharp
@@ -217,7 +221,9 @@ def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -
         fresh = np.concatenate(([True], (samples[1:] != samples[:-1]).any(axis=1)))
         distances = cKDTree(samples[fresh]).query(middle)[0] - radius - reach
     pieces, cut = np.unique(table.piece[table.is_live]).astype(np.int64), np.flatnonzero(table.cuts.is_cut)
-    error = radius + _DISTANCE_NOISE * (float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max()) if len(corners) else 0)
+    error = radius + _RELATIVE_DISTANCE_NOISE * (
+        float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max()) if len(corners) else 0
+    )
     if pieces.size > _MAX_SEPARATE_PIECES:
         distances[:] = 0.0
     elif pieces.size > 1:
@@ -230,8 +236,8 @@ def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -
 
 
 def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
-    """Return for each face, float64[m], the distance (mm) from its `middle` to faces of other `pieces`, minus `error`; infinite
-    for faces without a piece.
+    """Return the distance (mm) from each face's `middle` to faces of other `pieces`, minus `error`, float64[m]; infinite for
+    faces without a piece.
 
     Each piece is a separate scene of rays. A face is measured to the piece with the nearest box, and then only to pieces with
     boxes nearer than that result. This is about two pieces, however many there are."""
@@ -309,11 +315,13 @@ class SlopeMap:
             return np.empty(0, np.int64)  # no face has a rise within the reach
         rows, rungs = np.empty((2, len(reach)), np.int64)
         on = (mesh, face, first, self._face_clearances, self._face_sizes, reach, *self._crease_map.reach_range)
-        parts = parallel.run_in_parts(partial(find_candidates_near_rises, *on, rows, rungs), len(reach), threads)
+        parts = parallel.run_in_parts(partial(find_candidates_near_slopes, *on, rows, rungs), len(reach), threads)
         rows, rungs = parallel.join_parts(parts, rows, rungs)
         if not len(rows):
             return rows
-        is_near = self._crease_map.find_rows_near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
+        is_near = self._crease_map.find_rows_near_creases(
+            rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads
+        )
         for low, high in moving_boxes:
             at, wide = place.take(rows, axis=0), reach[rows, None]
             is_near |= ((at >= low - wide) & (at <= high + wide)).all(axis=1)
@@ -321,23 +329,23 @@ class SlopeMap:
 
 
 @inlined
-def _compute_rung(reach: F64, width: F64, largest: F64) -> I64:
+def _compute_distance_level(reach: F64, width: F64, largest: F64) -> I64:
     """Return the binary exponent of a reach, limited to `width` .. `largest`, as np.frexp gives it."""
     return ((float_to_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT_BIAS
 
 
 @kernel
-def find_candidates_near_rises(
+def find_candidates_near_slopes(
     mesh: Array1[I32],
     face: Array1[I32],
-    first: Array1[I64],
+    first_faces: Array1[I64],
     face_clearances: Array1[F64],
     face_sizes: Array1[F64],
     reach: Array1[F64],
     width: F64,
     largest: F64,
     rows: Array1[I64],
-    rungs: Array1[I64],
+    distance_levels: Array1[I64],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
@@ -347,18 +355,18 @@ def find_candidates_near_rises(
     reach. Returns `begin`, the number of these agents, and the rungs of `CreaseMap` to query, as bits from the rung of `width`
     on."""
     count, rung_bits = begin, 0
-    lowest = _compute_rung(width, width, largest)
+    lowest = _compute_distance_level(width, width, largest)
     for i in range(begin, end):
-        if mesh[i] < 0 or mesh[i] >= first.size - 1 or face[i] < 0 or not reach[i] > 0:
+        if mesh[i] < 0 or mesh[i] >= first_faces.size - 1 or face[i] < 0 or not reach[i] > 0:
             continue
-        f = first[mesh[i]] + face[i]
+        f = first_faces[mesh[i]] + face[i]
         if not face_clearances[f] <= reach[i]:
             continue
         rung = -1
         if face_sizes[f] > reach[i]:
-            rung = _compute_rung(reach[i], width, largest) - lowest
+            rung = _compute_distance_level(reach[i], width, largest) - lowest
             rung_bits = rung_bits | (1 << rung)
-        rows[count], rungs[count] = i, rung
+        rows[count], distance_levels[count] = i, rung
         count += 1
     return begin, count - begin, rung_bits
 
@@ -366,8 +374,8 @@ def find_candidates_near_rises(
 @kernel
 def mark_rows_in_near_cells(
     rows: Array1[I64],
-    rungs: Array1[I64],
-    rung: I64,
+    distance_levels: Array1[I64],
+    distance_level: I64,
     place: Strided2[F64],
     low: Array1[F64],
     width: F64,
@@ -379,10 +387,10 @@ def mark_rows_in_near_cells(
 
     It applies to agents `begin` to `end` (exclusive)."""
     for k in range(begin, end):
-        if rungs[k] != rung:
+        if distance_levels[k] != distance_level:
             continue
         i = rows[k]
         x = int(min(max(np.floor((place[i, 0] - low[0]) / width), 0.0), float(is_near_slope.shape[0] - 1)))
         y = int(min(max(np.floor((place[i, 1] - low[1]) / width), 0.0), float(is_near_slope.shape[1] - 1)))
         z = int(min(max(np.floor((place[i, 2] - low[2]) / width), 0.0), float(is_near_slope.shape[2] - 1)))
-        rungs[k] = -1 if is_near_slope[x, y, z] else -2
+        distance_levels[k] = -1 if is_near_slope[x, y, z] else -2

@@ -10,14 +10,14 @@ from antdsl.ground.mesh.face_table import (
     CORNER_OFFSET,
     EDGE1_OFFSET,
     EDGE2_OFFSET,
+    FLOATS_PER_FACE_ROW,
     NORMAL_OFFSET,
     RATE1_OFFSET,
     RATE2_OFFSET,
-    ROW_FLOATS,
     SHEAR_OFFSET,
 )
-from antdsl.ground.mesh.surroundings import compute_stance
-from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.mesh.surroundings import compute_surface_stance
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE
 from antdsl.ground.mesh.walkers import CutTables, FaceWalker, NearbySurfaces, SurfaceLanding, SurfaceTables
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, inlined, kernel_helper
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, clamp_weights, dot, fmax, load_vector, minus, plus, times
@@ -28,7 +28,7 @@ MAX_RUN_PER_RISE = 1e3  # mm along a face per mm up, above which the face counts
 
 
 @kernel_helper
-def find_crossing(
+def find_surface_crossing(
     surface: SurfaceTables, around: NearbySurfaces, cuts: CutTables, walker: FaceWalker, length: F64
 ) -> SurfaceLanding:
     """Return the first face of the same piece that cuts the current face across the path; the path continues on it.
@@ -38,13 +38,13 @@ def find_crossing(
 
     Feet keep more than `touch` (mm) away from the cutting face, on their side. That is a thousand times the rounding error of
     float64, so their side is always certain."""
-    table, link, f, side = surface.table, surface.link, walker.face, walker.side
+    table, link, f, side = surface.face_table, surface.edge_links, walker.face, walker.side
     (first, others), touch = cuts, around.length_tolerances.touch_distance
-    place, up, direction = compute_stance(table, walker)
+    place, up, direction = compute_surface_stance(table, walker)
     face, best, best_distance, soonest = -1, np.inf, length, np.inf
     for k in range(first[f], first[f + 1]):
         other = others[k]
-        row = ROW_FLOATS * other
+        row = FLOATS_PER_FACE_ROW * other
         normal, corner = load_vector(table, row + NORMAL_OFFSET), load_vector(table, row + CORNER_OFFSET)
         begins = dot(normal, minus(place, corner))
         towards = dot(normal, direction)
@@ -57,7 +57,7 @@ def find_crossing(
             continue
         crossing_distance = min(max(begins / (begins - ends if begins != ends else 1.0), 0.0), 1.0) * length
         crossing_place = plus(place, times(direction, crossing_distance))
-        if not _is_within_face(table, row, crossing_place, 4 * touch) or not _leads_through(
+        if not _is_within_face(table, row, crossing_place, 4 * touch) or not _is_crossing_to_other_side(
             table, link, f, side, other, begins, crossing_place, touch
         ):
             continue
@@ -70,7 +70,7 @@ def find_crossing(
             face, best, best_distance = other, late, crossing_distance
     if face < 0:
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, length, 0.0, False)
-    row = ROW_FLOATS * face
+    row = FLOATS_PER_FACE_ROW * face
     normal = load_vector(table, row + NORMAL_OFFSET)
     crossing_place, towards = plus(place, times(direction, best_distance)), dot(normal, direction)
     steep = minus(up, times(normal, dot(up, normal)))
@@ -82,9 +82,14 @@ def find_crossing(
         near = 0.0
         if back:
             near = max(soonest - MIN_TOUCHES_OFF_FACE * touch / max(abs(towards), 1 / MAX_RUN_PER_RISE), 0.0)
-        weights = _compute_landing_weights(table, ROW_FLOATS * f, plus(place, times(direction, near)))
+        weights = _compute_landing_weights(table, FLOATS_PER_FACE_ROW * f, plus(place, times(direction, near)))
         return SurfaceLanding(
-            f, weights, (-1.0 if -dot(load_vector(table, ROW_FLOATS * f + NORMAL_OFFSET), up) > 0 else 1.0), near, 0.0, True
+            f,
+            weights,
+            (-1.0 if -dot(load_vector(table, FLOATS_PER_FACE_ROW * f + NORMAL_OFFSET), up) > 0 else 1.0),
+            near,
+            0.0,
+            True,
         )
     return SurfaceLanding(
         face,
@@ -97,7 +102,7 @@ def find_crossing(
 
 
 @inlined
-def _to_face_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
+def _transform_to_face_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
     """Return the coordinates of a position along the two axes of a face, from its first corner."""
     off = minus(place, load_vector(table, row + CORNER_OFFSET))
     return dot(load_vector(table, row + AXIS1_OFFSET), off), dot(load_vector(table, row + AXIS2_OFFSET), off)
@@ -106,7 +111,7 @@ def _to_face_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]
 @inlined
 def _compute_weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
     """Return the weights of the point of a face below a nearby position, clamped to the triangle."""
-    c, s = _to_face_frame(table, row, place)
+    c, s = _transform_to_face_frame(table, row, place)
     return clamp_weights(c * table[row + RATE1_OFFSET] - s * table[row + SHEAR_OFFSET] + 0.0, s * table[row + RATE2_OFFSET] + 0.0)
 
 
@@ -120,7 +125,7 @@ def _compute_landing_weights(table: Array1[F64], row: I64, place: Vec3) -> Trian
 @inlined
 def _is_within_face(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
     """Return whether a position in the plane of a face is in it, or outside by at most about `touch` mm."""
-    c, s = _to_face_frame(table, row, place)
+    c, s = _transform_to_face_frame(table, row, place)
     rate1, rate2, shear = table[row + RATE1_OFFSET], table[row + RATE2_OFFSET], table[row + SHEAR_OFFSET]
     b1, b2 = c * rate1 - s * shear, s * rate2
     over = touch * (abs(rate1) + abs(rate2) + abs(shear))
@@ -131,33 +136,40 @@ def _is_within_face(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BO
 def _find_lowest_corner_height(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
     """Return the height of a face's lowest corner over the plane of another face. The upper side of that plane is its normal
     times `sign`."""
-    row, other_row = ROW_FLOATS * face, ROW_FLOATS * other
+    row, other_row = FLOATS_PER_FACE_ROW * face, FLOATS_PER_FACE_ROW * other
     up = times(load_vector(table, other_row + NORMAL_OFFSET), sign)
     first = dot(up, minus(load_vector(table, row + CORNER_OFFSET), load_vector(table, other_row + CORNER_OFFSET)))
     return first + min(min(dot(up, load_vector(table, row + EDGE1_OFFSET)), dot(up, load_vector(table, row + EDGE2_OFFSET))), 0.0)
 
 
 @inlined
-def _leads_through(
-    table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, start_height: F64, crossing_place: Vec3, touch: F64
+def _is_crossing_to_other_side(
+    table: Array1[F64],
+    link: Array2[I32],
+    face: I64,
+    side: F64,
+    other_face: I64,
+    start_height: F64,
+    crossing_place: Vec3,
+    touch: F64,
 ) -> BOOL:
     """Return whether a path continues beyond the plane of another face. It reaches the plane at `crossing_place`, from height
     `start_height`.
 
     False if the current face only touches the other one and its neighbour folds back at that line, into a wedge without space."""
     sign = -1.0 if start_height < 0 else 1.0
-    if not _find_lowest_corner_height(table, f, other, sign) >= -touch:
+    if not _find_lowest_corner_height(table, face, other_face, sign) >= -touch:
         return True
-    b1, b2 = _compute_weights(table, ROW_FLOATS * f, crossing_place)
+    b1, b2 = _compute_weights(table, FLOATS_PER_FACE_ROW * face, crossing_place)
     edge, least = 0, 1.0 - b1 - b2
     if b1 < least:
         edge, least = 1, b1
     if b2 < least:
         edge = 2
-    beyond = link[1 if side < 0 else 0, 3 * f + edge]
-    if beyond == NO_LINK:
+    beyond = link[1 if side < 0 else 0, 3 * face + edge]
+    if beyond == NO_LINKED_EDGE:
         return True
-    return _find_lowest_corner_height(table, beyond >> 3, other, sign) < -touch
+    return _find_lowest_corner_height(table, beyond >> 3, other_face, sign) < -touch
 
 
 @inlined
@@ -173,7 +185,7 @@ def _is_blocked_by_third_sheet(
         third = others[k]
         if third == own_face:
             continue
-        row = ROW_FLOATS * third
+        row = FLOATS_PER_FACE_ROW * third
         normal = load_vector(table, row + NORMAL_OFFSET)
         begins = dot(normal, minus(place, load_vector(table, row + CORNER_OFFSET)))
         ends = begins + dot(normal, offset)

@@ -10,11 +10,11 @@ _PREFETCH_GROUP_SIZE = 64  # footings with vertices prefetched together
 
 
 @kernel
-def write_positions(
+def write_footing_positions(
     vertices: Array1[F64],
     faces: Array2[I32],
     normal: Array2[F64],
-    first: Array1[I64],
+    first_faces: Array1[I64],
     mesh: Array1[I32],
     face: Array1[I32],
     b1: Array1[F64],
@@ -28,13 +28,13 @@ def write_positions(
     for begin in range(0, mesh.size, _PREFETCH_GROUP_SIZE):
         end = min(begin + _PREFETCH_GROUP_SIZE, mesh.size)
         for n in range(end, min(end + _PREFETCH_GROUP_SIZE, mesh.size)):
-            if mesh[n] >= 0 and face[n] >= 0 and mesh[n] < first.size:
-                prefetch(faces, 3 * (first[mesh[n]] + face[n]))
+            if mesh[n] >= 0 and face[n] >= 0 and mesh[n] < first_faces.size:
+                prefetch(faces, 3 * (first_faces[mesh[n]] + face[n]))
         for n in range(begin, end):
             if mesh[n] >= 0 and face[n] >= 0:
-                if mesh[n] >= first.size:
+                if mesh[n] >= first_faces.size:
                     return False
-                f = first[mesh[n]] + face[n]
+                f = first_faces[mesh[n]] + face[n]
                 if f >= faces.shape[0]:
                     return False
                 for corner in range(3):
@@ -42,7 +42,7 @@ def write_positions(
         for n in range(begin, end):
             x, y, z = 0.0, 0.0, 0.0
             if mesh[n] >= 0 and face[n] >= 0:
-                f = first[mesh[n]] + face[n]
+                f = first_faces[mesh[n]] + face[n]
                 i, j, k = 3 * faces[f, 0], 3 * faces[f, 1], 3 * faces[f, 2]
                 p, q, h = b1[n], b2[n], heights[n]
                 x, y, z = vertices[i], vertices[i + 1], vertices[i + 2]
@@ -56,14 +56,20 @@ def write_positions(
 
 
 @kernel
-def write_sides(
-    mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], sides: Array1[I8], begin: I64, end: I64
+def write_footing_sides(
+    mesh: Array1[I32],
+    face: Array1[I32],
+    first_faces: Array1[I64],
+    side_by_face: Array1[I8],
+    sides: Array1[I8],
+    begin: I64,
+    end: I64,
 ) -> None:
     """Write the side (axis direction) of the faces of footings `begin` to `end` (exclusive); 0 for nowhere. The faces of a mesh
     begin at `first`."""
     for n in range(begin, end):
         if mesh[n] >= 0 and face[n] >= 0:
-            sides[n] = side[first[mesh[n]] + face[n]]
+            sides[n] = side_by_face[first_faces[mesh[n]] + face[n]]
         else:
             sides[n] = 0
 

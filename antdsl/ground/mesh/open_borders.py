@@ -6,8 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.boxes import FaceBoxes
-from antdsl.ground.mesh.surroundings import BORDER_GAP_PER_BODY, BORDER_RAY_HEIGHT_PER_BODY, EYE_HEIGHT_PER_BODY, GroundScale
-from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
+from antdsl.ground.mesh.surroundings import (
+    BORDER_GAP_BODY_LENGTHS,
+    BORDER_RAY_HEIGHT_BODY_LENGTHS,
+    EYE_HEIGHT_BODY_LENGTHS,
+    GroundTolerances,
+)
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE, MeshTopology
 from antdsl.numerics.vectors import dot
 
 Index = NDArray[np.int64]
@@ -18,7 +23,7 @@ _MAX_BORDER_PAIRS, _PAIRS_PER_CHUNK = 1_000_000, 50_000  # pairs of a border and
 _PLANE_TOLERANCE = 1e-4
 
 
-def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, max_body_size: float) -> Index:
+def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundTolerances, max_body_size: float) -> Index:
     """Return half-edges without a link on either side that have no landing beyond them for bodies of up to `max_body_size` mm.
 
     The landing is that of `find_landing_beyond_border`. The result is incomplete on a ground that is mostly borders, or has faces
@@ -27,24 +32,26 @@ def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale,
     The search paths of `find_landing_beyond_border` lie in the plane across the edge, above or below the face, except beyond the
     border. They meet nothing under two conditions. All other nearby faces lie in the plane of the edge's face, and none extends
     over the edge's line. Paths along that plane, and paths beyond the line, stay at least the gap away from these faces."""
-    half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.is_live, 3))[:_MAX_BORDERS]
+    half = np.flatnonzero((table.link[0] == NO_LINKED_EDGE) & (table.link[1] == NO_LINKED_EDGE) & np.repeat(table.is_live, 3))[
+        :_MAX_BORDERS
+    ]
     reach = 1.01 * (
-        (BORDER_RAY_HEIGHT_PER_BODY + BORDER_GAP_PER_BODY)
-        * float(np.fmax(max_body_size, scale.min_eye_height / EYE_HEIGHT_PER_BODY))
+        (BORDER_RAY_HEIGHT_BODY_LENGTHS + BORDER_GAP_BODY_LENGTHS)
+        * float(np.fmax(max_body_size, scale.min_eye_height / EYE_HEIGHT_BODY_LENGTHS))
         + 4 * scale.coincident_distance
     )
     batches, begin, many, left = [half[:0]], 0, 1, _MAX_BORDER_PAIRS
     while begin < len(half) and left > 0:
         batch = half[begin : begin + many]
-        free, pairs = _select_open_borders(table, boxes, scale, reach, batch)
+        free, pairs = _select_borders_with_ground_beyond(table, boxes, scale, reach, batch)
         batches.append(batch[free])
         begin, left = begin + many, left - pairs
         many = max(1, min(2 * many, _PAIRS_PER_CHUNK * len(batch) // max(pairs, 1)))
     return np.concatenate(batches)
 
 
-def _select_open_borders(
-    table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, reach: float, half: Index
+def _select_borders_with_ground_beyond(
+    table: MeshTopology, boxes: FaceBoxes, scale: GroundTolerances, reach: float, half: Index
 ) -> tuple[NDArray[np.bool_], int]:
     """Return a mask of the half-edges `half` that are open borders, and the number of checked pairs.
 

@@ -25,26 +25,26 @@ _MAX_CELLS_PER_AXIS = 1 << 20  # along an axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SelfCuts:
+class SelfIntersections:
     """Pairs of faces of the same piece that cut each other. Face f is cut by `cutting_faces[first[f]:first[f + 1]]`."""
 
-    first: Index
+    cut_starts: Index
     cutting_faces: Index
 
     @property
     def is_cut(self) -> NDArray[np.bool_]:
         """Return which faces are cut."""
-        return np.diff(self.first) > 0
+        return np.diff(self.cut_starts) > 0
 
     def list_cutting_faces(self, face: Index) -> tuple[Index, Index]:
         """Return all pairs of a queried face and a face that cuts it: the index in `face`, and the number of the cutting face."""
-        count = np.diff(self.first).take(face)
+        count = np.diff(self.cut_starts).take(face)
         which = np.repeat(np.arange(face.size), count)
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
-        return which, self.cutting_faces.take(np.repeat(self.first.take(face), count) + step)
+        return which, self.cutting_faces.take(np.repeat(self.cut_starts.take(face), count) + step)
 
 
-def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCuts:
+def find_self_intersections(corners: Floats, weld: Ints, piece: Ints, coordinate_precision: float) -> SelfIntersections:
     """Return the cuts between faces of the same piece, with corners float64[m,3,3].
 
     - `weld` (m, 3): numbers of corners by position
@@ -53,13 +53,13 @@ def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCut
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # nearly equal corners get one position, so they cut nothing
-    one, two = _find_cutting_pairs(one_place[weld], weld, piece, grain)
+    one, two = _find_intersecting_pairs(one_place[weld], weld, piece, coordinate_precision)
     face, other = np.concatenate([one, two]), np.concatenate([two, one])
     order = np.lexsort((other, face))
-    return SelfCuts(np.concatenate([[0], np.cumsum(np.bincount(face, minlength=len(piece)))]), other[order])
+    return SelfIntersections(np.concatenate([[0], np.cumsum(np.bincount(face, minlength=len(piece)))]), other[order])
 
 
-def _find_cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
+def _find_intersecting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
     """Return pairs of faces of one piece that cut or touch each other."""
     cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

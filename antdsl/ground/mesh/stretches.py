@@ -11,20 +11,20 @@ from antdsl.ground.mesh.face_table import (
     EDGE1_OFFSET,
     EDGE2_OFFSET,
     EDGES_OFFSET,
+    FLOATS_PER_FACE_ROW,
     NORMAL_OFFSET,
     RATE1_OFFSET,
-    ROW_FLOATS,
     SMOOTH_NORMALS_OFFSET,
 )
-from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.ground.mesh.walkers import ClearanceTables, FaceDirection, FaceWalker, SurfaceTables, WalkProgress, WalkStop
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE
+from antdsl.ground.mesh.walkers import ClearanceTables, FaceDirection, FaceWalker, SurfaceTables, WalkProgress, WalkStopReason
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, inlined, load_consecutive, prefetch, round_to_int
 from antdsl.numerics.kernel_vectors import AgentPose, TriangleWeights, Vec3, clamp_weights, plus, times
 
 MAX_EDGE_CROSSINGS = 400  # maximum number of edges crossed in one step; the agent then stops until the next step
 _MIN_NORMAL_COSINE = 0.1  # cosine between face and smooth normal; below it, a direction is not lifted completely
 CROSSINGS_BEFORE_NUDGE = 24  # crossings after which a walker is nudged, because it may circle a corner
-NUDGE_FRACTION = 1e-7  # share of a face by which it is moved
+CORNER_NUDGE_FRACTION = 1e-7  # share of a face by which it is moved
 BORDER_INWARD_SHARE = 1e-6  # share of the direction that points inwards, so that rounding does not lead back to the border
 MAX_SURFACE_HOPS = 6  # maximum number of changes of surface, or turns along a border, in one step
 LOOK_AHEAD_EVENT, BORDER_EVENT, OVERHANG_EVENT = 1, 2, 3  # possible obstacle; border reached; agent above a border
@@ -53,17 +53,17 @@ def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s
 
 
 @inlined
-def get_clearance(clearances: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
+def get_face_part_clearance(clearances: ClearanceTables, face: I64, weights: TriangleWeights) -> F64:
     """Return a distance (mm) around the point of face `f` without any other piece; at most `reach`. See `FacePartClearances`."""
-    n = clearances.parts_per_edge[f]
+    n = clearances.parts_per_edge[face]
     if n == 0:
         return clearances.reach
     column, row = round_to_int(np.floor(weights[0] * n)), round_to_int(np.floor(weights[1] * n))
-    return clearances.clearances[clearances.first_parts[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
+    return clearances.clearances[clearances.first_parts[face] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
 
 
 @inlined
-def walk_stretches(
+def walk_to_next_event(
     surface: SurfaceTables,
     clearances: ClearanceTables,
     search_height: F64,
@@ -71,7 +71,7 @@ def walk_stretches(
     follow_borders: BOOL,
     walker: FaceWalker,
     progress: WalkProgress,
-) -> tuple[FaceWalker, WalkProgress, WalkStop]:
+) -> tuple[FaceWalker, WalkProgress, WalkStopReason]:
     """Walk across faces until no displacement is left, or until an event.
 
     A stretch is an event if another piece may be within its length and `search_height`. With `skip_first_search`, the first
@@ -84,9 +84,9 @@ def walk_stretches(
     while turn < MAX_EDGE_CROSSINGS and left > 0:
         if turn >= CROSSINGS_BEFORE_NUDGE:  # noqa: SIM102 # tested first: it is rarely true, and the remainder of a division is expensive
             if turn % CROSSINGS_BEFORE_NUDGE == 0 and not skip_first_search:
-                b1 = b1 * (1 - NUDGE_FRACTION) + NUDGE_FRACTION / 3
-                b2 = b2 * (1 - NUDGE_FRACTION) + NUDGE_FRACTION / 3
-        row = ROW_FLOATS * f
+                b1 = b1 * (1 - CORNER_NUDGE_FRACTION) + CORNER_NUDGE_FRACTION / 3
+                b2 = b2 * (1 - CORNER_NUDGE_FRACTION) + CORNER_NUDGE_FRACTION / 3
+        row = FLOATS_PER_FACE_ROW * f
         _, along, across, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
         rate1 = c * along - s * shear
         rate2 = s * across
@@ -104,7 +104,11 @@ def walk_stretches(
             if edge_distance < until:
                 until, edge = edge_distance, 2
         length = min(until, left)
-        if search_height > 0 and not skip_first_search and get_clearance(clearances, f, (b1, b2)) <= length + search_height:
+        if (
+            search_height > 0
+            and not skip_first_search
+            and get_face_part_clearance(clearances, f, (b1, b2)) <= length + search_height
+        ):
             event = LOOK_AHEAD_EVENT
             break
         skip_first_search = False
@@ -116,7 +120,7 @@ def walk_stretches(
         cosine, sine, linked, _ = load_consecutive(table, row + EDGES_OFFSET + 4 * edge, 4)
         beyond = link[1, 3 * f + edge] if forked and side < 0 else round_to_int(linked)
         if beyond < 0:
-            if beyond == NO_LINK or not follow_borders or search_height > 0:
+            if beyond == NO_LINKED_EDGE or not follow_borders or search_height > 0:
                 event = BORDER_EVENT
                 break
             (c, s), left = turn_along_border((cosine, sine), (c, s), left)
@@ -128,19 +132,21 @@ def walk_stretches(
                 table, beyond, edge, (cosine, sine), (b1, b2), side, (c, s), (heading_c, heading_s)
             )
             for line in (0, 24, 32):  # cache lines that only the final pose reads
-                prefetch(table, ROW_FLOATS * f + line)
+                prefetch(table, FLOATS_PER_FACE_ROW * f + line)
         turn += 1
     walker = FaceWalker(f, (b1, b2), side, (c, s), (heading_c, heading_s))
-    return walker, WalkProgress(left, distance, turn), WalkStop(event, edge, length, hops)
+    return walker, WalkProgress(left, distance, turn), WalkStopReason(event, edge, length, hops)
 
 
 @inlined
-def turn_along_border(edge: FaceDirection, direction: FaceDirection, left: F64) -> tuple[FaceDirection, F64]:
+def turn_along_border(edge: FaceDirection, direction: FaceDirection, remaining_length: F64) -> tuple[FaceDirection, F64]:
     """Return the direction along an open border, and the distance left in that direction. `left`: the distance left before."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0
-    return (turn * edge_c - BORDER_INWARD_SHARE * edge_s, turn * edge_s + BORDER_INWARD_SHARE * edge_c), left * abs(along)
+    return (turn * edge_c - BORDER_INWARD_SHARE * edge_s, turn * edge_s + BORDER_INWARD_SHARE * edge_c), remaining_length * abs(
+        along
+    )
 
 
 @inlined
@@ -162,7 +168,7 @@ def cross_edge(
     second = b2 if edge == 0 else (b0 if edge == 1 else b1)
     if not flip:
         first, second = second, first
-    c2, s2, _, _ = load_consecutive(table, ROW_FLOATS * f + EDGES_OFFSET + 4 * k2, 4)
+    c2, s2, _, _ = load_consecutive(table, FLOATS_PER_FACE_ROW * f + EDGES_OFFSET + 4 * k2, 4)
     turn = 1.0 if flip else -1.0
     ahead, out = turn * (c * c1 + s * s1), c * s1 - s * c1
     c, s = ahead * c2 - out * s2, ahead * s2 + out * c2
@@ -179,9 +185,9 @@ def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> A
 
     Heading and direction are unit vectors in the plane of the smooth normal."""
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
-    row = ROW_FLOATS * f
+    row = FLOATS_PER_FACE_ROW * f
     b0 = 1.0 - b1 - b2
-    numbers = load_consecutive(table, row, ROW_FLOATS)
+    numbers = load_consecutive(table, row, FLOATS_PER_FACE_ROW)
     axis1, axis2, (nx, ny, nz) = (
         numbers[AXIS1_OFFSET:AXIS2_OFFSET],
         numbers[AXIS2_OFFSET:NORMAL_OFFSET],
@@ -195,7 +201,7 @@ def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> A
     s0, s1, (s2, s3, s4, s5, s6, s7, s8) = (
         numbers[EDGES_OFFSET + 7],
         numbers[EDGES_OFFSET + 11],
-        numbers[SMOOTH_NORMALS_OFFSET:ROW_FLOATS],
+        numbers[SMOOTH_NORMALS_OFFSET:FLOATS_PER_FACE_ROW],
     )
     sx, sy, sz = s0 * b0 + s3 * b1 + s6 * b2, s1 * b0 + s4 * b1 + s7 * b2, s2 * b0 + s5 * b1 + s8 * b2
     size = np.sqrt(max(sx * sx + sy * sy + sz * sz, 1e-300))
@@ -204,7 +210,7 @@ def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> A
     hx = axis1[0] * heading_c + axis2[0] * heading_s
     hy = axis1[1] * heading_c + axis2[1] * heading_s
     hz = axis1[2] * heading_c + axis2[2] * heading_s
-    hx, hy, hz = _rotate_with_normal(hx, hy, hz, nx, ny, nz, sx, sy, sz)
+    hx, hy, hz = _rotate_with_surface_normal(hx, hy, hz, nx, ny, nz, sx, sy, sz)
     off = hx * sx + hy * sy + hz * sz
     hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
     size = np.sqrt(hx * hx + hy * hy + hz * hz)
@@ -222,7 +228,7 @@ def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> A
 
 
 @inlined
-def _rotate_with_normal(vx: F64, vy: F64, vz: F64, bx: F64, rotation: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
+def _rotate_with_surface_normal(vx: F64, vy: F64, vz: F64, bx: F64, rotation: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
     """Return a vector rotated as unit normal b rotates into a. If the normals are opposite, the rotation passes through the
     vector itself."""
     cosine = bx * ax + rotation * ay + bz * az

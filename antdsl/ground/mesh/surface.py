@@ -14,15 +14,18 @@ from antdsl.ground.mesh import footings
 from antdsl.ground.mesh.boxes import FaceBoxes
 from antdsl.ground.mesh.creases import SlopeMap, find_bend_edges, find_inner_creases, find_sharp_edges
 from antdsl.ground.mesh.surface_clearance import PieceClearances
-from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY, GroundScale
-from antdsl.ground.mesh.topology import MeshTopology, build_topology, find_facing_sides
+from antdsl.ground.mesh.surroundings import EYE_HEIGHT_BODY_LENGTHS, GroundTolerances
+from antdsl.ground.mesh.topology import MeshTopology, build_topology, classify_normal_directions
 from antdsl.ground.mesh.walk_events import CrowdWalk, WalkTables
 from antdsl.ground.protocol import Floats, Footing, GroundMove, Index
-from antdsl.ground.sticking import move_by_rays
+from antdsl.ground.sticking import move_agents_by_rays
 from antdsl.numerics import parallel
 from antdsl.numerics.vectors import dot
 
-SHARP_REACH, BEND_REACH = 1.6, 0.9  # body lengths around an agent within which its ground must be level, see `mark_bends`
+SHARP_EDGE_REACH_BODY_LENGTHS, BEND_REACH_BODY_LENGTHS = (
+    1.6,
+    0.9,
+)  # body lengths around an agent within which its ground must be level, see `mark_bend_levels`
 
 
 class MeshGround:
@@ -50,10 +53,10 @@ class MeshGround:
         self.high = used.max(axis=0) if used.size else np.zeros(3)
         self.extent = float((self.high - self.low).max())
         self._topology: MeshTopology = build_topology(self._vertices, self._faces, self._mesh_of_face, self.extent)
-        self._facing_side = find_facing_sides(self._topology.normal.T)
+        self._facing_side = classify_normal_directions(self._topology.normal.T)
         self._ray_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         corners = self._vertices[self._faces]
-        self._scale = GroundScale.from_extent(self.extent)
+        self._scale = GroundTolerances.from_extent(self.extent)
         self._box_tree = FaceBoxes.build(
             self._vertices, self._faces, np.flatnonzero(self._topology.is_live), self._group_surfaces()
         )
@@ -114,7 +117,9 @@ class MeshGround:
         """Return which straight paths from `origin` [n,3] by `displacement` [n,3] hit a surface.
 
         The other results are the fraction of the path before the hit, and the footing at the hit."""
-        part, face = self._cast_steps(np.asarray(origin, np.float64).T, np.asarray(displacement, np.float64).T, threads)
+        part, face = self._find_hits_along_steps(
+            np.asarray(origin, np.float64).T, np.asarray(displacement, np.float64).T, threads
+        )
         is_hit = face >= 0
         place = origin.T + displacement.T * np.where(is_hit, part, 0.0)
         return (
@@ -133,8 +138,8 @@ class MeshGround:
     def position(self, footing: Footing) -> Floats:
         """Return positions in the world, float64[n,3]; zero for agents without a footing. Raises IndexError for an invalid
         face."""
-        positions, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
-        if not footings.write_positions(
+        positions, at = (np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over))
+        if not footings.write_footing_positions(
             self._vertices.reshape(-1), self._faces, self._topology.normal, self._first_face, *at, positions
         ):
             raise IndexError("a footing is on a face that the ground does not have")
@@ -148,12 +153,12 @@ class MeshGround:
         return np.ascontiguousarray(np.where(known, self._topology.normal.take(face, axis=1), 0.0).T)
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to each face's normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for agents
-        without a footing."""
+        """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z. Agents without a
+        footing get 0."""
         face_sides = np.empty(len(footing), np.int8)
         on = (footing.mesh, footing.face, self._first_face, self._facing_side)
         parallel.run_in_parts(
-            partial(footings.write_sides, *on, face_sides), len(footing), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+            partial(footings.write_footing_sides, *on, face_sides), len(footing), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
         )
         return face_sides
 
@@ -200,7 +205,7 @@ class MeshGround:
         moving = [(low, high) for _, low, high in self.list_moving_boxes()]
         return self._slope_map.find_rows_near_slopes(footing.mesh, footing.face, self._first_face, place, reach, moving, threads)
 
-    def mark_bends(
+    def mark_bend_levels(
         self, footing: Footing, place: Floats, size: Floats, levels: NDArray[np.uint8], threads: int = 1
     ) -> NDArray[np.bool_]:
         """Write how the ground bends around agents of `size` [n] mm at positions [n,3] into `levels`. Return a mask of wide
@@ -221,7 +226,7 @@ class MeshGround:
         moving = [(low, high) for _, low, high in self.list_moving_boxes()]
         narrow, has_bend = self._bends[rung]
         levels.fill(0)
-        for slopes, reach, level in ((narrow, BEND_REACH, 1), (self._sharp, SHARP_REACH, 2)):
+        for slopes, reach, level in ((narrow, BEND_REACH_BODY_LENGTHS, 1), (self._sharp, SHARP_EDGE_REACH_BODY_LENGTHS, 2)):
             if slopes is not None:
                 at = (footing.mesh, footing.face, self._first_face, place, reach * size, moving, threads)
                 levels[slopes.find_rows_near_slopes(*at)] = level
@@ -264,11 +269,11 @@ class MeshGround:
         the path."""
         n = len(footing)
         if not self._faces.size or not n:
-            return _stay_in_place(footing, up, heading)
+            return _make_zero_move(footing, up, heading)
         body = np.ascontiguousarray(body, np.float64) if np.ndim(body) else np.full(n, body, np.float64)
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
         if self._by_rays:
-            return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
+            return move_agents_by_rays(self, footing, wish, heading_t, up_t, body, threads)
         with np.errstate(all="ignore"):
             parts = self._clearances.get_face_parts(self._compute_search_reach(wish, body))
         moved = Footing.from_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
@@ -276,7 +281,7 @@ class MeshGround:
         distances, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
         results = (*to, place, above, ahead, along, distances, blocked)
-        self._get_walk_tables().combine_with_clearances(parts, self._box_tree, self._scale).step(
+        self._get_walk_tables().combine_with_clearances(parts, self._box_tree, self._scale).walk_agents(
             body, at, (wish, heading_t, up_t), results, threads, stop_at_borders
         )
         return GroundMove(moved, place.T, above.T, ahead.T, along.T, distances, blocked, moved.face < 0)
@@ -301,11 +306,11 @@ class MeshGround:
     def _compute_search_reach(self, wish: Floats, body: Floats) -> float:
         """Return the greatest distance (mm) at which agents search for other surfaces on their path."""
         most, widest = footings.find_max_step_and_size(wish, body)
-        return float(sqrt(most) + EYE_HEIGHT_PER_BODY * widest + 3 * self._scale.distance_noise)
+        return float(sqrt(most) + EYE_HEIGHT_BODY_LENGTHS * widest + 3 * self._scale.distance_noise)
 
     # ---- parts
 
-    def _cast_steps(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
+    def _find_hits_along_steps(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
         """Return the fraction of the step at which each ray (3, k) hits, and the number of the face over all meshes.
 
         Without a hit they are infinite and -1."""
@@ -368,7 +373,7 @@ class MeshGround:
         return v / np.sqrt(np.maximum(dot(v, v), 1e-300))
 
 
-def _stay_in_place(footing: Footing, up: Floats, heading: Floats) -> GroundMove:
+def _make_zero_move(footing: Footing, up: Floats, heading: Floats) -> GroundMove:
     """Return the result of a step on a ground without surfaces: all agents are lost."""
     n = len(footing)
     same = np.array(heading, np.float64).reshape(-1, 3)

@@ -62,16 +62,16 @@ class PieceClearances:
         increased."""
         if self._parts is None or self._parts.reach < reach:
             # Wider than requested: otherwise a crowd that accelerates slowly would cause repeated measurements.
-            self._parts = self._build_parts(1.5 * reach if self._has_several_pieces else np.inf)
+            self._parts = self._build_face_parts(1.5 * reach if self._has_several_pieces else np.inf)
         return self._parts
 
-    def _build_parts(self, reach: float) -> FacePartClearances:
+    def _build_face_parts(self, reach: float) -> FacePartClearances:
         inputs = (self._corners, self._piece, self._is_cut, self._low, self.distance_noise, reach)
         size = len(self._piece) if self._has_several_pieces else 0
-        tables = stored_tables.get_or_compute("distances of pieces", size, inputs, partial(self._measure_parts, reach))
+        tables = stored_tables.get_or_compute("distances of pieces", size, inputs, partial(self._measure_face_parts, reach))
         return FacePartClearances(reach, tables["first"], tables["count"], tables["least"])
 
-    def _measure_parts(self, reach: float) -> stored_tables.Tables:
+    def _measure_face_parts(self, reach: float) -> stored_tables.Tables:
         """Measure the arrays of `FacePartClearances` by field name, for distances up to `reach` mm."""
         m = len(self._piece)
         near = (
@@ -124,14 +124,14 @@ class PieceClearances:
         return is_near
 
     @cached_property
-    def _piece_grid(self) -> _PieceGrid:
+    def _piece_grid(self) -> _PieceNumberGrid:
         """Return the grid of pieces, built on first use."""
         corners, piece = self._corners, self._piece
         size = corners.max(axis=(0, 1)) - self._low
         width = limit_cell_width(corners, choose_cell_width(size, _MAX_GRID_CELLS))
         cells = np.floor(size / width).astype(np.int64) + 1
         none, count = np.iinfo(np.int32).max, int(cells.prod())
-        grid = _PieceGrid(
+        grid = _PieceNumberGrid(
             width, (corners - self._low) / width, cells, np.full(count, none, np.int32), np.full(count, -1, np.int32)
         )
         live = np.flatnonzero(piece >= 0)
@@ -143,7 +143,7 @@ class PieceClearances:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PieceGrid:
+class _PieceNumberGrid:
     """A grid of the pieces near each cell.
 
     - `width`: the width of a cell (mm)

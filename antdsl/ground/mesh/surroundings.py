@@ -7,18 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import find_first_hit, gather_faces
+from antdsl.ground.mesh.boxes import find_first_face_hit, list_faces_near_segment
 from antdsl.ground.mesh.face_table import (
     AXIS1_OFFSET,
     AXIS2_OFFSET,
     CORNER_OFFSET,
     EDGE1_OFFSET,
     EDGE2_OFFSET,
-    EDGE_COSINE,
-    EDGE_SINE,
+    EDGE_COSINE_INDEX,
+    EDGE_SINE_INDEX,
     EDGES_OFFSET,
+    FLOATS_PER_FACE_ROW,
     NORMAL_OFFSET,
-    ROW_FLOATS,
 )
 from antdsl.ground.mesh.walkers import FaceDirection, FaceWalker, LengthTolerances, NearbySurfaces, SideGroups, SurfaceLanding
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, inlined, kernel_helper
@@ -38,22 +38,22 @@ from antdsl.numerics.kernel_vectors import (
     times,
 )
 
-EYE_HEIGHT_PER_BODY = 0.02  # body lengths; eye height above the surface
+EYE_HEIGHT_BODY_LENGTHS = 0.02  # body lengths; eye height above the surface
 # multiple of the eye height; the search covers at least this distance, because climbing also gains height
 MIN_LOOK_AHEAD_FACTOR = 8.0
-BORDER_GAP_PER_BODY = 0.02  # body lengths; distance beyond a border that is searched
+BORDER_GAP_BODY_LENGTHS = 0.02  # body lengths; distance beyond a border that is searched
 # Body lengths: height and depth of the search at a border, and its second depth
-BORDER_RAY_HEIGHT_PER_BODY, BORDER_RAY_DEPTH_PER_BODY = 0.5, 0.25
+BORDER_RAY_HEIGHT_BODY_LENGTHS, BORDER_RAY_DEPTH_BODY_LENGTHS = 0.5, 0.25
 RELATIVE_DISTANCE_NOISE = 1e-4  # share of the ground's extent; exceeds the error of distances to other pieces
 RELATIVE_MIN_EYE_HEIGHT = 1e-6  # share of the extent; smallest eye height
 RELATIVE_COINCIDENT_DISTANCE = 1e-8  # share of the extent; nearer surfaces coincide
 RELATIVE_TOUCH_DISTANCE = 1e-9  # share of the extent; feet nearer to a cutting face are on it
 # Cosine of about 100 degrees. Agents do not step over a border between faces with a smaller cosine.
-MIN_NORMALS_COSINE = -0.17
+MIN_COSINE_BETWEEN_NORMALS = -0.17
 
 
 @dataclass(frozen=True, slots=True)
-class GroundScale:
+class GroundTolerances:
     """Lengths (mm) that depend on the size of a ground.
 
     - `distance_noise`: more than the error of distances to other pieces
@@ -69,9 +69,9 @@ class GroundScale:
     max_below_height: float
 
     @staticmethod
-    def from_extent(extent: float) -> GroundScale:
+    def from_extent(extent: float) -> GroundTolerances:
         """Return the lengths for a ground of size `extent` (mm)."""
-        return GroundScale(
+        return GroundTolerances(
             RELATIVE_DISTANCE_NOISE * extent,
             RELATIVE_MIN_EYE_HEIGHT * extent,
             RELATIVE_COINCIDENT_DISTANCE * extent,
@@ -87,12 +87,12 @@ class GroundScale:
 class SurfaceStance(NamedTuple):
     """An agent's position, its local up direction and its direction of travel."""
 
-    place: Vec3
+    position: Vec3
     up: Vec3
     direction: Vec3
 
 
-class SurfaceSight(NamedTuple):
+class VisibleSurface(NamedTuple):
     """A visible face (-1 for none), the weights of its visible point, the distance at eye level, the direction of view, and the
     eye height."""
 
@@ -112,27 +112,36 @@ class BorderFrame(NamedTuple):
 
 
 @kernel_helper
-def find_piece_ahead(
-    table: Array1[F64], around: NearbySurfaces, body: F64, walker: FaceWalker, remaining_length: F64, length: F64
+def find_landing_ahead(
+    table: Array1[F64], nearby_surfaces: NearbySurfaces, body: F64, walker: FaceWalker, remaining_length: F64, length: F64
 ) -> SurfaceLanding:
     """Return another piece of surface within the path, as seen from slightly above the ground.
 
     If the agent's own piece hides it, the search is repeated from a minimal height. Otherwise feet would pass under the agent's
     own piece."""
-    pieces, boxes, face_list, f = around.sides.piece, around.boxes, around.face_list, walker.face
-    least, fine = around.length_tolerances.min_eye_height, around.length_tolerances.coincident_distance
-    ground = compute_stance(table, walker)
+    pieces, boxes, face_list, f = (
+        nearby_surfaces.sides.piece_numbers,
+        nearby_surfaces.boxes,
+        nearby_surfaces.face_list,
+        walker.face,
+    )
+    least, fine = nearby_surfaces.length_tolerances.min_eye_height, nearby_surfaces.length_tolerances.coincident_distance
+    ground = compute_surface_stance(table, walker)
     place, _, direction = ground
-    high = fmax(fmin(EYE_HEIGHT_PER_BODY * body, remaining_length / MIN_LOOK_AHEAD_FACTOR), least)
-    n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
+    high = fmax(fmin(EYE_HEIGHT_BODY_LENGTHS * body, remaining_length / MIN_LOOK_AHEAD_FACTOR), least)
+    n = list_faces_near_segment(
+        pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list
+    )
     if n == 0:
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, length, 0.0, False)
-    face, weights, distance, towards, eye = _find_visible_piece(table, around, n, ground, length, high)
+    face, weights, distance, towards, eye = _find_visible_piece(table, nearby_surfaces, n, ground, length, high)
     if face < 0:
         return SurfaceLanding(face, (0.0, 0.0), 1.0, length, 0.0, False)
-    if _is_hidden(table, around, f, ground, length, eye, towards):
-        n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
-        face, weights, distance, towards, eye = _find_visible_piece(table, around, n, ground, length, least)
+    if _is_face_hidden(table, nearby_surfaces, f, ground, length, eye, towards):
+        n = list_faces_near_segment(
+            pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list
+        )
+        face, weights, distance, towards, eye = _find_visible_piece(table, nearby_surfaces, n, ground, length, least)
         if face < 0:
             return SurfaceLanding(face, (0.0, 0.0), 1.0, length, 0.0, False)
     weights = clamp_weights(weights[0] + 0.0, weights[1] + 0.0)
@@ -149,7 +158,7 @@ def find_piece_ahead(
 @kernel_helper
 def _find_visible_piece(
     table: Array1[F64], around: NearbySurfaces, face_count: I64, ground: SurfaceStance, length: F64, eye_height: F64
-) -> SurfaceSight:
+) -> VisibleSurface:
     """Return another piece within the path, seen from height `eye_height`, or from half the height of a low ceiling.
 
     If there is none, search between eye height and ground at the end of the path."""
@@ -160,28 +169,28 @@ def _find_visible_piece(
         around.length_tolerances.max_below_height,
     )
     place, up, direction = ground
-    roof, part, _ = find_first_hit(table, boxes, face_list, face_count, place, times(up, eye_height), fine)
+    roof, part, _ = find_first_face_hit(table, boxes, face_list, face_count, place, times(up, eye_height), fine)
     # A face slightly above the agent's feet with its back to the agent counts as below: climbing feet may be that deep in the
     # ground.
-    if roof >= 0 and (dot(load_vector(table, ROW_FLOATS * roof + NORMAL_OFFSET), up) < 0 or eye_height * part > under):
+    if roof >= 0 and (dot(load_vector(table, FLOATS_PER_FACE_ROW * roof + NORMAL_OFFSET), up) < 0 or eye_height * part > under):
         eye_height = eye_height * part / 2
     eye, step = plus(place, times(up, eye_height)), times(direction, length)
-    face, part, weights = find_first_hit(table, boxes, face_list, face_count, eye, step, fine)
+    face, part, weights = find_first_face_hit(table, boxes, face_list, face_count, eye, step, fine)
     if face >= 0:
-        return SurfaceSight(face, weights, min(part, 1.0) * length, direction, eye_height)
+        return VisibleSurface(face, weights, min(part, 1.0) * length, direction, eye_height)
     # An obstacle between eye and ground at this point is below the next eye position, on the next face or in the next step.
     down = times(up, -eye_height)
-    face, _, weights = find_first_hit(table, boxes, face_list, face_count, plus(eye, step), down, 0.0)
-    return SurfaceSight(face, weights, length, down, eye_height)
+    face, _, weights = find_first_face_hit(table, boxes, face_list, face_count, plus(eye, step), down, 0.0)
+    return VisibleSurface(face, weights, length, down, eye_height)
 
 
 @kernel_helper
-def _is_hidden(
+def _is_face_hidden(
     table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, eye_height: F64, ray_direction: Vec3
 ) -> BOOL:
     """Return whether the agent's own piece hides face `f`, seen from eye height `eye_height`."""
     pieces, boxes, face_list, fine = (
-        around.sides.piece,
+        around.sides.piece_numbers,
         around.boxes,
         around.face_list,
         around.length_tolerances.coincident_distance,
@@ -189,22 +198,22 @@ def _is_hidden(
     place, up, direction = ground
     step, piece = times(direction, length), pieces[f]
     eye = plus(place, times(up, eye_height))
-    n = gather_faces(pieces, boxes, place, plus(place, step), eye_height + 2 * fine, f, -1, face_list)
-    first = find_first_hit(table, boxes, face_list, n, plus(place, times(up, fine)), times(up, eye_height - fine), 0.0).face
+    n = list_faces_near_segment(pieces, boxes, place, plus(place, step), eye_height + 2 * fine, f, -1, face_list)
+    first = find_first_face_hit(table, boxes, face_list, n, plus(place, times(up, fine)), times(up, eye_height - fine), 0.0).face
     if first >= 0 and pieces[first] == piece:
         return True
-    first = find_first_hit(table, boxes, face_list, n, eye, step, fine).face
+    first = find_first_face_hit(table, boxes, face_list, n, eye, step, fine).face
     if first >= 0 and pieces[first] == piece:
         return True
     if ray_direction[0] == direction[0] and ray_direction[1] == direction[1] and ray_direction[2] == direction[2]:
         return False
-    first = find_first_hit(table, boxes, face_list, n, plus(eye, step), ray_direction, 0.0).face
+    first = find_first_face_hit(table, boxes, face_list, n, plus(eye, step), ray_direction, 0.0).face
     return first >= 0 and pieces[first] == piece
 
 
 @kernel_helper
 def find_landing_beyond_border(
-    table: Array1[F64], around: NearbySurfaces, body: F64, edge: I64, walker: FaceWalker
+    table: Array1[F64], nearby_surfaces: NearbySurfaces, body: F64, edge: I64, walker: FaceWalker
 ) -> SurfaceLanding:
     """Return the landing beyond an open border at which an agent stands: the first hit of a search path.
 
@@ -214,45 +223,49 @@ def find_landing_beyond_border(
 
     Each part of the path begins at the end of the previous part, and stops at the first surface. So the agent never steps onto
     anything behind a sheet. On both sides of the border, the path is one gap away from it."""
-    sides, boxes, face_list, f = around.sides, around.boxes, around.face_list, walker.face
-    pieces, least, fine = sides.piece, around.length_tolerances.min_eye_height, around.length_tolerances.coincident_distance
-    row = ROW_FLOATS * f
+    sides, boxes, face_list, f = nearby_surfaces.sides, nearby_surfaces.boxes, nearby_surfaces.face_list, walker.face
+    pieces, least, fine = (
+        sides.piece_numbers,
+        nearby_surfaces.length_tolerances.min_eye_height,
+        nearby_surfaces.length_tolerances.coincident_distance,
+    )
+    row = FLOATS_PER_FACE_ROW * f
     place, up = (
-        position_on_face(table, row, walker.weights, walker.side),
+        compute_position_on_face(table, row, walker.weights, walker.side),
         times(load_vector(table, row + NORMAL_OFFSET), walker.side),
     )
     border = BorderFrame(f, walker.side, up)
     along = row + EDGES_OFFSET + 4 * edge
-    out = _to_world_direction(table, row, (table[along + EDGE_SINE], -table[along + EDGE_COSINE]))
-    body = fmax(body, least / EYE_HEIGHT_PER_BODY)
-    gap, high = BORDER_GAP_PER_BODY * body, BORDER_RAY_HEIGHT_PER_BODY * body
+    out = _to_world_direction(table, row, (table[along + EDGE_SINE_INDEX], -table[along + EDGE_COSINE_INDEX]))
+    body = fmax(body, least / EYE_HEIGHT_BODY_LENGTHS)
+    gap, high = BORDER_GAP_BODY_LENGTHS * body, BORDER_RAY_HEIGHT_BODY_LENGTHS * body
     most, across = high, times(out, gap)
     lift = times(up, high)
-    n = gather_faces(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, face_list)
+    n = list_faces_near_segment(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, face_list)
     if n == 0:
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     hair = times(out, 2 * fine)  # a small offset, for borders exactly above or below this one
-    roof, part, _ = find_first_hit(
+    roof, part, _ = find_first_face_hit(
         table, boxes, face_list, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0
     )
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
-    if find_first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0).face >= 0:
-        high = min(high, EYE_HEIGHT_PER_BODY * body)
-        face, part, weights = find_first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0)
+    if find_first_face_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0).face >= 0:
+        high = min(high, EYE_HEIGHT_BODY_LENGTHS * body)
+        face, part, weights = find_first_face_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0)
         if face >= 0:
             distance = gap * min(part, 1.0)
             if abs(high) <= gap:
                 return _build_landing(table, sides, border, face, weights, out, np.sqrt(distance * distance + high * high), 0.0)
             return _build_landing(table, sides, border, face, weights, out, distance, high)
     over, towards = plus(place, across), times(up, -(high + most))
-    face, part, weights = find_first_hit(table, boxes, face_list, n, plus(over, times(up, high)), towards, 0.0)
+    face, part, weights = find_first_face_hit(table, boxes, face_list, n, plus(over, times(up, high)), towards, 0.0)
     rise, distance = -most, gap
     if face >= 0:
         rise = high - part * (high + most)
-        if _can_step(table, sides, border, face, towards):
+        if _can_land_on_face(table, sides, border, face, towards):
             # Step onto the nearest point of the face to a position above the border and above the face's plane.
-            face_row = ROW_FLOATS * face
+            face_row = FLOATS_PER_FACE_ROW * face
             normal, corner = load_vector(table, face_row + NORMAL_OFFSET), load_vector(table, face_row + CORNER_OFFSET)
             plane = dot(minus(corner, place), normal) / dot(up, normal)
             height = min(plane, high) if plane > rise else rise
@@ -266,25 +279,27 @@ def find_landing_beyond_border(
             b1, b2, away = find_nearest_weights(edge1, edge2, minus(above, corner))
             onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
             rise, distance, weights = height, away, (b1, b2)
-            first, part, nearer = find_first_hit(table, boxes, face_list, n, above, onto, 0.0)
+            first, part, nearer = find_first_face_hit(table, boxes, face_list, n, above, onto, 0.0)
             if part * away < away - fine:
                 face, weights, distance, towards = first, nearer, part * away, onto
         else:
             face = -1
     if face < 0:
         lowest, towards = rise, times(out, -2 * gap)
-        for depth in (BORDER_GAP_PER_BODY * body, BORDER_RAY_DEPTH_PER_BODY * body):
+        for depth in (BORDER_GAP_BODY_LENGTHS * body, BORDER_RAY_DEPTH_BODY_LENGTHS * body):
             if lowest < -depth:
-                face, part, weights = find_first_hit(table, boxes, face_list, n, minus(over, times(up, depth)), towards, 0.0)
+                face, part, weights = find_first_face_hit(table, boxes, face_list, n, minus(over, times(up, depth)), towards, 0.0)
                 if face >= 0:
                     rise, distance = -depth, abs(gap - part * (2 * gap))
                     break
-    if face < 0 or not _can_step(table, sides, border, face, towards):
+    if face < 0 or not _can_land_on_face(table, sides, border, face, towards):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     # Straight down at the border itself, where the hit may be nearer; straight across to near surfaces.
     if rise < -gap:
         fall = times(up, rise + fine)
-        sooner, part, nearer = find_first_hit(table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
+        sooner, part, nearer = find_first_face_hit(
+            table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0
+        )
         if sooner >= 0:
             face, weights, towards = sooner, nearer, fall
             rise, distance = part * (rise + fine) - fine, 0.0
@@ -294,9 +309,11 @@ def find_landing_beyond_border(
 
 
 @inlined
-def turn_to_face(table: Array1[F64], walker: FaceWalker, face: I64, side: F64) -> tuple[FaceDirection, FaceDirection]:
+def project_directions_to_face(
+    table: Array1[F64], walker: FaceWalker, face: I64, side: F64
+) -> tuple[FaceDirection, FaceDirection]:
     """Return direction and heading in the frame of the face `face`, rotated with the normal."""
-    row, other_row = ROW_FLOATS * walker.face, ROW_FLOATS * face
+    row, other_row = FLOATS_PER_FACE_ROW * walker.face, FLOATS_PER_FACE_ROW * face
     old_normal, new_normal = (
         times(load_vector(table, row + NORMAL_OFFSET), walker.side),
         times(load_vector(table, other_row + NORMAL_OFFSET), side),
@@ -311,17 +328,17 @@ def turn_to_face(table: Array1[F64], walker: FaceWalker, face: I64, side: F64) -
 
 
 @inlined
-def compute_stance(table: Array1[F64], walker: FaceWalker) -> SurfaceStance:
+def compute_surface_stance(table: Array1[F64], walker: FaceWalker) -> SurfaceStance:
     """Return the stance of a walker."""
-    row, side = ROW_FLOATS * walker.face, walker.side
-    place = position_on_face(table, row, walker.weights, side)
+    row, side = FLOATS_PER_FACE_ROW * walker.face, walker.side
+    place = compute_position_on_face(table, row, walker.weights, side)
     return SurfaceStance(
         place, times(load_vector(table, row + NORMAL_OFFSET), side), _to_world_direction(table, row, walker.direction)
     )
 
 
 @inlined
-def position_on_face(table: Array1[F64], row: I64, weights: TriangleWeights, side: F64) -> Vec3:
+def compute_position_on_face(table: Array1[F64], row: I64, weights: TriangleWeights, side: F64) -> Vec3:
     """Return the position of a point on a face."""
     return plus(
         plus(load_vector(table, row + CORNER_OFFSET), times(load_vector(table, row + EDGE1_OFFSET), weights[0])),
@@ -340,11 +357,11 @@ def _to_world_direction(table: Array1[F64], row: I64, direction: FaceDirection) 
 @inlined
 def _find_approached_side(table: Array1[F64], face: I64, direction: Vec3) -> F64:
     """Return the side of a face from which a path in direction `direction` comes. The agent walks on that side."""
-    return -1.0 if dot(load_vector(table, ROW_FLOATS * face + NORMAL_OFFSET), direction) > 0 else 1.0
+    return -1.0 if dot(load_vector(table, FLOATS_PER_FACE_ROW * face + NORMAL_OFFSET), direction) > 0 else 1.0
 
 
 @kernel_helper
-def _can_step(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, direction: Vec3) -> BOOL:
+def _can_land_on_face(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, direction: Vec3) -> BOOL:
     """Return whether an agent may step over a border to a face.
 
     It may not step to the other side of the surface it walks on, nor to a face that turns back below that surface."""
@@ -352,7 +369,11 @@ def _can_step(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: 
     to_side = _find_approached_side(table, face, direction)
     own_side, other = 1 if border.side < 0 else 0, 1 if to_side < 0 else 0
     alike = pieces[border.face] != pieces[face] or side_groups[own_side, border.face] == side_groups[other, face]
-    return alike and dot(times(load_vector(table, ROW_FLOATS * face + NORMAL_OFFSET), to_side), border.up) > MIN_NORMALS_COSINE
+    return (
+        alike
+        and dot(times(load_vector(table, FLOATS_PER_FACE_ROW * face + NORMAL_OFFSET), to_side), border.up)
+        > MIN_COSINE_BETWEEN_NORMALS
+    )
 
 
 @kernel_helper
@@ -367,7 +388,7 @@ def _build_landing(
     rise: F64,
 ) -> SurfaceLanding:
     """Return the landing of `find_landing_beyond_border` on a face; no landing if the agent may not step there."""
-    if not _can_step(table, sides, border, face, direction):
+    if not _can_land_on_face(table, sides, border, face, direction):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     return SurfaceLanding(
         face,

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.self_cuts import SelfCuts, find_cuts
+from antdsl.ground.mesh.self_cuts import SelfIntersections, find_self_intersections
 from antdsl.numerics import elementary, stored_tables
 from antdsl.numerics.vectors import dot
 from antdsl.scene.geometry.live_faces import find_live_faces, number_components, number_corners
@@ -20,10 +20,10 @@ Ints = NDArray[np.int32]
 Index = NDArray[np.int64]
 
 _RELATIVE_TOUCH_DISTANCE = 1e-9  # share of the extent; nearer faces touch
-_DEGENERATE_RATE = 1e12  # weight per mm across a face without width
+_RATE_OF_DEGENERATE_FACE = 1e12  # weight per mm across a face without width
 _CREASE_COSINE = np.sqrt(0.5)  # cosine of 45 degrees; between faces at a larger angle, normals are not smoothed
 
-NO_LINK = -1
+NO_LINKED_EDGE = -1
 _FLOAT_COLUMNS = tuple(
     ["corner", "edge1", "edge2", "normal", "axis1", "axis2", "rate1", "rate2", "shear", "edge_c", "edge_s", "smooth"]
 )
@@ -39,9 +39,9 @@ class MeshTopology:
       * rate2`.
     - `edge_c`, `edge_s`: the direction of each half-edge in the frame. Half-edge 3f+k is opposite corner k, and goes from corner
       k+1 to k+2.
-    - `link[side, 3f+k]`: the neighbour across half-edge 3f+k, or NO_LINK, for an agent on the side of the normal (0) or the other
-      side (1). A link is 8 times the neighbouring face, plus twice the corner opposite its half-edge, plus one if that face has
-      opposite winding.
+    - `link[side, 3f+k]`: the neighbour across half-edge 3f+k, or NO_LINKED_EDGE, for an agent on the side of the normal (0) or
+      the other side (1). A link is 8 times the neighbouring face, plus twice the corner opposite its half-edge, plus one if that
+      face has opposite winding.
     - `piece`: the connected piece of each face; `side_groups` (2, m): the group of each side of a face.
     - `smooth` (9, m): the smooth normals at the three corners."""
 
@@ -60,7 +60,7 @@ class MeshTopology:
     link: Ints
     piece: Ints
     piece_count: int
-    cuts: SelfCuts  # cuts between faces of one piece
+    cuts: SelfIntersections  # cuts between faces of one piece
     side_groups: (
         Ints  # (2, m): group number of each side (0: the normal's); sides that are reachable from each other share a number
     )
@@ -93,7 +93,7 @@ def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
     stored for other runs."""
     inputs = (vertices, faces, mesh, extent)
     tables = stored_tables.get_or_compute("topology", len(faces), inputs, partial(_build_tables, *inputs))
-    cut = SelfCuts(tables.pop("first_cut"), tables.pop("cut_by"))
+    cut = SelfIntersections(tables.pop("first_cut"), tables.pop("cut_by"))
     link, piece = tables["link"], tables["piece"]
     return MeshTopology(
         **tables, piece_count=int(piece.max(initial=-1)) + 1, has_forked_edges=bool((link[0] != link[1]).any()), cuts=cut
@@ -108,21 +108,21 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
     live = find_live_faces(weld, a, b, c)
     link = _link_edges(vertices, faces, weld, live)
     piece = _number_pieces(link, live)
-    cut = find_cuts(vertices[faces], weld, piece, extent * _RELATIVE_TOUCH_DISTANCE)
-    side_groups, shape = _group_sides(link, live, piece), _compute_shape_arrays(vertices, faces, weld, live)
+    cut = find_self_intersections(vertices[faces], weld, piece, extent * _RELATIVE_TOUCH_DISTANCE)
+    side_groups, shape = _group_face_sides(link, live, piece), _compute_shape_arrays(vertices, faces, weld, live)
     return {
         "is_live": live,
         "link": link,
         "piece": piece,
         "side_groups": side_groups,
         "weld": weld,
-        "first_cut": cut.first,
+        "first_cut": cut.cut_starts,
         "cut_by": cut.cutting_faces,
         **shape,
     }
 
 
-def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice) -> None:
+def update_face_shapes(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice) -> None:
     """Update the shape of the faces in `rows`, all faces of one mesh, after vertices moved. This changes the table's arrays.
 
     Connectivity stays. A face that lost its area keeps its normal and has zero width."""
@@ -143,7 +143,7 @@ def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice
             getattr(table, name)[:, at] = old[:, flat]
         for name, old in edges.items():
             getattr(table, name).reshape(-1, 3)[at] = old[flat]
-        table.rate1[at], table.rate2[at], table.shear[at] = _DEGENERATE_RATE, _DEGENERATE_RATE, 0.0
+        table.rate1[at], table.rate2[at], table.shear[at] = _RATE_OF_DEGENERATE_FACE, _RATE_OF_DEGENERATE_FACE, 0.0
         table.smooth[:, at] = np.tile(table.normal[:, at], (3, 1))
 
 
@@ -185,7 +185,7 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.b
 
     If more than two faces meet at an edge (a wall on a floor), an agent thus stays in the wedge that it walks in."""
     m = len(faces)
-    link = np.full((2, 3 * m), NO_LINK, np.int32)
+    link = np.full((2, 3 * m), NO_LINKED_EDGE, np.int32)
     half = np.flatnonzero(np.repeat(is_live, 3))
     if not half.size:
         return link
@@ -223,32 +223,31 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.b
 
 
 def _number_pieces(link: Ints, is_live: NDArray[np.bool_]) -> Ints:
-    """Return the number of the connected piece of each face, ascending from 0 by the first faces of pieces; -1 for faces that are
-    not live."""
-    half = np.flatnonzero(link[0] != NO_LINK)
+    """Return the number of each face's connected piece, counted from 0 by first faces; -1 for faces that are not live."""
+    half = np.flatnonzero(link[0] != NO_LINKED_EDGE)
     piece = number_components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(is_live))
     result = np.full(len(is_live), -1, np.int32)
     result[is_live] = np.unique(piece[is_live], return_inverse=True)[1]
     return result
 
 
-def _group_sides(link: Ints, is_live: NDArray[np.bool_], piece: Ints) -> Ints:
+def _group_face_sides(link: Ints, is_live: NDArray[np.bool_], piece: Ints) -> Ints:
     """Return a group number per side and face (2, m). Sides that are connected across edges, and so can be reached from each
     other, share one number.
 
     The two sides of a sheet are separate, those of a Möbius strip are not. A piece without an open border has an unambiguous
     inside and outside, even where it cuts itself: its sides share one number."""
     m = len(is_live)
-    if not (link[0].reshape(-1, 3)[is_live] == NO_LINK).any():
+    if not (link[0].reshape(-1, 3)[is_live] == NO_LINKED_EDGE).any():
         return np.zeros((2, m), np.int32)
     from_sides, to_sides = [], []
     for side in (0, 1):
-        half = np.flatnonzero(link[side] != NO_LINK)
+        half = np.flatnonzero(link[side] != NO_LINKED_EDGE)
         beyond = link[side, half].astype(np.int64)
         from_sides.append(half // 3 + side * m)
         to_sides.append((beyond >> 3) + (side ^ (beyond & 1)) * m)
     shut = np.ones(int(piece.max(initial=-1)) + 1, bool)
-    shut[piece[is_live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
+    shut[piece[is_live & (link[0].reshape(-1, 3) == NO_LINKED_EDGE).any(axis=1)]] = False
     closed = np.flatnonzero(is_live)[shut[piece[is_live]]]
     one, two = np.concatenate([*from_sides, closed]), np.concatenate([*to_sides, closed + m])
     return number_components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
@@ -296,9 +295,9 @@ def _compute_crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floa
     return np.where(size[:, None] > 0, total / np.maximum(size, 1e-300)[:, None], normal[corner])
 
 
-def find_facing_sides(normals: Floats) -> NDArray[np.int8]:
-    """Return the axis direction nearest to each of the normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; of equally near ones,
-    the first."""
+def classify_normal_directions(normals: Floats) -> NDArray[np.int8]:
+    """Return the axis direction nearest to each of the normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z. Ties select the
+    first."""
     n = np.asarray(normals)
     axis = np.abs(n).argmax(axis=1)
     side: NDArray[np.int64] = 2 * axis + (n[np.arange(len(n)), axis] < 0)

@@ -8,34 +8,39 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.boxes import FaceList
-from antdsl.ground.mesh.crossings import find_crossing
-from antdsl.ground.mesh.face_table import EDGE_COSINE, EDGE_SINE, EDGES_OFFSET, MESH_OFFSET, ROW_FLOATS
+from antdsl.ground.mesh.crossings import find_surface_crossing
+from antdsl.ground.mesh.face_table import EDGE_COSINE_INDEX, EDGE_SINE_INDEX, EDGES_OFFSET, FLOATS_PER_FACE_ROW, MESH_OFFSET
 from antdsl.ground.mesh.stretches import (
     BORDER_EVENT,
     LOOK_AHEAD_EVENT,
     MAX_SURFACE_HOPS,
     OVERHANG_EVENT,
     compute_final_pose,
-    get_clearance,
+    get_face_part_clearance,
     load_face_frame,
     project_to_face,
     turn_along_border,
-    walk_stretches,
+    walk_to_next_event,
 )
-from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY, find_landing_beyond_border, find_piece_ahead, turn_to_face
-from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.mesh.surroundings import (
+    EYE_HEIGHT_BODY_LENGTHS,
+    find_landing_ahead,
+    find_landing_beyond_border,
+    project_directions_to_face,
+)
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE
 from antdsl.ground.mesh.walkers import (
-    AgentWalk,
+    AgentWalkResult,
     ClearanceTables,
     FaceWalker,
     FootingArrays,
     NearbySurfaces,
-    PieceTables,
+    PieceSearchTables,
     PoseArrays,
     SurfaceLanding,
     SurfaceTables,
     WalkProgress,
-    WalkStop,
+    WalkStopReason,
 )  # fmt: skip
 from antdsl.machine_code.kernels import inlined, kernel, kernel_helper, prefetch, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2, Strided2
@@ -54,12 +59,14 @@ from antdsl.numerics.parallel import compute_buffer_index
     HEADING_SINE_ROW,
     REMAINING_ROW,
     TRAVELLED_ROW,
-    OVER_BORDER_ROW,
+    BORDER_HEIGHT_ROW,
     EVENT_LENGTH_ROW,
     BODY_SIZE_ROW,
     FLOAT_ROW_COUNT,
 ) = range(13)
-AGENT_ROW, FACE_ROW, CROSSINGS_ROW, HOPS_ROW, BLOCKED_ROW, IS_NEAR_ROW, EVENT_ROW, EDGE_ROW, INTEGER_ROW_COUNT = range(9)
+AGENT_ROW, FACE_ROW, CROSSINGS_ROW, HOPS_ROW, IS_BLOCKED_ROW, IS_NEAR_OTHER_PIECE_ROW, EVENT_ROW, EDGE_ROW, INTEGER_ROW_COUNT = (
+    range(9)
+)
 LEFT_OUT_STATUS, FINISHED_STATUS, WAITING_STATUS = range(
     3
 )  # state of an agent after the first loop; other callers leave agents out, for `walk_all`
@@ -70,10 +77,10 @@ PREFETCH_GROUP_SIZE = 64  # agents with rows prefetched together; they fit into 
 @inlined
 def prefetch_faces(surface: SurfaceTables, mesh: Array1[I32], face: Array1[I32], begin: I64, end: I64) -> None:
     """Prefetch the rows of the faces that agents `begin` to `end` (exclusive) stand on."""
-    table, first = surface.table, surface.first
+    table, first = surface.face_table, surface.first_faces
     for i in simd_range(begin, end):
         if mesh[i] >= 0:
-            row = ROW_FLOATS * (first[mesh[i]] + face[i])
+            row = FLOATS_PER_FACE_ROW * (first[mesh[i]] + face[i])
             prefetch(table, row)
             prefetch(table, row + 8)
             prefetch(table, row + 16)
@@ -93,11 +100,11 @@ def walk_agent(
     wish: Vec3,
     heading: Vec3,
     up: Vec3,
-) -> AgentWalk:
+) -> AgentWalkResult:
     """Walk an agent over face `face` and the faces beyond its edges, starting at `weights`, `height` mm above the face.
 
-    The result is that of `walk_stretches`. With `follow_borders`, the agent follows open borders."""
-    axis1, axis2, normal = load_face_frame(surface.table, ROW_FLOATS * face)
+    The result is that of `walk_to_next_event`. With `follow_borders`, the agent follows open borders."""
+    axis1, axis2, normal = load_face_frame(surface.face_table, FLOATS_PER_FACE_ROW * face)
     along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
     side = -1.0 if along_up < 0 else 1.0
     height = height * side
@@ -105,20 +112,20 @@ def walk_agent(
     c, s, left = project_to_face(axis1, axis2, wish[0], wish[1], wish[2], 1.0, 0.0)
     heading_c, heading_s, _ = project_to_face(axis1, axis2, heading[0], heading[1], heading[2], c, s)
     high = _compute_search_margin(clearances.distance_noise, size)
-    if not get_clearance(clearances, face, weights) <= left + high:
+    if not get_face_part_clearance(clearances, face, weights) <= left + high:
         high = -np.inf  # the complete path needs no search
     walker, progress = FaceWalker(face, weights, side, (c, s), (heading_c, heading_s)), WalkProgress(left, 0.0, 0)
     if height != 0 and left > 0:
-        stop = WalkStop(OVERHANG_EVENT, 0, 0.0, 0)
+        stop = WalkStopReason(OVERHANG_EVENT, 0, 0.0, 0)
     else:
-        walker, progress, stop = walk_stretches(surface, clearances, high, False, follow_borders, walker, progress)
+        walker, progress, stop = walk_to_next_event(surface, clearances, high, False, follow_borders, walker, progress)
         if stop.followed_borders > 0:
             height = 0.0
-    return AgentWalk(high, height, walker, progress, stop)
+    return AgentWalkResult(high, height, walker, progress, stop)
 
 
 @inlined
-def compact_waiting_agents(
+def move_waiting_agents_to_front(
     statuses: Array1[U8], float_rows: Array2[F64], integer_rows: Array2[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
     """Return how many of the agents `begin` to `end` (exclusive) wait, and how many are left out.
@@ -138,7 +145,7 @@ def compact_waiting_agents(
 
 
 @kernel
-def walk_all(
+def walk_all_agents(
     surface: SurfaceTables,
     clearances: ClearanceTables,
     footings: FootingArrays,
@@ -162,7 +169,7 @@ def walk_all(
 
     Returns `begin`, how many agents wait, and how many are left out (0 in this function)."""
     mesh, face, b1s, b2s, overs = footings
-    first = surface.first
+    first = surface.first_faces
     wish, heading, up = vectors
     for start in range(begin, end, PREFETCH_GROUP_SIZE):
         last = min(start + PREFETCH_GROUP_SIZE, end)
@@ -183,9 +190,9 @@ def walk_all(
                 continue
             # No edge leads to another mesh.
             store_footing(end_footings, i, mesh[i], walk.walker.face - first[mesh[i]], walk.height, walk.walker)
-            poses.travelled[i] = walk.progress.travelled
-            _store_pose(poses, i, compute_final_pose(surface.table, walk.walker, walk.height))
-    waiting, left = compact_waiting_agents(statuses, float_rows, integer_rows, begin, end)
+            poses.travelled[i] = walk.progress.travelled_length
+            _store_pose(poses, i, compute_final_pose(surface.face_table, walk.walker, walk.height))
+    waiting, left = move_waiting_agents_to_front(statuses, float_rows, integer_rows, begin, end)
     return begin, waiting, left
 
 
@@ -193,7 +200,7 @@ def walk_all(
 def continue_walks(
     surface: SurfaceTables,
     clearances: ClearanceTables,
-    piece_tables: PieceTables,
+    piece_tables: PieceSearchTables,
     stop_at_borders: BOOL,
     float_rows: Strided2[F64],
     integer_rows: Strided2[I64],
@@ -205,22 +212,24 @@ def continue_walks(
     end: I64,
 ) -> None:
     """Complete the step of waiting agents `begin` to `end` (exclusive). With `stop_at_borders`, paths end at open borders."""
-    table, first, boxes = surface.table, surface.first, piece_tables.boxes
+    table, first, boxes = surface.face_table, surface.first_faces, piece_tables.boxes
     face_list = FaceList(
-        piece_tables.buffer,
+        piece_tables.face_buffer,
         compute_buffer_index(begin, piece_tables.agent_count, piece_tables.buffer_count) * boxes.triangle_order.size,
     )
     around = NearbySurfaces(piece_tables.sides, boxes, piece_tables.length_tolerances, face_list)
     for k in range(begin, end):
         i = integer_rows[AGENT_ROW, k]
         size = float_rows[BODY_SIZE_ROW, k]
-        high = _compute_search_margin(clearances.distance_noise, size) if integer_rows[IS_NEAR_ROW, k] != 0 else -np.inf
+        high = (
+            _compute_search_margin(clearances.distance_noise, size) if integer_rows[IS_NEAR_OTHER_PIECE_ROW, k] != 0 else -np.inf
+        )
         f, b1, b2, side, over = (
             integer_rows[FACE_ROW, k],
             float_rows[WEIGHT1_ROW, k],
             float_rows[WEIGHT2_ROW, k],
             float_rows[SIDE_ROW, k],
-            float_rows[OVER_BORDER_ROW, k],
+            float_rows[BORDER_HEIGHT_ROW, k],
         )
         walker = FaceWalker(
             f,
@@ -242,62 +251,64 @@ def continue_walks(
                 looked = True
                 if length > 0:
                     to = to._replace(distance=length)
-                    if piece_tables.cuts.first[walker.face + 1] > piece_tables.cuts.first[walker.face]:
-                        to = find_crossing(surface, around, piece_tables.cuts, walker, length)
-                    nearer = find_piece_ahead(table, around, size, walker, left, to.distance)
+                    if piece_tables.cuts.cut_starts[walker.face + 1] > piece_tables.cuts.cut_starts[walker.face]:
+                        to = find_surface_crossing(surface, around, piece_tables.cuts, walker, length)
+                    nearer = find_landing_ahead(table, around, size, walker, left, to.distance)
                     if nearer.face >= 0:
                         to = nearer
                 if to.face >= 0:
                     looked = False
                     turn += 1
             elif event == OVERHANG_EVENT:
-                edge, outward = _find_open_border(table, surface.link, walker)
+                edge, outward = _find_open_border(table, surface.edge_links, walker)
                 if outward:
                     event = BORDER_EVENT
-                    turn -= 1  # because only `walk_stretches` counts this crossing
+                    turn -= 1  # because only `walk_to_next_event` counts this crossing
                 else:
-                    over, left, distance = _climb_border(over, 0.0, left, distance)
+                    over, left, distance = _climb_over_border(over, 0.0, left, distance)
                     if over != 0:
                         left = 0.0
             if event == BORDER_EVENT:
                 turn += 1
                 to = find_landing_beyond_border(table, around, size, edge, walker)
-                over, left, distance = _climb_border(over, to.height, left, distance)
+                over, left, distance = _climb_over_border(over, to.height, left, distance)
                 if to.face < 0 and over == to.height:
-                    row = ROW_FLOATS * walker.face + EDGES_OFFSET + 4 * edge
-                    (c, s), left = turn_along_border((table[row + EDGE_COSINE], table[row + EDGE_SINE]), walker.direction, left)
+                    row = FLOATS_PER_FACE_ROW * walker.face + EDGES_OFFSET + 4 * edge
+                    (c, s), left = turn_along_border(
+                        (table[row + EDGE_COSINE_INDEX], table[row + EDGE_SINE_INDEX]), walker.direction, left
+                    )
                     walker = walker._replace(direction=(c, s))
-                    integer_rows[BLOCKED_ROW, k] = 1
+                    integer_rows[IS_BLOCKED_ROW, k] = 1
                     integer_rows[HOPS_ROW, k] += 1
                     if stop_at_borders or integer_rows[HOPS_ROW, k] >= MAX_SURFACE_HOPS:
                         left = 0.0
                 elif to.face < 0 or over != to.height or not left >= to.distance:
                     if distance == 0:
-                        integer_rows[BLOCKED_ROW, k] = 1
+                        integer_rows[IS_BLOCKED_ROW, k] = 1
                     to, left = to._replace(face=-1), 0.0
                 else:
                     over = 0.0
-                    integer_rows[IS_NEAR_ROW, k] = 1
+                    integer_rows[IS_NEAR_OTHER_PIECE_ROW, k] = 1
                     high = _compute_search_margin(clearances.distance_noise, size)
             if to.face >= 0:
-                direction, heading = turn_to_face(table, walker, to.face, to.side)
+                direction, heading = project_directions_to_face(table, walker, to.face, to.side)
                 walker = FaceWalker(to.face, to.weights, to.side, direction, heading)
                 left = max(left - to.distance, 0.0)
                 distance += to.distance
                 integer_rows[HOPS_ROW, k] += 1
                 if to.ends_walk or integer_rows[HOPS_ROW, k] >= MAX_SURFACE_HOPS:
                     left = 0.0
-                    integer_rows[BLOCKED_ROW, k] = 1
-            walker, progress, stop = walk_stretches(
+                    integer_rows[IS_BLOCKED_ROW, k] = 1
+            walker, progress, stop = walk_to_next_event(
                 surface, clearances, high, looked, False, walker, WalkProgress(left, distance, turn)
             )
             left, distance, turn = progress
             event, edge, length, _ = stop
             looked = False
         statuses[i] = FINISHED_STATUS
-        mesh = int(table[ROW_FLOATS * walker.face + MESH_OFFSET])
+        mesh = int(table[FLOATS_PER_FACE_ROW * walker.face + MESH_OFFSET])
         store_footing(footings, i, mesh, walker.face - first[mesh], over, walker)
-        poses.travelled[i], is_blocked[i] = distance, integer_rows[BLOCKED_ROW, k] != 0
+        poses.travelled[i], is_blocked[i] = distance, integer_rows[IS_BLOCKED_ROW, k] != 0
         _store_pose(poses, i, compute_final_pose(table, walker, over))
 
 
@@ -319,23 +330,23 @@ def _store_pose(poses: PoseArrays, i: I64, pose: AgentPose) -> None:
 @inlined
 def _compute_search_margin(noise: F64, body: F64) -> F64:
     """Return the distance (mm) from the path within which a piece of surface matters."""
-    high = EYE_HEIGHT_PER_BODY * body
+    high = EYE_HEIGHT_BODY_LENGTHS * body
     if not high > noise:
         high = noise
     return high + noise
 
 
 @kernel_helper
-def store_waiting_agent(float_rows: Array2[F64], integer_rows: Array2[I64], i: I64, body: F64, walk: AgentWalk) -> None:
+def store_waiting_agent(float_rows: Array2[F64], integer_rows: Array2[I64], i: I64, body: F64, walk: AgentWalkResult) -> None:
     """Record an agent that waits. If it has followed borders, their number and the fact that it is blocked are recorded too."""
     high, over, walker, progress, stop = walk
-    integer_rows[AGENT_ROW, i], integer_rows[HOPS_ROW, i], integer_rows[BLOCKED_ROW, i], integer_rows[IS_NEAR_ROW, i] = (
-        i,
-        stop.followed_borders,
-        stop.followed_borders > 0,
-        high > 0,
-    )
-    float_rows[BODY_SIZE_ROW, i], float_rows[SIDE_ROW, i], float_rows[OVER_BORDER_ROW, i], float_rows[EVENT_LENGTH_ROW, i] = (
+    (
+        integer_rows[AGENT_ROW, i],
+        integer_rows[HOPS_ROW, i],
+        integer_rows[IS_BLOCKED_ROW, i],
+        integer_rows[IS_NEAR_OTHER_PIECE_ROW, i],
+    ) = (i, stop.followed_borders, stop.followed_borders > 0, high > 0)
+    float_rows[BODY_SIZE_ROW, i], float_rows[SIDE_ROW, i], float_rows[BORDER_HEIGHT_ROW, i], float_rows[EVENT_LENGTH_ROW, i] = (
         body,
         walker.side,
         over,
@@ -349,7 +360,7 @@ def store_waiting_agent(float_rows: Array2[F64], integer_rows: Array2[I64], i: I
 
 
 @inlined
-def _climb_border(height: F64, level: F64, remaining_length: F64, distance: F64) -> tuple[F64, F64, F64]:
+def _climb_over_border(height: F64, level: F64, remaining_length: F64, distance: F64) -> tuple[F64, F64, F64]:
     """Move up or down over a border to a level (mm above the current face), limited by the distance left.
 
     Returns the new height, and the distance left and travelled."""
@@ -365,7 +376,7 @@ def _find_open_border(table: Array1[F64], link: Array2[I32], walker: FaceWalker)
     f, (b1, b2), side, (c, s), _ = walker
     weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
     for k in range(3):
-        if link[1 if side < 0 else 0, 3 * f + k] == NO_LINK and weights[k] < least:
+        if link[1 if side < 0 else 0, 3 * f + k] == NO_LINKED_EDGE and weights[k] < least:
             edge, least = k, weights[k]
-    row = ROW_FLOATS * f + EDGES_OFFSET + 4 * edge
-    return edge, c * table[row + EDGE_SINE] - s * table[row + EDGE_COSINE] > 0
+    row = FLOATS_PER_FACE_ROW * f + EDGES_OFFSET + 4 * edge
+    return edge, c * table[row + EDGE_SINE_INDEX] - s * table[row + EDGE_COSINE_INDEX] > 0

@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh import walkers
 from antdsl.ground.mesh.boxes import FaceBoxes
-from antdsl.ground.mesh.face_table import OPEN_BORDER_LINK, mark_border_links, pack_rows, pack_table
+from antdsl.ground.mesh.face_table import OPEN_BORDER_LINK, mark_border_links, pack_face_rows, pack_face_table
 from antdsl.ground.mesh.open_borders import find_open_borders
 from antdsl.ground.mesh.surface_clearance import FacePartClearances, PieceClearances
-from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY, GroundScale
-from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
+from antdsl.ground.mesh.surroundings import EYE_HEIGHT_BODY_LENGTHS, GroundTolerances
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE, MeshTopology
 from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
-_WAITING_PER_THREAD = 16  # fewer waiting agents are not worth another thread
+_WAITING_AGENTS_PER_THREAD = 16  # fewer waiting agents are not worth another thread
 
 
 @dataclass(frozen=True, slots=True)
-class WaitingAgents:
+class PendingWalkArrays:
     """Agents that wait after the first loop. `float_rows`, `integer_rows`: their values, one column per agent.
 
     `left_out_count`: the number of agents that are left out."""
@@ -34,10 +34,10 @@ class WaitingAgents:
     left_out_count: int
 
     @staticmethod
-    def merge_parts(parts: list[tuple[int, int, int]], float_rows: Floats, integer_rows: NDArray[np.int64]) -> WaitingAgents:
+    def merge_parts(parts: list[tuple[int, int, int]], float_rows: Floats, integer_rows: NDArray[np.int64]) -> PendingWalkArrays:
         """Merge the results of kernels that ran the loop in parts."""
         own = parallel.join_parts(parts, float_rows, integer_rows)
-        return WaitingAgents(own[0], own[1], sum([left for _, _, left in parts]))
+        return PendingWalkArrays(own[0], own[1], sum([left for _, _, left in parts]))
 
 
 class WalkTables:
@@ -46,7 +46,7 @@ class WalkTables:
 
     def __init__(self, table: MeshTopology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self.table, self.first, self._mesh = table, first, mesh
-        self.packed_table = pack_table(table, mesh)
+        self.packed_table = pack_face_table(table, mesh)
         self._last_crowd_walk: CrowdWalk | None = None  # the walk of the last step
         self._is_unchanged = True  # no face has changed its shape
         self._open_half_edges, self._max_body_size = (
@@ -58,29 +58,34 @@ class WalkTables:
         """Update faces with a new shape. Open borders depend on the shape, so the stored walk is discarded."""
         if self._is_unchanged:
             self._is_unchanged = False
-            mark_border_links(self.packed_table, self._open_half_edges, NO_LINK)
-        pack_rows(self.packed_table, self.table, self._mesh, faces)
+            mark_border_links(self.packed_table, self._open_half_edges, NO_LINKED_EDGE)
+        pack_face_rows(self.packed_table, self.table, self._mesh, faces)
 
-    def combine_with_clearances(self, parts: FacePartClearances, boxes: FaceBoxes, scale: GroundScale) -> CrowdWalk:
+    def combine_with_clearances(self, parts: FacePartClearances, boxes: FaceBoxes, scale: GroundTolerances) -> CrowdWalk:
         """Return the walk over these tables with clearances `parts`, the tree `boxes` and the tolerances of `scale`."""
         return CrowdWalk(self, parts, boxes, scale)
 
     def build_crowd_walk(
-        self, clearances: PieceClearances, boxes: FaceBoxes, scale: GroundScale, max_displacement: float, max_body_size: float
+        self,
+        clearances: PieceClearances,
+        boxes: FaceBoxes,
+        scale: GroundTolerances,
+        max_displacement: float,
+        max_body_size: float,
     ) -> CrowdWalk:
         """Return the walk for displacements up to `max_displacement` and bodies up to `max_body_size` (mm), with the distances to
         surrounding surfaces."""
         if self._is_unchanged and max_body_size > self._max_body_size:
             # For larger bodies than needed: otherwise a growing crowd would cause frequent searches.
             self._max_body_size = 1.5 * max_body_size
-            mark_border_links(self.packed_table, self._open_half_edges, NO_LINK)
+            mark_border_links(self.packed_table, self._open_half_edges, NO_LINKED_EDGE)
             self._open_half_edges = find_open_borders(self.table, boxes, scale, self._max_body_size)
             mark_border_links(self.packed_table, self._open_half_edges, OPEN_BORDER_LINK)
         parts, known = (
-            clearances.get_face_parts(max_displacement + EYE_HEIGHT_PER_BODY * max_body_size + 3 * scale.distance_noise),
+            clearances.get_face_parts(max_displacement + EYE_HEIGHT_BODY_LENGTHS * max_body_size + 3 * scale.distance_noise),
             self._last_crowd_walk,
         )
-        if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
+        if known is None or known.part_clearances is not parts or known.boxes is not boxes or known.tolerances is not scale:
             known = self._last_crowd_walk = self.combine_with_clearances(parts, boxes, scale)
         return known
 
@@ -90,20 +95,20 @@ class CrowdWalk:
     """A walk of a crowd. `walk`: the tables of faces. `parts`: distances to other surfaces. `boxes`: their locations. `scale`:
     tolerances."""
 
-    walk: WalkTables
-    parts: FacePartClearances
+    walk_tables: WalkTables
+    part_clearances: FacePartClearances
     boxes: FaceBoxes
-    scale: GroundScale
+    tolerances: GroundTolerances
 
     def build_tables(self) -> tuple[walkers.SurfaceTables, walkers.ClearanceTables]:
         """Return the tables that kernels read: the faces, and the distances to other surfaces."""
-        walk, parts = self.walk, self.parts
+        walk, parts = self.walk_tables, self.part_clearances
         surface = walkers.SurfaceTables(walk.packed_table, walk.table.link, walk.table.has_forked_edges, walk.first)
         return surface, walkers.ClearanceTables(
-            parts.first_parts, parts.parts_per_edge, parts.clearances, parts.reach, self.scale.distance_noise
+            parts.first_parts, parts.parts_per_edge, parts.clearances, parts.reach, self.tolerances.distance_noise
         )
 
-    def step(
+    def walk_agents(
         self,
         body: Floats,
         start: tuple[Any, ...],
@@ -119,13 +124,13 @@ class CrowdWalk:
         how = np.empty(n, np.uint8)
         placed, moved, blocked = walkers.FootingArrays._make(results[:5]), walkers.PoseArrays._make(results[5:10]), results[10]
         reals, wholes = np.empty((loop.FLOAT_ROW_COUNT, n)), np.empty((loop.INTEGER_ROW_COUNT, n), np.int64)
-        work = partial(loop.walk_all, *self.build_tables(), start, body, vectors, reals, wholes, how, placed, moved)
-        waiting = WaitingAgents.merge_parts(parallel.run_in_parts(work, n, threads), reals, wholes)
+        work = partial(loop.walk_all_agents, *self.build_tables(), start, body, vectors, reals, wholes, how, placed, moved)
+        waiting = PendingWalkArrays.merge_parts(parallel.run_in_parts(work, n, threads), reals, wholes)
         self.continue_waiting_agents(waiting, how, placed, moved, blocked, threads, stop_at_borders)
 
     def continue_waiting_agents(
         self,
-        waiting_agents: WaitingAgents,
+        waiting_agents: PendingWalkArrays,
         statuses: NDArray[np.uint8],
         footings: walkers.FootingArrays,
         poses: walkers.PoseArrays,
@@ -140,15 +145,15 @@ class CrowdWalk:
         rows: NDArray[np.int64] = wholes[loop.AGENT_ROW]
         if not rows.size:
             return rows
-        table, boxes, scale = self.walk.table, self.boxes, self.scale
+        table, boxes, scale = self.walk_tables.table, self.boxes, self.tolerances
         sides, cuts = (
             walkers.SideGroups(table.piece, table.side_groups),
-            walkers.CutTables(table.cuts.first, table.cuts.cutting_faces),
+            walkers.CutTables(table.cuts.cut_starts, table.cuts.cutting_faces),
         )
         count = wholes.shape[1]
-        parts = parallel.count_parts(count, threads, _WAITING_PER_THREAD)
+        parts = parallel.count_parts(count, threads, _WAITING_AGENTS_PER_THREAD)
         buffer = np.empty(parts * boxes.triangle_order.size, np.int64)
-        known = walkers.PieceTables(sides, cuts, boxes.to_box_tree(), scale.get_length_tolerances(), buffer, parts, count)
+        known = walkers.PieceSearchTables(sides, cuts, boxes.to_box_tree(), scale.get_length_tolerances(), buffer, parts, count)
         further = partial(
             loop.continue_walks,
             *self.build_tables(),
@@ -161,5 +166,5 @@ class CrowdWalk:
             poses,
             is_blocked,
         )
-        parallel.run_in_parts(further, count, threads, _WAITING_PER_THREAD)
+        parallel.run_in_parts(further, count, threads, _WAITING_AGENTS_PER_THREAD)
         return rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from antdsl.ground.mesh.boxes import BoxTree, FaceList
+from antdsl.ground.mesh.boxes import FaceBoxTree, FaceList
 from antdsl.ground.protocol import Footing
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2
 from antdsl.numerics.kernel_vectors import TriangleWeights
@@ -16,10 +16,10 @@ class SurfaceTables(NamedTuple):
     """Tables of faces for a walk: the packed table, `link` and `has_forked_edges` of the topology, and the `first` face of each
     mesh."""
 
-    table: Array1[F64]
-    link: Array2[I32]
+    face_table: Array1[F64]
+    edge_links: Array2[I32]
     has_forked_edges: BOOL
-    first: Array1[I64]
+    first_faces: Array1[I64]
 
 
 class ClearanceTables(NamedTuple):
@@ -37,19 +37,19 @@ class ClearanceTables(NamedTuple):
 class SideGroups(NamedTuple):
     """`piece` and `side_groups` of the topology: the piece of each face, and a group number for both sides of each face."""
 
-    piece: Array1[I32]
+    piece_numbers: Array1[I32]
     side_groups: Array2[I32]
 
 
 class CutTables(NamedTuple):
     """Faces of the same piece that cut each face: `cutting_faces` from `first[face]` to `first[face + 1]` (exclusive)."""
 
-    first: Array1[I64]
+    cut_starts: Array1[I64]
     cutting_faces: Array1[I64]
 
 
 class LengthTolerances(NamedTuple):
-    """`min_eye_height`, `coincident_distance`, `max_below_height` and `touch_distance` of `GroundScale` (mm)."""
+    """`min_eye_height`, `coincident_distance`, `max_below_height` and `touch_distance` of `GroundTolerances` (mm)."""
 
     min_eye_height: F64
     coincident_distance: F64
@@ -61,13 +61,13 @@ class NearbySurfaces(NamedTuple):
     """The tables for a search of other pieces, with a buffer for all faces."""
 
     sides: SideGroups
-    boxes: BoxTree
+    boxes: FaceBoxTree
     length_tolerances: LengthTolerances
     face_list: FaceList
 
 
 class FaceWalker(NamedTuple):
-    """An agent on a side (1 or -1) of a face: the weights of its point, and its direction of travel and heading in the face's
+    """The state of an agent on a side (1 or -1) of a face: corner weights, direction of travel, and heading in the face's
     frame."""
 
     face: I64
@@ -81,11 +81,11 @@ class WalkProgress(NamedTuple):
     """The distances that an agent has left and has travelled (mm), and the number of edges it has crossed."""
 
     remaining_length: F64
-    travelled: F64
-    crossings: I64
+    travelled_length: F64
+    crossing_count: I64
 
 
-class WalkStop(NamedTuple):
+class WalkStopReason(NamedTuple):
     """The reason for a pause of a walk (0: none), the edge and length of the stretch, and how many borders the agent has
     followed."""
 
@@ -109,7 +109,7 @@ class SurfaceLanding(NamedTuple):
     ends_walk: BOOL
 
 
-class PieceTables(NamedTuple):
+class PieceSearchTables(NamedTuple):
     """The tables for a search of other pieces.
 
     - `buffer`: `buffer_count` parts, each with space for all faces
@@ -117,9 +117,9 @@ class PieceTables(NamedTuple):
 
     sides: SideGroups
     cuts: CutTables
-    boxes: BoxTree
+    boxes: FaceBoxTree
     length_tolerances: LengthTolerances
-    buffer: Array1[I64]
+    face_buffer: Array1[I64]
     buffer_count: I64
     agent_count: I64
 
@@ -149,7 +149,7 @@ class PoseArrays(NamedTuple):
     travelled: Array1[F64]
 
 
-class AgentWalk(NamedTuple):
+class AgentWalkResult(NamedTuple):
     """An agent during a walk.
 
     - `search_height`: the distance (mm), on the agent's side, within which it searches for other surfaces
@@ -159,4 +159,4 @@ class AgentWalk(NamedTuple):
     height: F64
     walker: FaceWalker
     progress: WalkProgress
-    stop: WalkStop
+    stop: WalkStopReason

@@ -9,7 +9,7 @@ on.
 
 from __future__ import annotations
 
-from antdsl.ground.solid.volume import UnusableMesh, Volume
+from antdsl.ground.solid.volume import UnusableMeshReason, Volume
 from antdsl.ground.solid.walking import move_over_solid
 
-__all__ = ["UnusableMesh", "Volume", "move_over_solid"]
+__all__ = ["UnusableMeshReason", "Volume", "move_over_solid"]

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 
-BRICK_SIDE_NODES = 16  # nodes along the edge of a brick
-BRICK_NODES = BRICK_SIDE_NODES**3
-AIR_SLOT, SOLID_SLOT = 0, 1  # slots shared by many bricks
+NODES_PER_BRICK_SIDE = 16  # nodes along the edge of a brick
+NODES_PER_BRICK = NODES_PER_BRICK_SIDE**3
+AIR_BRICK_SLOT, SOLID_BRICK_SLOT = 0, 1  # slots shared by many bricks
 FILL_STEPS_PER_VOXEL = 256  # steps between an empty and a full voxel
 UINT64_MASK = (1 << 64) - 1
 
 
 @dataclass(frozen=True, slots=True)
-class UnusableMesh:
+class UnusableMeshReason:
     """Error for a mesh that cannot be a solid: the reason in one line for artists, and what to do instead."""
 
     message: str
@@ -62,7 +62,7 @@ class BrickGrid:
     def node_counts(self) -> tuple[int, int, int]:
         """Return the number of nodes along each axis."""
         a, b, c = self.shape
-        return a * BRICK_SIDE_NODES, b * BRICK_SIDE_NODES, c * BRICK_SIDE_NODES
+        return a * NODES_PER_BRICK_SIDE, b * NODES_PER_BRICK_SIDE, c * NODES_PER_BRICK_SIDE
 
     @property
     def step_volume(self) -> float:
@@ -78,14 +78,16 @@ class BrickGrid:
 
     def to_dense(self) -> NDArray[np.float32]:
         """Return the distances of all nodes, float32[x, y, z]."""
-        pool = self.values[: self.used_slots * BRICK_NODES].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES)
+        pool = self.values[: self.used_slots * NODES_PER_BRICK].reshape(
+            -1, NODES_PER_BRICK_SIDE, NODES_PER_BRICK_SIDE, NODES_PER_BRICK_SIDE
+        )
         blocks = pool[self.table.reshape(self.shape)]
         return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.node_counts))
 
-    def record_start(self) -> None:
+    def record_start_values(self) -> None:
         """Measure the solid volume and store it as the start value."""
-        used = self.values[: self.used_slots * BRICK_NODES]
-        filled = compute_fill_steps(used, self.voxel).reshape(-1, BRICK_NODES).sum(axis=1, dtype=np.int64)
+        used = self.values[: self.used_slots * NODES_PER_BRICK]
+        filled = compute_fill_steps(used, self.voxel).reshape(-1, NODES_PER_BRICK).sum(axis=1, dtype=np.int64)
         self.volume_steps = self.start_volume_steps = int(filled.take(self.table).sum())
         self.needs_meshing = np.zeros(self.table.size, bool)
         self.mark_for_meshing(np.flatnonzero(self.table >= 2))
@@ -95,30 +97,30 @@ class BrickGrid:
         hasher.update(self.table.tobytes() + used.tobytes())
         self.start_digest = hasher.digest()
 
-    def prepare_bricks(self, bricks: Index) -> None:
+    def allocate_bricks(self, bricks: Index) -> None:
         """Prepare bricks for writing: each gets its own slot of nodes. `bricks` are ascending, without duplicates."""
         shared = bricks[self.table[bricks] < 2]
         for brick in bricks:
             if int(brick) not in self.original_values:
                 slot = int(self.table[brick])
                 self.original_values[int(brick)] = (
-                    None if slot < 2 else self.values[slot * BRICK_NODES : (slot + 1) * BRICK_NODES].copy()
+                    None if slot < 2 else self.values[slot * NODES_PER_BRICK : (slot + 1) * NODES_PER_BRICK].copy()
                 )
         if shared.size:
-            self._grow_capacity(self.used_slots + shared.size)
+            self._reserve_slots(self.used_slots + shared.size)
             slots = np.arange(self.used_slots, self.used_slots + shared.size)
-            pool = self.values.reshape(-1, BRICK_NODES)
+            pool = self.values.reshape(-1, NODES_PER_BRICK)
             pool[slots] = pool[self.table[shared]]
             self.table[shared] = slots
             self.used_slots += shared.size
         self.mark_for_meshing(bricks)
 
-    def _grow_capacity(self, slots: int) -> None:
+    def _reserve_slots(self, slots: int) -> None:
         """Extend the array of values so that it has space for `slots` slots."""
-        capacity = self.values.size // BRICK_NODES
+        capacity = self.values.size // NODES_PER_BRICK
         if slots > capacity:
-            new_values = np.empty(max(slots, capacity + capacity // 4) * BRICK_NODES, np.float32)
-            new_values[: self.used_slots * BRICK_NODES] = self.values[: self.used_slots * BRICK_NODES]
+            new_values = np.empty(max(slots, capacity + capacity // 4) * NODES_PER_BRICK, np.float32)
+            new_values[: self.used_slots * NODES_PER_BRICK] = self.values[: self.used_slots * NODES_PER_BRICK]
             self.values = new_values
 
     # ---- keeping
@@ -128,12 +130,12 @@ class BrickGrid:
         counts = np.array([self.node_hash_sum, self.volume_steps], np.uint64)
         return sha256(self.start_digest + counts.tobytes()).digest()
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def get_changes(self) -> dict[str, NDArray[Any]]:
         """Return the changes since the start, as `Volume.state`."""
         bricks = np.array(sorted(self.original_values), np.int64)
         return {
             "bricks": bricks,
-            "values": self.values.reshape(-1, BRICK_NODES)[self.table[bricks]],
+            "values": self.values.reshape(-1, NODES_PER_BRICK)[self.table[bricks]],
             "steps": np.array(self.volume_steps, np.int64),
             "start": np.frombuffer(self.start_digest, np.uint8).copy(),
         }
@@ -143,18 +145,18 @@ class BrickGrid:
         bricks, values, start = (np.asarray(arrays[name]) for name in ("bricks", "values", "start"))
         if start.tobytes() != self.start_digest:
             raise ValueError("the solid is not made from the same mesh")
-        if values.shape != (len(bricks), BRICK_NODES) or values.dtype != np.float32 or not np.isfinite(values).all():
+        if values.shape != (len(bricks), NODES_PER_BRICK) or values.dtype != np.float32 or not np.isfinite(values).all():
             raise ValueError("the bricks of the solid are damaged")
         if len(bricks) and not (bricks.min() >= 0 and bricks.max() < self.table.size and (np.diff(bricks) > 0).all()):
             raise ValueError("the bricks of the solid are damaged")
-        pool = self.values.reshape(-1, BRICK_NODES)
+        pool = self.values.reshape(-1, NODES_PER_BRICK)
         for brick, was in self.original_values.items():
-            pool[self.table[brick]] = pool[SOLID_SLOT] if was is None else was
+            pool[self.table[brick]] = pool[SOLID_BRICK_SLOT] if was is None else was
         self.mark_for_meshing(np.array(sorted(self.original_values), np.int64))
-        self.prepare_bricks(bricks.astype(np.int64))
-        pool = self.values.reshape(-1, BRICK_NODES)
+        self.allocate_bricks(bricks.astype(np.int64))
+        pool = self.values.reshape(-1, NODES_PER_BRICK)
         slots = self.table[bricks]
-        nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(BRICK_NODES)
+        nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(NODES_PER_BRICK)
         self.node_hash_sum = int((hash_nodes(nodes, values) - hash_nodes(nodes, pool[slots])).sum(dtype=np.uint64)) & UINT64_MASK
         pool[slots] = values
         self.original_values = {brick: was for brick, was in self.original_values.items() if brick in set(bricks.tolist())}

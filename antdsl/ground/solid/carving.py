@@ -11,7 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.solid.bricks import AIR_SLOT, BRICK_NODES, BRICK_SIDE_NODES, FILL_STEPS_PER_VOXEL, UINT64_MASK, BrickGrid
+from antdsl.ground.solid.bricks import (
+    AIR_BRICK_SLOT,
+    FILL_STEPS_PER_VOXEL,
+    NODES_PER_BRICK,
+    NODES_PER_BRICK_SIDE,
+    UINT64_MASK,
+    BrickGrid,
+)
 from antdsl.machine_code.kernels import F32, F64, I32, I64, U32, U64, Array1, Array2, inlined, kernel
 
 Floats = NDArray[np.float64]
@@ -31,8 +38,8 @@ _HASH_MULTIPLIER1, _HASH_MULTIPLIER2, _HASH_MULTIPLIER3 = (
     np.uint64(0xBF58476D1CE4E5B9),
     np.uint64(0x94D049BB133111EB),
 )
-_SCATTER_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
-_FULL_VOXEL_STEPS = np.float32(FILL_STEPS_PER_VOXEL)
+_BLOOM_HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+_FILL_STEPS_OF_FULL_VOXEL = np.float32(FILL_STEPS_PER_VOXEL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +67,15 @@ def carve_balls(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index
         brick = reached.nodes >> 12
         changed = np.zeros(bricks.table.size, bool)
         changed[brick] = True
-        bricks.prepare_bricks(np.flatnonzero(changed))
-        at = (bricks.table.take(brick).astype(np.int64) << 12) + (reached.nodes & (BRICK_NODES - 1))
-        lost = _write_changes(bricks, at, reached, len(order))
+        bricks.allocate_bricks(np.flatnonzero(changed))
+        at = (bricks.table.take(brick).astype(np.int64) << 12) + (reached.nodes & (NODES_PER_BRICK - 1))
+        lost = _write_node_changes_to_bricks(bricks, at, reached, len(order))
         bricks.volume_steps -= int(lost.sum())
         removed[order] = lost * bricks.step_volume
     return removed
 
 
-def _select_balls(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[Index, Index]:
+def _select_balls_near_grid(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[Index, Index]:
     """Return the balls, ascending, that may reach into the grid, and the reach of each in voxels, rounded up."""
     local = (centres - bricks.origin) / bricks.voxel
     reach = (radii - bricks.min_distance) / bricks.voxel
@@ -82,7 +89,7 @@ def _select_balls(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[In
 
 def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> ChangedNodes:
     """Return the nodes that balls change, one ball after another."""
-    rows, steps = _select_balls(bricks, centres, radii)
+    rows, steps = _select_balls_near_grid(bricks, centres, radii)
     great = np.flatnonzero(steps > _LARGE_BALL_VOXELS)
     parts = [_carve_large_ball(bricks, centres, radii, int(ball)) for ball in rows[great]]
     small = np.flatnonzero(steps <= _LARGE_BALL_VOXELS)
@@ -97,25 +104,25 @@ def _carve_large_ball(bricks: BrickGrid, centres: Floats, radii: Floats, ball: i
     ends = []
     for axis in range(3):
         low, high = (
-            (centre[axis] + sign * (radius - bricks.min_distance) - bricks.origin[axis]) / bricks.voxel / BRICK_SIDE_NODES
+            (centre[axis] + sign * (radius - bricks.min_distance) - bricks.origin[axis]) / bricks.voxel / NODES_PER_BRICK_SIDE
             for sign in (-1, 1)
         )
         ends.append(np.arange(math.floor(max(low, 0.0)), math.floor(min(high, bricks.shape[axis] - 1.0)) + 1))
-    line = np.arange(BRICK_SIDE_NODES)
+    line = np.arange(NODES_PER_BRICK_SIDE)
     change_pairs = []
     for i, j, k in itertools.product(*ends):
         brick = (i * bricks.shape[1] + j) * bricks.shape[2] + k
         slot = int(bricks.table[brick])
-        if slot == AIR_SLOT:
+        if slot == AIR_BRICK_SLOT:
             continue
         squares = []
         for axis, b in enumerate((i, j, k)):
-            gap = (bricks.origin[axis] + (b * BRICK_SIDE_NODES + line) * bricks.voxel) - centre[axis]
+            gap = (bricks.origin[axis] + (b * NODES_PER_BRICK_SIDE + line) * bricks.voxel) - centre[axis]
             squares.append(gap * gap)
         away = ((squares[0][:, None, None] + squares[1][:, None]) + squares[2]).ravel()
         value = np.minimum((radius - np.sqrt(away)).astype(np.float32), np.float32(bricks.max_distance))
-        changes = np.flatnonzero(value > bricks.values[slot * BRICK_NODES : (slot + 1) * BRICK_NODES])
-        change_pairs.append((brick * BRICK_NODES + changes, value[changes]))
+        changes = np.flatnonzero(value > bricks.values[slot * NODES_PER_BRICK : (slot + 1) * NODES_PER_BRICK])
+        change_pairs.append((brick * NODES_PER_BRICK + changes, value[changes]))
     nodes = np.concatenate([np.empty(0, np.int64), *(n for n, _ in change_pairs)])
     values = np.concatenate([np.empty(0, np.float32), *(v for _, v in change_pairs)])
     return nodes, values, np.full(nodes.size, ball, np.int64)
@@ -126,24 +133,28 @@ def _carve_small_balls(bricks: BrickGrid, centres: Floats, radii: Floats, rows: 
     capacity = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(capacity, np.int64), np.empty(capacity, np.float32), np.empty(capacity, np.int64)
     tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.min_distance, bricks.max_distance)
-    count = find_changes(tables, (centres, radii), rows, steps, (nodes, values, balls))
+    count = find_node_changes(tables, (centres, radii), rows, steps, (nodes, values, balls))
     return nodes[:count], values[:count], balls[:count]
 
 
-def _write_changes(bricks: BrickGrid, value_indices: Index, changed_nodes: ChangedNodes, count: int) -> Index:
+def _write_node_changes_to_bricks(bricks: BrickGrid, value_indices: Index, changed_nodes: ChangedNodes, count: int) -> Index:
     """Store the maximum of the old and the new distances in each changed node. Return the volume steps that each ball removed."""
     old_values = bricks.values.take(value_indices)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * value_indices.size - 1).bit_length(), -1, np.int32)
     bits = (changed_nodes.values.view(np.uint32), old_values.view(np.uint32))
     changes = (changed_nodes.nodes, changed_nodes.values, changed_nodes.balls)
-    bricks.node_hash_sum += write_changes(bricks.values, value_indices, changes, old_values, bits, 1.0 / bricks.voxel, best, lost)
+    bricks.node_hash_sum += write_node_changes(
+        bricks.values, value_indices, changes, old_values, bits, 1.0 / bricks.voxel, best, lost
+    )
     bricks.node_hash_sum &= UINT64_MASK
     return lost
 
 
 @kernel
-def find_changes(bricks: BrickTables, all_balls: BallArrays, rows: Array1[I64], steps: Array1[I64], changes: ChangeArrays) -> I64:
+def find_node_changes(
+    bricks: BrickTables, all_balls: BallArrays, rows: Array1[I64], steps: Array1[I64], changes: ChangeArrays
+) -> I64:
     """Write the changes of the balls in `rows` to `changes`, and return their number. The reach of each ball, in voxels, is in
     `steps`."""
     table, values, origin, voxel, shape, least, most = bricks
@@ -187,7 +198,7 @@ def find_changes(bricks: BrickTables, all_balls: BallArrays, rows: Array1[I64], 
 
 
 @kernel
-def write_changes(
+def write_node_changes(
     values: Array1[F32],
     value_indices: Array1[I64],
     changes: ChangeArrays,
@@ -206,7 +217,7 @@ def write_changes(
     news_bits, old_bits = bits
     capacity = strongest_rows.size
     for row in range(value_indices.size):
-        slot = np.int64((np.uint64(value_indices[row]) * _SCATTER_MULTIPLIER) >> np.uint64(32)) & (capacity - 1)
+        slot = np.int64((np.uint64(value_indices[row]) * _BLOOM_HASH_MULTIPLIER) >> np.uint64(32)) & (capacity - 1)
         while strongest_rows[slot] >= 0 and value_indices[strongest_rows[slot]] != value_indices[row]:
             slot = (slot + 1) & (capacity - 1)
         now = strongest_rows[slot]
@@ -227,7 +238,7 @@ def _compute_fill_step(distance: F32, scale: F32) -> I64:
     """Return the result of `bricks.compute_fill_steps` for one node."""
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
-    return np.int64(np.rint(part * _FULL_VOXEL_STEPS))
+    return np.int64(np.rint(part * _FILL_STEPS_OF_FULL_VOXEL))
 
 
 @inlined

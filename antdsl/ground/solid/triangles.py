@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.solid.bricks import BRICK_NODES
+from antdsl.ground.solid.bricks import NODES_PER_BRICK
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -30,13 +30,13 @@ def compute_node_distances(shape: tuple[int, int, int], near_bricks: Index, corn
     `corners` float64[n,3,3] are the triangles in voxels. The distance of a node next to a triangle is measured to that triangle.
     From these nodes outwards, layer by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid
     Simulation for Computer Graphics, 2015, section 4.2)."""
-    field = _DistanceField(shape, near_bricks, corners)
-    for nodes, triangle in iterate_nodes_near(corners):
+    field = _NodeDistanceField(shape, near_bricks, corners)
+    for nodes, triangle in iterate_nodes_near_triangles(corners):
         field.measure_distances(nodes, triangle, False)
     front = field.pop_nearer_nodes()
     while front.size:
         front = front[field.distances[front] < band]
-        around = field.to_node_columns(front)
+        around = field.split_node_numbers(front)
         nodes = [
             np.concatenate(parts) for parts in zip(*(_shift_columns(around, step) for step in _NEIGHBOUR_STEPS), strict=True)
         ]
@@ -50,7 +50,7 @@ def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
     return [column + by for column, by in zip(columns, step, strict=True)]
 
 
-def iterate_nodes_near(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
+def iterate_nodes_near_triangles(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
     """Yield the nodes near each triangle, as the columns of their coordinates, and the triangle of each node.
 
     The nodes are near the plane of the triangle, and within about the same distance of its outline. Along the axis nearest to its
@@ -81,7 +81,7 @@ def iterate_nodes_near(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
             count_up = np.maximum(np.floor(level + reach).astype(np.int64) - lowest + 1, 0)
             which_line = np.repeat(np.arange(t.size), count_up)
             nodes: list[Index] = [u, u, u]
-            nodes[axis] = lowest[which_line] + enumerate_groups(count_up)
+            nodes[axis] = lowest[which_line] + enumerate_within_groups(count_up)
             nodes[others[0]], nodes[others[1]] = u[which_line], v[which_line]
             yield nodes, which[t[which_line]]
 
@@ -108,7 +108,7 @@ def _select_projected_inside(projected_points: Floats, t: Index, u: Index, v: In
     return np.flatnonzero(inside)
 
 
-class _DistanceField:
+class _NodeDistanceField:
     """The nodes of some bricks: their distances, and the nearest triangle of each node."""
 
     def __init__(self, shape: tuple[int, int, int], near_bricks: Index, corners: Floats) -> None:
@@ -118,10 +118,10 @@ class _DistanceField:
             math.prod(shape), -1, np.int32
         )  # index of each brick's nodes in the arrays, in units of 4096
         self._index_of_brick[near_bricks] = np.arange(near_bricks.size)
-        self._triangle_data = _compute_triangle_data(corners)
-        self._has_come_nearer = np.zeros(near_bricks.size * BRICK_NODES, bool)
-        self.distances: Distances = np.full(near_bricks.size * BRICK_NODES, FAR_DISTANCE, np.float32)
-        self.nearest_triangles = np.full(near_bricks.size * BRICK_NODES, -1, np.int32)
+        self._triangle_data = _pack_triangle_data(corners)
+        self._has_come_nearer = np.zeros(near_bricks.size * NODES_PER_BRICK, bool)
+        self.distances: Distances = np.full(near_bricks.size * NODES_PER_BRICK, FAR_DISTANCE, np.float32)
+        self.nearest_triangles = np.full(near_bricks.size * NODES_PER_BRICK, -1, np.int32)
 
     def pop_nearer_nodes(self) -> Index:
         """Return the array positions of nodes that have become nearer since the last call."""
@@ -129,9 +129,9 @@ class _DistanceField:
         self._has_come_nearer[changed_nodes] = False
         return changed_nodes
 
-    def to_node_columns(self, at: Index) -> list[Index]:
+    def split_node_numbers(self, at: Index) -> list[Index]:
         """Return the node coordinates for array positions, as columns."""
-        local = at & (BRICK_NODES - 1)
+        local = at & (NODES_PER_BRICK - 1)
         brick = np.unravel_index(self._near_bricks[at >> 12], self._shape)
         within = (local >> 8, (local >> 4) & 15, local & 15)
         return [(b << 4) + w for b, w in zip(brick, within, strict=True)]
@@ -180,7 +180,7 @@ class _DistanceField:
         return at, away, triangle
 
 
-def _compute_triangle_data(corners: Floats) -> Floats:
+def _pack_triangle_data(corners: Floats) -> Floats:
     """Return the data of triangles for distance measurements, (27, n): corners, edges, edge normals in the plane, and inverse
     squares."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
@@ -229,17 +229,17 @@ def iterate_lattice_points(low: Index, count: Index, batch_size: int) -> Iterato
     Rectangles start at `low` (n, 2) and have `count` (n, 2) points along each axis."""
     count = np.maximum(count, 0)
     rows = np.repeat(np.arange(len(low)), count[:, 0])
-    u = low[rows, 0] + enumerate_groups(count[:, 0])
+    u = low[rows, 0] + enumerate_within_groups(count[:, 0])
     wide = count[rows, 1]
     ends = np.cumsum(wide)
     a = 0
     while a < rows.size:
         b = max(int(np.searchsorted(ends, (ends[a - 1] if a else 0) + batch_size, side="right")), a + 1)
         name = np.repeat(rows[a:b], wide[a:b])
-        yield name, np.repeat(u[a:b], wide[a:b]), low[name, 1] + enumerate_groups(wide[a:b])
+        yield name, np.repeat(u[a:b], wide[a:b]), low[name, 1] + enumerate_within_groups(wide[a:b])
         a = b
 
 
-def enumerate_groups(counts: Index) -> Index:
+def enumerate_within_groups(counts: Index) -> Index:
     """Return the numbers 0, 1 .. below each count, one sequence after another."""
     return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -24,10 +24,10 @@ BrickTables = tuple[
 ]  # table, values, origin, voxel and shape of bricks
 PointColumns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 
-SMOOTH_NORMAL_REACH = 0.5  # voxels to both sides over which the smooth gradient is measured if there is no body
+SMOOTH_NORMAL_REACH_VOXELS = 0.5  # voxels to both sides over which the smooth gradient is measured if there is no body
 
 
-def to_brick_tables(bricks: BrickGrid) -> tuple[Any, ...]:
+def make_brick_tables(bricks: BrickGrid) -> tuple[Any, ...]:
     """Return bricks in the form that kernels read."""
     return bricks.table, bricks.values, *bricks.origin, bricks.voxel, *bricks.shape
 
@@ -35,19 +35,19 @@ def to_brick_tables(bricks: BrickGrid) -> tuple[Any, ...]:
 def sample_distances(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> Floats:
     """Return the signed distance at positions (mm)."""
     signed_distances = np.empty(len(x))
-    write_distances(to_brick_tables(bricks), _make_columns_contiguous(x, y, z), signed_distances)
+    write_distances(make_brick_tables(bricks), _make_columns_contiguous(x, y, z), signed_distances)
     return signed_distances
 
 
 def sample_with_gradients(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the signed distance at positions (mm), and the x, y and z of its gradient."""
     d, gx, gy, gz = np.empty((4, len(x)))
-    write_distance_and_gradient(to_brick_tables(bricks), _make_columns_contiguous(x, y, z), d, (gx, gy, gz))
+    write_distance_and_gradient(make_brick_tables(bricks), _make_columns_contiguous(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
 
 
 def sample_smooth_gradients(
-    bricks: BrickGrid, x: Floats, y: Floats, z: Floats, reach_voxels: float = SMOOTH_NORMAL_REACH
+    bricks: BrickGrid, x: Floats, y: Floats, z: Floats, reach_voxels: float = SMOOTH_NORMAL_REACH_VOXELS
 ) -> list[Floats]:
     """Return a gradient that varies smoothly, unlike the exact one. It is the difference along each axis over `reach_voxels`
     voxels in both directions."""
@@ -70,7 +70,7 @@ def write_distances(bricks: BrickTables, positions: PointColumns64, signed_dista
     """Write the signed distances at points to `signed_distances`."""
     x, y, z = positions
     for n in range(signed_distances.size):
-        signed_distances[n] = compute_distance(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
+        signed_distances[n] = interpolate_distance(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
 
 
 @kernel
@@ -79,7 +79,7 @@ def write_distance_and_gradient(bricks: BrickTables, positions: PointColumns64, 
     x, y, z = positions
     gx, gy, gz = gradient
     for n in range(d.size):
-        d[n], (gx[n], gy[n], gz[n]) = compute_distance_and_gradient(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
+        d[n], (gx[n], gy[n], gz[n]) = interpolate_distance_and_gradient(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
 
 
 @kernel_helper
@@ -91,9 +91,12 @@ def compute_smooth_gradient(
     scale = 0.5 / a
     x, y, z = p
     return (
-        (compute_distance(table, values, grid, (x + a, y, z)) - compute_distance(table, values, grid, (x - a, y, z))) * scale,
-        (compute_distance(table, values, grid, (x, y + a, z)) - compute_distance(table, values, grid, (x, y - a, z))) * scale,
-        (compute_distance(table, values, grid, (x, y, z + a)) - compute_distance(table, values, grid, (x, y, z - a))) * scale,
+        (interpolate_distance(table, values, grid, (x + a, y, z)) - interpolate_distance(table, values, grid, (x - a, y, z)))
+        * scale,
+        (interpolate_distance(table, values, grid, (x, y + a, z)) - interpolate_distance(table, values, grid, (x, y - a, z)))
+        * scale,
+        (interpolate_distance(table, values, grid, (x, y, z + a)) - interpolate_distance(table, values, grid, (x, y, z - a)))
+        * scale,
     )
 
 
@@ -147,7 +150,7 @@ def _load_node_value(table: Array1[I32], values: Array1[F32], brick: I64, place:
 
 
 @inlined
-def compute_distance(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3) -> F64:
+def interpolate_distance(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3) -> F64:
     """Return the signed distance at a position (mm)."""
     a, b, f = load_cell_corners(table, values, grid, p)
     v00, v01 = a[0] + (a[1] - a[0]) * f[2], a[2] + (a[3] - a[2]) * f[2]
@@ -157,7 +160,7 @@ def compute_distance(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F
 
 
 @kernel_helper
-def compute_distance_and_gradient(
+def interpolate_distance_and_gradient(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[F64, Vec3]:
     """Return the signed distance at a position (mm), and its gradient."""
@@ -186,14 +189,16 @@ def project_to_surface(bricks: BrickGrid, points: Floats, hints: Floats, reach: 
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, is_in_reach = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
-    project_points(to_brick_tables(bricks), start, hint, SURFACE_TOLERANCE_VOXELS * bricks.voxel, landed, turned, is_in_reach)
+    project_points_to_surface(
+        make_brick_tables(bricks), start, hint, SURFACE_TOLERANCE_VOXELS * bricks.voxel, landed, turned, is_in_reach
+    )
     far = 2 * bricks.voxel if reach is None else float(reach)
     is_in_reach &= ((landed - start) ** 2).sum(axis=1) <= far * far
     return SurfacePoints(np.where(is_in_reach[:, None], landed, start), np.where(is_in_reach[:, None], turned, hint), is_in_reach)
 
 
 @kernel
-def project_points(
+def project_points_to_surface(
     bricks: BrickTables,
     start: Array2[F64],
     hints: Array2[F64],
@@ -202,16 +207,16 @@ def project_points(
     normals: Array2[F64],
     is_on_surface: Array1[BOOL],
 ) -> None:
-    """Apply `project_point` to points and hints [n,3]; write the results to the last three arrays."""
+    """Apply `project_point_to_surface` to points and hints [n,3]; write the results to the last three arrays."""
     for i in range(is_on_surface.size):
         p, hint = (start[i, 0], start[i, 1], start[i, 2]), (hints[i, 0], hints[i, 1], hints[i, 2])
-        is_on_surface[i], q, normal = project_point(bricks[0], bricks[1], bricks[2:], p, hint, tolerance)
+        is_on_surface[i], q, normal = project_point_to_surface(bricks[0], bricks[1], bricks[2:], p, hint, tolerance)
         for k in range(3):
             positions[i, k], normals[i, k] = q[k], normal[k]
 
 
 @kernel_helper
-def project_point(
+def project_point_to_surface(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, hint: Vec3, tolerance: F64
 ) -> tuple[BOOL, Vec3, Vec3]:
     """Return whether the surface was found, a point within `tolerance` (mm) of it, and the normal at that point.
@@ -224,7 +229,7 @@ def project_point(
     if not np.isfinite(p[0] + p[1] + p[2]):
         return False, p, hint
     for turn in range(MAX_PROJECTION_STEPS):
-        d, g = compute_distance_and_gradient(table, values, grid, q)
+        d, g = interpolate_distance_and_gradient(table, values, grid, q)
         square = dot(g, g)
         if abs(d) <= tolerance:
             if square > 0:

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.ground.solid import carving, trilinear, voxelising
-from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES, BrickGrid, UnusableMesh
+from antdsl.ground.solid.bricks import NODES_PER_BRICK, NODES_PER_BRICK_SIDE, BrickGrid, UnusableMeshReason
 
 BrickMesh = tuple[int, NDArray[np.float64], NDArray[np.int32]]
 
-_VERTEX_PARTS_PER_VOXEL = 4096.0  # vertices are rounded to this part of a voxel, so that bricks agree at their common side
+_VERTEX_STEPS_PER_VOXEL = 4096.0  # vertices are rounded to this part of a voxel, so that bricks agree at their common side
 Floats = NDArray[np.float64]
 Distances = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
 
-__all__ = ["UnusableMesh", "Volume"]
+__all__ = ["UnusableMeshReason", "Volume"]
 
 
 @dataclass(slots=True)
@@ -35,14 +35,14 @@ class Volume:
     @staticmethod
     def from_mesh(
         vertices: Floats, faces: NDArray[np.integer[Any]], voxel: float, *, cap: int = limits.MAX_VOXELS
-    ) -> Volume | UnusableMesh:
+    ) -> Volume | UnusableMeshReason:
         """Return the solid inside a closed mesh, vertices float64[n,3] mm and faces int[m,3], sampled every `voxel` mm.
 
         A point is inside if its winding number is not 0, or is odd if the faces have inconsistent winding. `cap` is the maximum
         number of voxels in the mesh's bounding box. For a mesh that cannot be a solid (open, too many voxels), the result is
-        `UnusableMesh`."""
+        `UnusableMeshReason`."""
         bricks = voxelising.voxelise_mesh(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
-        return bricks if isinstance(bricks, UnusableMesh) else Volume(bricks)
+        return bricks if isinstance(bricks, UnusableMeshReason) else Volume(bricks)
 
     @property
     def voxel(self) -> float:
@@ -54,7 +54,7 @@ class Volume:
         """Return the least and the greatest distance of the field, mm. Farther inside and outside, the field is flat."""
         return self.bricks.min_distance, self.bricks.max_distance
 
-    def dense_distances(self) -> NDArray[np.float32]:
+    def make_dense_distances(self) -> NDArray[np.float32]:
         """Return the distances at all nodes of the grid, float32[x, y, z] mm. Node (0, 0, 0) is at `low`."""
         return self.bricks.to_dense()
 
@@ -70,7 +70,7 @@ class Volume:
 
     # ---- asking
 
-    def sample(self, points: Floats) -> Distances:
+    def sample_distances(self, points: Floats) -> Distances:
         """Return the trilinear signed distance float32[n] (mm) at points [n,3]. Far from the surface, it is the end of the
         band."""
         return trilinear.sample_distances(self.bricks, *_split_columns(points)).astype(np.float32)
@@ -136,10 +136,10 @@ class Volume:
 
     # ---- keeping
 
-    def state(self) -> Arrays:
+    def get_changes(self) -> Arrays:
         """Return the changes by digging, as arrays by name: the bricks that differ from those of `from_mesh`, and the number of
         volume steps."""
-        return self.bricks.state()
+        return self.bricks.get_changes()
 
     def restore_changes(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Restore a state of a volume made from the same mesh. Raises ValueError for arrays of another volume."""
@@ -187,20 +187,20 @@ def _find_bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
 def load_corner_values(bricks: BrickGrid, brick: int) -> NDArray[np.float32]:
     """Return the values (17, 17, 17) at the corners of a brick's cells; fewer at the end of the grid."""
     at = np.unravel_index(brick, bricks.shape)
-    pool = bricks.values.reshape(-1, BRICK_NODES)
-    sizes = [BRICK_SIDE_NODES + (1 if at[axis] + 1 < bricks.shape[axis] else 0) for axis in range(3)]
+    pool = bricks.values.reshape(-1, NODES_PER_BRICK)
+    sizes = [NODES_PER_BRICK_SIDE + (1 if at[axis] + 1 < bricks.shape[axis] else 0) for axis in range(3)]
     result = np.empty(sizes, np.float32)
     table = bricks.table.reshape(bricks.shape)
     for a in range(2):
         for b in range(2):
             for c in range(2):
                 into = tuple(
-                    slice(BRICK_SIDE_NODES * d, BRICK_SIDE_NODES + d * (sizes[axis] - BRICK_SIDE_NODES))
+                    slice(NODES_PER_BRICK_SIDE * d, NODES_PER_BRICK_SIDE + d * (sizes[axis] - NODES_PER_BRICK_SIDE))
                     for axis, d in enumerate((a, b, c))
                 )
                 if result[into].size:
                     block = pool[table[at[0] + a, at[1] + b, at[2] + c]].reshape(
-                        BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES
+                        NODES_PER_BRICK_SIDE, NODES_PER_BRICK_SIDE, NODES_PER_BRICK_SIDE
                     )
                     result[into] = block[tuple(slice(0, s.stop - s.start) for s in into)]
     return result
@@ -215,6 +215,6 @@ def _mesh_brick(bricks: BrickGrid, brick: int) -> BrickMesh:
         return brick, np.empty((0, 3)), np.empty((0, 3), np.int32)
     cut: Any = marching_cubes
     vertices, faces, _, _ = cut(values, 0.0, gradient_direction="descent", allow_degenerate=False)
-    corner = np.stack(np.unravel_index(brick, bricks.shape)).astype(np.float64) * BRICK_SIDE_NODES
-    grid_points = np.round(vertices.astype(np.float64) * _VERTEX_PARTS_PER_VOXEL) / _VERTEX_PARTS_PER_VOXEL + corner
+    corner = np.stack(np.unravel_index(brick, bricks.shape)).astype(np.float64) * NODES_PER_BRICK_SIDE
+    grid_points = np.round(vertices.astype(np.float64) * _VERTEX_STEPS_PER_VOXEL) / _VERTEX_STEPS_PER_VOXEL + corner
     return brick, bricks.origin + grid_points * bricks.voxel, np.ascontiguousarray(faces, np.int32)

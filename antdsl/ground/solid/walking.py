@@ -9,15 +9,15 @@ import numpy as np
 from antdsl.ground.protocol import Floats, Footing, GroundMove
 from antdsl.ground.solid.bricks import BrickGrid
 from antdsl.ground.solid.trilinear import (
-    SMOOTH_NORMAL_REACH,
+    SMOOTH_NORMAL_REACH_VOXELS,
     SURFACE_TOLERANCE_VOXELS,
     BrickTables,
-    compute_distance,
-    compute_distance_and_gradient,
     compute_smooth_gradient,
+    interpolate_distance,
+    interpolate_distance_and_gradient,
     load_cell_corners,
-    project_point,
-    to_brick_tables,
+    make_brick_tables,
+    project_point_to_surface,
 )
 from antdsl.ground.solid.volume import Volume
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, inlined, kernel, kernel_helper
@@ -37,7 +37,7 @@ NEWTON_STEPS = 4
 MAX_BISECTIONS = 24
 REMAINING_TOLERANCE_VOXELS = 1e-6  # voxels; a smaller remaining distance counts as zero
 MAX_STRIDES = 400  # maximum number of partial steps of a move
-STANCE_REACH_PER_BODY = 0.4  # body lengths to both sides over which the normal of the stance is measured
+STANCE_REACH_BODY_LENGTHS = 0.4  # body lengths to both sides over which the normal of the stance is measured
 MIN_SMOOTH_GRADIENT = 0.1  # length of that gradient; below it, the normal at the point itself is used
 
 _PREFETCH_GROUP_SIZE = 16  # agents with cells prefetched together
@@ -67,18 +67,20 @@ def move_over_solid(
         lean = compute_normal_reach(bricks, body)
     vectors, distances = np.empty((4, 3, count)), np.empty(count)
     blocked, lost = np.empty(count, bool), np.empty(count, bool)
-    walk_all(to_brick_tables(bricks), *columns, np.ascontiguousarray(close), lean, vectors, distances, blocked, lost)
+    walk_all_agents_on_solid(
+        make_brick_tables(bricks), *columns, np.ascontiguousarray(close), lean, vectors, distances, blocked, lost
+    )
     place, stance_up, head, direction = (v.T for v in vectors)
     return GroundMove(Footing.from_solids(number, place), place, stance_up, head, direction, distances, blocked, lost)
 
 
 def compute_normal_reach(bricks: BrickGrid, body: Floats) -> Floats:
     """Return the radius, in voxels around a point, over which a body's normal is measured."""
-    return np.maximum(body * (STANCE_REACH_PER_BODY / bricks.voxel), SMOOTH_NORMAL_REACH)
+    return np.maximum(body * (STANCE_REACH_BODY_LENGTHS / bricks.voxel), SMOOTH_NORMAL_REACH_VOXELS)
 
 
 @kernel
-def walk_all(
+def walk_all_agents_on_solid(
     bricks: BrickTables,
     points: Vectors,
     steps: Vectors,
@@ -108,15 +110,15 @@ def walk_all(
         wish = (steps[0, i], steps[1, i], steps[2, i])
         if not np.isfinite(wish[0] + wish[1] + wish[2]):
             wish = (0.0, 0.0, 0.0)
-        normal = _normalise_or_fallback(compute_smooth_gradient(table, values, grid, SMOOTH_NORMAL_REACH, start), old_up)
-        wish = _rotate_between(wish, old_up, normal, head)
+        normal = _normalise_or_fallback(compute_smooth_gradient(table, values, grid, SMOOTH_NORMAL_REACH_VOXELS, start), old_up)
+        wish = _rotate_from_normal_to_normal(wish, old_up, normal, head)
         p, n, direction, distances[i], is_blocked[i], is_lost[i] = _walk_agent(
             table, values, grid, start, normal, wish, tolerances[i]
         )
         slope = compute_smooth_gradient(table, values, grid, normal_reaches[i], p)
         stance_up = _normalise_or_fallback(slope, n) if dot(slope, slope) > MIN_SMOOTH_GRADIENT * MIN_SMOOTH_GRADIENT else n
-        head, _ = _project_tangent(_rotate_between(head, old_up, stance_up, head), stance_up)
-        direction, _ = _project_tangent(_rotate_between(direction, n, stance_up, direction), stance_up)
+        head, _ = _project_on_tangent_plane(_rotate_from_normal_to_normal(head, old_up, stance_up, head), stance_up)
+        direction, _ = _project_on_tangent_plane(_rotate_from_normal_to_normal(direction, n, stance_up, direction), stance_up)
         for k in range(3):
             results[0, k, i], results[1, k, i], results[2, k, i], results[3, k, i] = p[k], stance_up[k], head[k], direction[k]
 
@@ -144,7 +146,7 @@ class WalkResult(NamedTuple):
     """The result of an agent's steps: position, normal, direction, distance travelled (mm), and whether the agent is blocked or
     lost."""
 
-    place: Vec3
+    position: Vec3
     normal: Vec3
     direction: Vec3
     length: F64
@@ -164,12 +166,12 @@ def _walk_agent(
 ) -> WalkResult:
     """Return the result of all steps of one agent."""
     voxel = grid[3]
-    direction, flat = _project_tangent(wish, n)
+    direction, flat = _project_on_tangent_plane(wish, n)
     left = min(np.sqrt(dot(wish, wish)), 2 * flat)
     stride, walked = MAX_STRIDE_VOXELS, 0.0
     settled, blocked = False, False
     if not left > 0:
-        is_settled, p, new_normal = project_point(table, values, grid, p, n, tolerance)
+        is_settled, p, new_normal = project_point_to_surface(table, values, grid, p, n, tolerance)
         if not is_settled:
             return WalkResult(p, n, direction, walked, False, True)
         direction = _rotate_direction(direction, n, new_normal)
@@ -180,7 +182,7 @@ def _walk_agent(
         length = min(left, stride * voxel)
         q, g, d = _project_to_surface(table, values, grid, p, n, direction, length, tolerance)
         new_normal = _normalise_or_fallback(g, n)
-        middle = compute_distance(table, values, grid, ((p[0] + q[0]) * 0.5, (p[1] + q[1]) * 0.5, (p[2] + q[2]) * 0.5))
+        middle = interpolate_distance(table, values, grid, ((p[0] + q[0]) * 0.5, (p[1] + q[1]) * 0.5, (p[2] + q[2]) * 0.5))
         displacement = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
         far = MAX_STRIDE_STRETCH * length
         good = (
@@ -195,7 +197,7 @@ def _walk_agent(
             stride = min(stride * 2, MAX_STRIDE_VOXELS)
             settled, blocked = True, False
         elif not settled:
-            is_settled, p, new_normal = project_point(table, values, grid, p, n, tolerance)
+            is_settled, p, new_normal = project_point_to_surface(table, values, grid, p, n, tolerance)
             if not is_settled:
                 return WalkResult(p, n, direction, walked, blocked, True)
             direction = _rotate_direction(direction, n, new_normal)
@@ -208,7 +210,7 @@ def _walk_agent(
                     break
                 # At the bottom of a groove or the top of a ridge, change to the other wall, once per move.
                 beyond = 2 * MIN_STRIDE_VOXELS * voxel
-                _, g = compute_distance_and_gradient(
+                _, g = interpolate_distance_and_gradient(
                     table,
                     values,
                     grid,
@@ -241,7 +243,7 @@ def _project_to_surface(
     voxel = grid[3]
     far = (p[0] + direction[0] * length, p[1] + direction[1] * length, p[2] + direction[2] * length)
     q = far
-    d, g = compute_distance_and_gradient(table, values, grid, q)
+    d, g = interpolate_distance_and_gradient(table, values, grid, q)
     beyond = d > 0
     limit = 0.5 * voxel
     for _ in range(NEWTON_STEPS):
@@ -253,15 +255,15 @@ def _project_to_surface(
         if size > limit:
             step = step * (limit / max(size, limit))
         q = (q[0] + step * g[0], q[1] + step * g[1], q[2] + step * g[2])
-        d, g = compute_distance_and_gradient(table, values, grid, q)
+        d, g = interpolate_distance_and_gradient(table, values, grid, q)
     part = 0.5
     while abs(d) > tolerance and part > 1e-4:
         depth = (-part if beyond else part) * length
         near = (p[0] + depth * n[0], p[1] + depth * n[1], p[2] + depth * n[2])
-        if (compute_distance(table, values, grid, near) > 0) != beyond:
+        if (interpolate_distance(table, values, grid, near) > 0) != beyond:
             for _ in range(MAX_BISECTIONS):
                 q = ((near[0] + far[0]) * 0.5, (near[1] + far[1]) * 0.5, (near[2] + far[2]) * 0.5)
-                d, g = compute_distance_and_gradient(table, values, grid, q)
+                d, g = interpolate_distance_and_gradient(table, values, grid, q)
                 if not abs(d) > tolerance:
                     break
                 if (d > 0) == beyond:
@@ -276,12 +278,14 @@ def _project_to_surface(
 @inlined
 def _rotate_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3:
     """Return a direction rotated from the old to the new normal, projected onto the new tangent plane."""
-    direction, _ = _project_tangent(_rotate_between(direction, old_normal, new_normal, direction), new_normal)
+    direction, _ = _project_on_tangent_plane(
+        _rotate_from_normal_to_normal(direction, old_normal, new_normal, direction), new_normal
+    )
     return direction
 
 
 @kernel_helper
-def _rotate_between(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
+def _rotate_from_normal_to_normal(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
     """Return a vector rotated by the smallest rotation from one unit normal to the other. For opposite normals, the rotation
     passes through `direction`."""
     cosine = dot(old_normal, new_normal)
@@ -300,7 +304,7 @@ def _rotate_between(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3
 
 
 @kernel_helper
-def _project_tangent(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
+def _project_on_tangent_plane(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
     """Return the unit vector perpendicular to the normal and nearest to `v`, and the length of the component of `v` perpendicular
     to the normal."""
     along = dot(v, normal)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid.bricks import BRICK_NODES, BrickGrid
+from antdsl.ground.solid.bricks import NODES_PER_BRICK, BrickGrid
 from antdsl.runtime import World, take_dug_balls
 
 Arrays = dict[str, NDArray[Any]]
@@ -56,7 +56,7 @@ def make_start_arrays(world: World, scale: float) -> Arrays:
         arrays |= {
             f"solid.{name}.{key}": np.array(value)
             for key, value in {
-                "values": bricks.values[: bricks.used_slots * BRICK_NODES], "table": bricks.table, "shape": bricks.shape,
+                "values": bricks.values[: bricks.used_slots * NODES_PER_BRICK], "table": bricks.table, "shape": bricks.shape,
                 "origin": bricks.origin, "voxel": bricks.voxel, "band": (bricks.min_distance, bricks.max_distance),
                 "offset": np.zeros(3),
             }.items()
@@ -83,9 +83,9 @@ def read_start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
         most,
         read_array("table"),
         values,
-        len(values) // BRICK_NODES,
+        len(values) // NODES_PER_BRICK,
     )
-    bricks.record_start()
+    bricks.record_start_values()
     return Volume(bricks)
 
 

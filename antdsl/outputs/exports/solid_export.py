@@ -59,7 +59,7 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
                 f"the volume of `{name}` has {points:,} points, more than the limit", "write it as a mesh: `.ply`"
             )
         arrays |= {
-            f"{name}.distance": volume.dense_distances() * np.float32(scale),
+            f"{name}.distance": volume.make_dense_distances() * np.float32(scale),
             f"{name}.origin": (np.asarray(bricks.origin, np.float64) + offset) * scale + gallery.origin,
             f"{name}.cell": np.array(bricks.voxel * scale),
             f"{name}.band": np.array([bricks.min_distance * scale, bricks.max_distance * scale]),

@@ -193,7 +193,7 @@ def score_camera(crowd: Crowd, row: int, scale: float, camera: Camera, rays: Ray
             ),
         ]
     )
-    if rays.find_occluded(np.stack([target, *[camera_view.eye] * 5]), directions, max_parameter=1.0).any():
+    if rays.find_occluded_rays(np.stack([target, *[camera_view.eye] * 5]), directions, max_parameter=1.0).any():
         return -1e6
     pixels, ahead = camera_view.project(np.where(np.isfinite(crowd.position), crowd.position, 0.0))
     inside = (ahead < 60 * scale) & (pixels > 0).all(axis=1) & (pixels < [160, 90]).all(axis=1)
@@ -201,7 +201,7 @@ def score_camera(crowd: Crowd, row: int, scale: float, camera: Camera, rays: Ray
     clear = rays.find_first_hits(camera_view.eye[None], camera_view.forward_axis[None]).t[0] > 14 * scale
     up = np.asarray(camera.up or (0.0, 1.0, 0.0), np.float64)
     sun = make_sun(up).direction.astype(np.float64)
-    lit = not rays.find_occluded(target[None] + 0.3 * scale * up, sun[None]).any()
+    lit = not rays.find_occluded_rays(target[None] + 0.3 * scale * up, sun[None]).any()
     company = float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) * (1.0 if lit else 0.2)
     # Light from the side of the camera shows the shape of lit things.
     return company + 3.0 * lit * float(-camera_view.forward_axis @ sun) - 4.0 * float(is_obstructing.sum())

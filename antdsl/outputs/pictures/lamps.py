@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.lamps import LightSphere, place_bulb, select_largest
+from antdsl.casting.lamps import LightSphere, place_bulb, select_brightest_lamps
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures.light import LUMINANCE_WEIGHTS, decode_srgb
 from antdsl.outputs.pictures.model import Item
@@ -44,7 +44,7 @@ class Lamp(LightSphere):
         hidden = np.zeros(len(start), np.bool_)
         for rays in occluders:
             left = np.flatnonzero(~hidden)
-            hidden[left] = rays.find_occluded(start[left], aim[left], 1.0, threads)
+            hidden[left] = rays.find_occluded_rays(start[left], aim[left], 1.0, threads)
         return hidden
 
 
@@ -66,7 +66,7 @@ def find_lamps(items: Sequence[Item], up: tuple[float, float, float], strength: 
             power = strength if item.power is None else strength * item.power
             if power > 0:
                 lamps.append(Lamp(*place, power, compute_lamp_colour(item.colour)))
-    return select_largest(lamps)
+    return select_brightest_lamps(lamps)
 
 
 def compute_lamp_light(

@@ -80,7 +80,7 @@ def sample_centres(static_stage: StaticStage, lighting: PictureLighting, dyes: F
         start, direction = static_stage.view.make_rays(rows)
         place = np.broadcast_to(start, direction.shape).astype(np.float32)
         for own in split_rows(len(rows)):
-            lit = compute_moving_light(lighting, hits.select(own), place[own], direction[own], 0, lighting.sun.direction)
+            lit = compute_moving_light(lighting, hits.select_rows(own), place[own], direction[own], 0, lighting.sun.direction)
             light[rows[own]] = apply_tone_curve(lit)
     return FirstPass(light, behind, opened, body_distance)
 
@@ -114,7 +114,7 @@ def find_moving_hits(
     start, direction = static_stage.view.make_rays(pixels, *position_in_pixel)
     hits = lighting.actors.rays[0].find_first_hits(start, direction, lighting.threads)
     rows = np.flatnonzero(hits.t < max_distances)
-    return rows, hits.select(rows)
+    return rows, hits.select_rows(rows)
 
 
 def refine_pixels(

@@ -96,7 +96,7 @@ def compute_sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, t
         start = samples.point[lit] + samples.normal[lit] * np.float32(_RAY_OFFSET_EXTENTS * lighting.scales.extent)
         aim = np.broadcast_to(sun_point, start.shape)
         cast = lighting.actors.rays[time_index]
-        visible[lit[cast.find_occluded(start, aim, lighting.actors.shadow_reach, lighting.threads)]] = 0
+        visible[lit[cast.find_occluded_rays(start, aim, lighting.actors.shadow_reach, lighting.threads)]] = 0
     return visible
 
 
@@ -157,7 +157,7 @@ def _apply_shadow(lighting: PictureLighting, facing: Floats, points: Floats, tim
     cast, threads = lighting.actors, lighting.threads
     lit = np.flatnonzero(facing > 0)
     aim = np.broadcast_to(sun_point, (len(lit), 3))
-    hidden = cast.rays[time_index].find_occluded(points[lit], aim, cast.shadow_reach, threads)
+    hidden = cast.rays[time_index].find_occluded_rays(points[lit], aim, cast.shadow_reach, threads)
     open_to = np.flatnonzero(~hidden)
-    hidden[open_to] = lighting.ground.find_occluded(points[lit[open_to]], aim[open_to], threads=threads)
+    hidden[open_to] = lighting.ground.find_occluded_rays(points[lit[open_to]], aim[open_to], threads=threads)
     facing[lit[hidden]] = 0

@@ -125,7 +125,7 @@ def _find_occluded(
     def fill_pixels(chunk: slice) -> None:
         own_pixels = pixels[chunk]
         start = grid.point[own_pixels] + grid.normal[own_pixels] * np.float32(grid.ray_offset)
-        occluded[chunk] = occluder.find_occluded(start, directions[chunk], max_distance, threads)
+        occluded[chunk] = occluder.find_occluded_rays(start, directions[chunk], max_distance, threads)
 
     run_each(fill_pixels, split_rows(len(pixels)), threads)
     return occluded
@@ -238,7 +238,7 @@ def _sample_open_share(
             aim = directions[ray * 16 + ray_picks[chunk]]
             towards = side * aim[:, :1] + other * aim[:, 1:2] + normal * aim[:, 2:3]
             length = reach * ((ray + 0.6) / count) ** 1.5  # near objects shade more than distant ones
-            occlusion += rays.find_occluded(start, towards, length, threads)
+            occlusion += rays.find_occluded_rays(start, towards, length, threads)
         opened[chunk] = 1 - occlusion / count
 
     run_each(fill_pixels, split_rows(len(pixels)), threads)

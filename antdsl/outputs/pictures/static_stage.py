@@ -97,7 +97,7 @@ class StaticStage:
         lit = np.flatnonzero(samples.sun_cosine > 0)
         start = samples.point[lit] + samples.normal[lit] * np.float32(self.grid.ray_offset)
         aim = np.broadcast_to(self.sun.sample_disc(count)[number], start.shape)
-        samples.sun_cosine[lit[self.setting.rays.find_occluded(start, aim, threads=threads)]] = 0
+        samples.sun_cosine[lit[self.setting.rays.find_occluded_rays(start, aim, threads=threads)]] = 0
         return samples
 
 

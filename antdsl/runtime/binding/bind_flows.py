@@ -301,7 +301,7 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags,
     areas = np.sqrt((across * across).sum(axis=1)) / 2
     open_ = is_chosen[owner] & (areas > 0) & ~_find_blocked_triangles(world, triangles, points, table.normal.T[owner])
     for volume in world.solids.values():
-        open_ &= ~(volume.sample(points) < -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel)[triangles].any(axis=1)
+        open_ &= ~(volume.sample_distances(points) < -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
     land = WalkableSurface(points, triangles, open_, _link_points_of_surfaces(points, of, np.unique(triangles[open_]), areas))

@@ -18,8 +18,8 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
 from antdsl.ground.plane import PlaneGround
 from antdsl.ground.protocol import Ground
-from antdsl.ground.solid import UnusableMesh, Volume
-from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.ground.solid import UnusableMeshReason, Volume
+from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.machine_code import llvm_compiler
 from antdsl.numerics import stages
 from antdsl.numerics.processor.float_environment import standard_floats
@@ -160,7 +160,7 @@ def _make_solids(setting: WorldSetting, origin: NDArray[np.float64], binding_cac
         volume = binding_cache.get_deep_copy(
             "solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel)
         )
-        if isinstance(volume, UnusableMesh):
+        if isinstance(volume, UnusableMeshReason):
             report.error(
                 "bad-mesh",
                 f"the mesh of the solid `{name}` cannot be dug: {volume.message}",
@@ -215,7 +215,7 @@ def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], bin
         name: binding_cache.get_or_make("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces))
         for name, mesh in meshes.items()
     }
-    return scenes | {name: SolidFeelers(volume) for name, volume in solids.items()}
+    return scenes | {name: SolidProximityQueries(volume) for name, volume in solids.items()}
 
 
 def _make_items(setting: WorldSetting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.mesh.topology import NO_LINKED_EDGE
 from antdsl.ground.protocol import Floats, MeshSurfaces
 
 
@@ -24,7 +24,7 @@ class BorderEdges(NamedTuple):
 def find_border_edges(meshes: MeshSurfaces, is_chosen: NDArray[np.bool_]) -> BorderEdges:
     """Return the edges of chosen faces that no other chosen face shares. `is_chosen`: a flag for each face of all surfaces."""
     vertices, faces, _, table = meshes.triangles
-    half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(is_chosen, 3))
+    half = np.flatnonzero((table.link[0] == NO_LINKED_EDGE) & np.repeat(is_chosen, 3))
     own, k = half // 3, half % 3
     start, end = vertices[faces[own, (k + 1) % 3]], vertices[faces[own, (k + 2) % 3]]
     edge = end - start

@@ -38,7 +38,7 @@ def _draw_values(world: World, population: Population, rows: Rows, name: str, dr
         meshes = world.ground.meshes
         if meshes is None:
             return np.full(len(rows), low)
-        return low + (high - low) * world.maps[draw.map_name].sample(meshes, population.footing.take_rows(rows))
+        return low + (high - low) * world.maps[draw.map_name].sample(meshes, population.footing.select_rows(rows))
     u, v = (
         randomness.draw_uniform(world.setting.seed, 0, population.name, f"each {name}", k, population.ids[rows]) for k in range(2)
     )

@@ -45,11 +45,11 @@ class StartPositionDraws:
 
     def select_rows(self, rows: Rows) -> StartPositionDraws:
         """Return copies of the given rows."""
-        return StartPositionDraws(self.footing.take_rows(rows), self.position[rows], self.up[rows], self.is_allowed[rows])
+        return StartPositionDraws(self.footing.select_rows(rows), self.position[rows], self.up[rows], self.is_allowed[rows])
 
     def replace_rows(self, rows: Rows, other: StartPositionDraws) -> None:
         """Replace the given rows by those of `other`."""
-        self.footing.put_rows(rows, other.footing)
+        self.footing.write_rows(rows, other.footing)
         self.position[rows], self.up[rows], self.is_allowed[rows] = other.position, other.up, other.is_allowed
 
 

@@ -86,17 +86,17 @@ class FaceArea:
 
     def _snap_to_solids(self, on_mesh: Footing, place: Floats, up: Floats, can_stand: Flags) -> tuple[Footing, Floats, Flags]:
         """Move points on solids to the current surface of the solid. Return the results of `draw_footings` for these points."""
-        ground, footing = self.world.ground, on_mesh.add_position_columns()
+        ground, footing = self.world.ground, on_mesh.with_position_columns()
         first = len(ground.names) - len(self.world.solids)
         for k, (name, volume) in enumerate(self.world.solids.items()):
             rows = np.flatnonzero(on_mesh.mesh == first + k)
             if rows.size:
                 landed, _ = ground.find_nearest(place[rows], [name])
-                footing.put_rows(rows, landed)
+                footing.write_rows(rows, landed)
                 can_stand[rows] &= landed.mesh == first + k
                 up[rows] = ground.normal(landed)
             on_meshes = on_mesh.mesh < first
-            can_stand[on_meshes] &= volume.sample(place[on_meshes]) >= -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel
+            can_stand[on_meshes] &= volume.sample_distances(place[on_meshes]) >= -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel
         return footing, up, can_stand
 
 

@@ -160,7 +160,7 @@ class _FeetStep:
             if volume is not None and rows is not None and rows.any():
                 length = self.species_legs.legs.length.astype(np.float32) * self.bodies[SIZE][:, None]
                 gap = np.maximum(_DUG_GAP_LEG_SHARE * length[rows], 0.02 * volume.voxel)
-                _transpose_legs(self.undermined)[rows] = volume.sample(feet.place[:, rows].T) > gap
+                _transpose_legs(self.undermined)[rows] = volume.sample_distances(feet.place[:, rows].T) > gap
 
     def _plan_swings(self) -> None:
         """Decide which feet lift and land, and find ground for those that need it."""

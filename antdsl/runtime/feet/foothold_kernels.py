@@ -11,7 +11,7 @@ import numpy as np
 from antdsl.casting.grid_rays import GridTables, find_first_hit, prefetch_rays
 from antdsl.casting.nearest_faces import find_nearest_face
 from antdsl.casting.ray_walks import RingTables, find_hit_by_walk, prefetch_first_face
-from antdsl.casting.tolerances import FACE_BEYOND_GRID, MAX_SEARCH_RINGS, NEAREST_UNKNOWN
+from antdsl.casting.tolerances import FACE_BEYOND_GRID, MAX_SEARCH_RINGS, NEAREST_FACE_UNKNOWN
 from antdsl.machine_code.kernels import allocate_scratch, inlined, kernel, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I16, I32, I64, U8, Array1, Array2, Array3
 from antdsl.numerics.kernel_vectors import dot, get_column, minus, plus, store_column
@@ -128,7 +128,7 @@ def cast_on_mesh(
                 if starts[k] >> FACE_BITS == number:
                     a, w = get_column(origins, k), get_column(displacements, k)
                     t, named = find_hit_by_walk(grid, rings, starts[k] & FACE_MASK, minus(a, zero), w)
-                    if named != NEAREST_UNKNOWN:
+                    if named != NEAREST_FACE_UNKNOWN:
                         rays[k - low] = 0
                     if named >= 0:
                         starts[k] = number << FACE_BITS | named

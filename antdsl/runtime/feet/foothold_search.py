@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.plane import PlaneGround
-from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet import foothold_kernels
@@ -141,7 +141,7 @@ class FootGround:
                 near = near if sure else _find_rays_near_mesh(obstacle, near, origin, displacement)
                 if near.size:
                     self._cast_on_mesh(world, k, obstacle, near, (origin, displacement), hits, sure)
-            elif isinstance(obstacle, SolidFeelers):
+            elif isinstance(obstacle, SolidProximityQueries):
                 _cast_on_solid(k, obstacle, near, origin, displacement, hits)
         return hits
 
@@ -167,7 +167,7 @@ class FootGround:
             if isinstance(obstacle, RayScene):
                 _, face, place, distance = obstacle.find_closest(points[:, near].T, threads, least[near])
             else:
-                assert isinstance(obstacle, SolidFeelers)
+                assert isinstance(obstacle, SolidProximityQueries)
                 slope = obstacle.volume.sample_gradients(points[:, near].T).astype(np.float64)
                 landed = obstacle.volume.project_to_surface(points[:, near].T, _normalise_rows(slope), float(reach.max()))
                 place, face = landed.points, np.zeros(near.size, np.int32)
@@ -195,7 +195,7 @@ class FootGround:
 
     def _find_bounding_box(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
         """Return the least and greatest corner (mm) of a mesh; None if it has none."""
-        if isinstance(obstacle, SolidFeelers):
+        if isinstance(obstacle, SolidProximityQueries):
             return obstacle.volume.low, obstacle.volume.high
         if k in self.moving_numbers:
             return _compute_bounds(compute_vertices(world, self.names[k], world.display_frame))
@@ -355,7 +355,7 @@ def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: G
 
 
 def _cast_on_solid(
-    k: int, obstacle: SolidFeelers, near_rows: Rows, origin: Vectors, displacement: Vectors, ground_hits: GroundHits
+    k: int, obstacle: SolidProximityQueries, near_rows: Rows, origin: Vectors, displacement: Vectors, ground_hits: GroundHits
 ) -> None:
     """Write the hits on a solid, if they are nearer than previous hits."""
     a, w = origin[:, near_rows], displacement[:, near_rows]

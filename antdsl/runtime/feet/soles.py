@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
-from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet.feet_state import NO_GROUND, PLANE_GROUND, STANDING_SWING, Feet
 from antdsl.runtime.feet.foothold_search import FootGround
@@ -30,7 +30,7 @@ def measure_treads(world: World, foot_ground: FootGround, feet: Feet, which: tup
     for k, name in enumerate(foot_ground.names):
         rows = np.flatnonzero(things == k)
         obstacle, points = world.obstacles.get(name), np.ascontiguousarray(place[:, rows].T)
-        if rows.size and isinstance(obstacle, SolidFeelers):
+        if rows.size and isinstance(obstacle, SolidProximityQueries):
             normals[:, rows] = obstacle.volume.compute_upright_normals(points, up[:, rows].T).T
         elif rows.size and isinstance(obstacle, RayScene):
             is_moving = k in foot_ground.moving_numbers

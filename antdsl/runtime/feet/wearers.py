@@ -63,7 +63,7 @@ class WearersInRows:
 
     @property
     def footing(self) -> Footing:
-        return self.population.footing.take_rows(self.rows)
+        return self.population.footing.select_rows(self.rows)
 
 
 def find_wearers(world: World, key: str) -> Wearers:

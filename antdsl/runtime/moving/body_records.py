@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from antdsl.ground.mesh.boxes import BoxTree
+from antdsl.ground.mesh.boxes import FaceBoxTree
 from antdsl.ground.mesh.walkers import ClearanceTables
 from antdsl.machine_code.kernels import inlined
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 
-SHARP_BEND_LEVEL = 2  # level of ground with sharp edges, other pieces or cuts; see `MeshGround.mark_bends`
+SHARP_BEND_LEVEL = 2  # level of ground with sharp edges, other pieces or cuts; see `MeshGround.mark_bend_levels`
 MAX_LIFT_BODY_LENGTHS = 0.6  # body lengths; the largest shift of a body
 
 
@@ -58,7 +58,7 @@ class BodyRegisters(NamedTuple):
 
 
 class BodyRows(NamedTuple):
-    """Rows of agents. `bend_levels`: how sharply the ground around each agent bends; see `MeshGround.mark_bends`."""
+    """Rows of agents. `bend_levels`: how sharply the ground around each agent bends; see `MeshGround.mark_bend_levels`."""
 
     rows: Array1[I64]
     bend_levels: Array1[U8]
@@ -86,7 +86,7 @@ class ContactFaces(NamedTuple):
 
     face_table: Array1[F64]
     piece_numbers: Array1[I32]
-    box_tree: BoxTree
+    box_tree: FaceBoxTree
     buffers: FaceBuffers
 
 
@@ -102,7 +102,7 @@ class FaceSearch(NamedTuple):
     clearances: ClearanceTables
     piece_numbers: Array1[I32]
     cut_starts: Array1[I64]
-    box_tree: BoxTree
+    box_tree: FaceBoxTree
     buffers: FaceBuffers
 
 

@@ -59,15 +59,15 @@ class CorrectionWalker:
         world, threads = self._crowd.world, self._crowd.world.options.threads
         step, normal, up, heading, size = self._prepare_walk(population, rows, displacement)
         step = slide_rows(world, population, rows, step, normal)
-        moved = world.ground.move(population.footing.take_rows(rows), vec.stack_rows(step), heading, up, size, threads)
+        moved = world.ground.move(population.footing.select_rows(rows), vec.stack_rows(step), heading, up, size, threads)
         if world.solids and len(airborne_rows := find_airborne(world, population, rows)):
-            moved.put_rows(airborne_rows, move_airborne(world, population, rows[airborne_rows], displacement.T[airborne_rows]))
+            moved.write_rows(airborne_rows, move_airborne(world, population, rows[airborne_rows], displacement.T[airborne_rows]))
         fair = self._move_back_in_range(population, rows, moved, size)
         if fair is None:
             return self._apply_move(population, rows, moved)
         got = np.zeros_like(displacement)
         if len(fair):
-            got[:, fair] = self._apply_move(population, rows.take(fair), moved.take_rows(fair))
+            got[:, fair] = self._apply_move(population, rows.take(fair), moved.select_rows(fair))
         return got
 
     def _prepare_walk(
@@ -107,9 +107,9 @@ class CorrectionWalker:
                 break
             start = self._start_positions[population.name][rows[over]]
             back = (move.position[over] - start) * (most[over] / far[over] - 1.0)[:, None]
-            again, ground = move.take_rows(over), self._crowd.world.ground
+            again, ground = move.select_rows(over), self._crowd.world.ground
             threads = self._crowd.world.options.threads
-            move.put_rows(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
+            move.write_rows(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
         far, most = self._measure_distance_limits(population, rows, move)
         return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
@@ -130,7 +130,7 @@ class CorrectionWalker:
         at, velocity = (vec.get_vector_registers(population.now, name) for name in ("position", "velocity"))
         got = np.empty((3, len(rows)))
         _store_arrivals(rows, move.position, move.up, self._dt, at, velocity, population.position, population.normal, got)
-        population.footing.put_rows(rows, move.footing)  # last, because the footings on a plane are the positions themselves
+        population.footing.write_rows(rows, move.footing)  # last, because the footings on a plane are the positions themselves
         return got
 
 

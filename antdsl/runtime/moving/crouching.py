@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.protocol import GroundMove
-from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import dot
 from antdsl.runtime.moving.slopes import StepStartStance, move_along_ground
@@ -148,7 +148,7 @@ def _cast_rays(world: World, origin: Floats, displacement: Floats) -> Floats:
         if isinstance(obstacle, RayScene):
             hit, share, *_ = obstacle.find_hits_along_step(origin, displacement, threads)
             part[hit] = np.minimum(part[hit], share)
-        elif isinstance(obstacle, SolidFeelers):
+        elif isinstance(obstacle, SolidProximityQueries):
             unit = displacement / np.maximum(length, 1e-12)[:, None]
             rays = vec.split_columns(origin, np.float64), vec.split_columns(unit, np.float64)
             hits = obstacle.cast_feelers(*rays, length, threads)
@@ -190,5 +190,5 @@ def _walk_along_low_ceilings(
     which = tries[fits]
     if len(which):
         result[which] = chosen[fits]
-        moved.put_rows(which, move_along_ground(world, population, start, rows[which], chosen[fits]))
+        moved.write_rows(which, move_along_ground(world, population, start, rows[which], chosen[fits]))
     return result, moved

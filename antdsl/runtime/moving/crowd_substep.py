@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.walk_events import CrowdWalk, WaitingAgents
+from antdsl.ground.mesh.walk_events import CrowdWalk, PendingWalkArrays
 from antdsl.ground.mesh.walkers import PoseArrays, get_footing_arrays
 from antdsl.ground.plane import PlaneGround
 from antdsl.ground.protocol import Footing, Ground, GroundMove
@@ -290,7 +290,7 @@ class _CrowdSubstep:
             for registers, previous in zip(self.registers[2:], reversed(self.previous_axes), strict=True):
                 registers[k][rows] = previous[k][rows]
         n = len(p)
-        p.footing.put_rows(rows, moved.footing)
+        p.footing.write_rows(rows, moved.footing)
         p.position[rows] = moved.position
         place, above, ahead, direction = np.empty((4, 3, n))
         blocked = np.zeros(n, np.bool_)
@@ -324,7 +324,7 @@ class _CrowdSubstep:
         work = partial(walk_triangles, *tables, *stride_inputs, arrival, held, placed, place)
         parts = parallel.run_in_parts(work, n, self.threads)
         if any([waiting or left for _, waiting, left in parts]):
-            self._walk_pending(ground, arrival, walk, WaitingAgents.merge_parts(parts, reals, wholes), to, place, how)
+            self._walk_pending(ground, arrival, walk, PendingWalkArrays.merge_parts(parts, reals, wholes), to, place, how)
         p.footing, p.position, p.normal = to, place.T, arrival.normals
         return True
 
@@ -333,7 +333,7 @@ class _CrowdSubstep:
         ground: MeshGround,
         arrival: ArrivalArrays,
         walk: CrowdWalk,
-        waiting_agents: WaitingAgents,
+        waiting_agents: PendingWalkArrays,
         footing: Footing,
         place: NDArray[np.float64],
         statuses: NDArray[np.uint8],
@@ -349,7 +349,7 @@ class _CrowdSubstep:
         if waiting_agents.left_out_count:
             others = np.flatnonzero(statuses != loop.FINISHED_STATUS)
             result = GroundMove(footing, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
-            result.put_rows(others, self._move_rows_over_ground(ground, others))
+            result.write_rows(others, self._move_rows_over_ground(ground, others))
             rows = np.union1d(rows, others)
         if len(rows):
             self._update_arrived(rows, WalkedPoses(place, above, ahead, direction, blocked), arrival)
@@ -370,7 +370,7 @@ class _CrowdSubstep:
         heading = vec.select_vectors(stands, vec.take_rows(self.registers[2], rows), vec.take_rows(self.level_headings, rows))
         vectors = vec.stack_rows(vec.take_rows(self.step, rows)), vec.stack_rows(heading), p.normal[rows].astype(np.float64)
         size = p.now["size"][rows].astype(np.float64)
-        return ground.move(p.footing.take_rows(rows), *vectors, size, self.threads)
+        return ground.move(p.footing.select_rows(rows), *vectors, size, self.threads)
 
     def _update_arrived(self, rows: NDArray[np.intp], walked_poses: WalkedPoses, arrival: ArrivalArrays) -> None:
         work = partial(update_arrived_rows, rows, walked_poses, arrival)

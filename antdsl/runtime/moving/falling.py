@@ -37,7 +37,7 @@ def limit_fall_speed(world: World, population: Population, move: GroundMove, dt:
     place = population.position[rows] + displacement[rows] * (most[rows] / far[rows])[:, None]
     solid = np.where(from_solid[rows], population.footing.mesh[rows], move.footing.mesh[rows])
     footing, position = move.footing.copy(), move.position.copy()
-    footing.put_rows(rows, Footing.from_solids(solid, place))
+    footing.write_rows(rows, Footing.from_solids(solid, place))
     position[rows] = place
     return dataclasses.replace(move, footing=footing, position=position)
 
@@ -50,7 +50,8 @@ def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
     for number, volume in enumerate(world.solids.values(), first):
         subset = np.flatnonzero(mesh == number)
         is_airborne[subset] = (
-            volume.sample(population.position[rows[subset]]) > population.now["size"][rows[subset]] * _SOLID_CONTACT_BODY_LENGTHS
+            volume.sample_distances(population.position[rows[subset]])
+            > population.now["size"][rows[subset]] * _SOLID_CONTACT_BODY_LENGTHS
         )
     return np.flatnonzero(is_airborne)
 
@@ -60,7 +61,7 @@ def move_airborne(world: World, population: Population, rows: Rows, displacement
     into a solid."""
     place = population.position[rows] + displacement
     for volume in world.solids.values():
-        inside = volume.sample(place) < 0
+        inside = volume.sample_distances(place) < 0
         place[inside] = population.position[rows[inside]]
     mesh, up, heading = (
         population.footing.mesh[rows],

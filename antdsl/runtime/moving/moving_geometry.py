@@ -76,7 +76,7 @@ def set_ground_pose(world: World, frame: int) -> None:
     ground = get_moving_ground(world)
     if ground is not None:
         moved = [name for name in world.setting.motion.meshes if name in world.setting.surfaces]
-        ground.pose_meshes({name: compute_vertices(world, name, frame) for name in moved})
+        ground.set_mesh_vertices({name: compute_vertices(world, name, frame) for name in moved})
 
 
 def compute_vertices(world: World, name: str, frame: int) -> NDArray[np.float64]:
@@ -123,8 +123,8 @@ def compute_rest_positions(world: World, footing: Footing, place: NDArray[np.flo
     if ground is None:
         return place
     place = place.copy()
-    rows = ground.find_rows_on_moving(footing.mesh)
-    place[rows] = ground.compute_rest_positions(footing.take_on_meshes(rows))
+    rows = ground.find_rows_on_moving_meshes(footing.mesh)
+    place[rows] = ground.compute_rest_positions(footing.select_rows_on_meshes(rows))
     return place
 
 
@@ -133,10 +133,10 @@ def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp
     ground = get_moving_ground(world)
     if ground is None:
         return vectors
-    on = ground.find_rows_on_moving(population.footing.mesh[rows])
+    on = ground.find_rows_on_moving_meshes(population.footing.mesh[rows])
     if not len(on):
         return vectors
-    footing = population.footing.take_on_meshes(np.arange(len(population))[rows][on])
+    footing = population.footing.select_rows_on_meshes(np.arange(len(population))[rows][on])
     turned = _rotate_vectors(
         ground.compute_rest_axes(footing),
         ground.compute_axes(footing),
@@ -155,10 +155,10 @@ def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] 
     ground = get_moving_ground(world)
     if ground is None:
         return positions
-    on = ground.find_rows_on_moving(population.footing.mesh[rows])
+    on = ground.find_rows_on_moving_meshes(population.footing.mesh[rows])
     if not len(on):
         return positions
-    standing = population.footing.take_on_meshes(np.arange(len(population))[rows][on])
+    standing = population.footing.select_rows_on_meshes(np.arange(len(population))[rows][on])
     rest_points = np.stack([np.asarray(p, np.float64)[on] for p in positions])
     away = _rotate_vectors(
         ground.compute_rest_axes(standing), ground.compute_axes(standing), rest_points - ground.compute_rest_positions(standing).T
@@ -181,15 +181,15 @@ def _find_agents_on_moving_ground(
     """Return the rows of agents on moving ground, and the axes of their faces before the ground moves."""
     if ground is None:
         return np.empty(0, np.intp), None
-    rows = ground.find_rows_on_moving(population.footing.mesh)
-    return rows, ground.compute_axes(population.footing.take_on_meshes(rows))
+    rows = ground.find_rows_on_moving_meshes(population.footing.mesh)
+    return rows, ground.compute_axes(population.footing.select_rows_on_meshes(rows))
 
 
 def _carry_agents_with_ground(
     ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: FaceAxes
 ) -> None:
     """Move and rotate agents with their face after the ground has moved: position, up, heading and velocity."""
-    footing = population.footing.take_on_meshes(rows)
+    footing = population.footing.select_rows_on_meshes(rows)
     next_axes = ground.compute_axes(footing)
     now = population.now
     turned = {
@@ -245,7 +245,7 @@ def _push_agents_out_of_obstacle(world: World, population: Population, name: str
         away = vec.normalise_or_fallback(away, heading)
         far = need / np.maximum(level, _F(0.25))
         moved = world.ground.move(
-            population.footing.take_rows(rows),
+            population.footing.select_rows(rows),
             vec.stack_rows(vec.scale(away, far)),
             vec.stack_rows(heading),
             vec.stack_rows(up),
@@ -258,7 +258,7 @@ def _push_agents_out_of_obstacle(world: World, population: Population, name: str
 def _apply_move(population: Population, rows: NDArray[np.intp], move: GroundMove) -> None:
     """Place the given agents at the results of a push, and project their velocity onto the ground at the new positions."""
     footing = population.footing.copy()  # a copy: a snapshot may share the previous footing
-    footing.put_rows(rows, move.footing)
+    footing.write_rows(rows, move.footing)
     population.footing = footing
     population.position[rows] = move.position
     velocity = _read_vectors(population, "velocity", rows)

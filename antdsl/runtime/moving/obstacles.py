@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.grid_rays import PREFETCH_GROUP_SIZE, GridTables, cast_feeler
-from antdsl.casting.nearest_faces import measure_signed_distance, prefetch_around, prefetch_lists
+from antdsl.casting.nearest_faces import measure_signed_distance, prefetch_cells_around, prefetch_face_lists_of_rows
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import FACE_BEYOND_GRID
 from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, allocate_scratch, inlined, kernel, simd_range
@@ -267,8 +267,8 @@ def slide_steps_near_grid(
         high = min(low + PREFETCH_GROUP_SIZE, asking)
         for n in range(low, high):
             i = rows[n]
-            prefetch_around(grid, (place[0][i], place[1][i], place[2][i]), cubes, n - low)
-        prefetch_lists(grid, cubes, 9 * (high - low))
+            prefetch_cells_around(grid, (place[0][i], place[1][i], place[2][i]), cubes, n - low)
+        prefetch_face_lists_of_rows(grid, cubes, 9 * (high - low))
         for n in range(low, high):
             i = rows[n]
             size, margin, _ = _measure_step(step, radius, clearance, i)

@@ -54,7 +54,7 @@ class StepStartStance:
         distance = np.sqrt(_dot_vectors(displacement, displacement))
         which = np.flatnonzero((_dot_vectors(find_face_normals(world, footing, smooth), up) < limit) & (distance > 0))
         is_rising = _dot_vectors(displacement, up)[which] > _MIN_RISE_SHARE * distance[which]
-        start = self.footing.take_rows(rows[which])
+        start = self.footing.select_rows(rows[which])
         normal = find_face_normals(world, start, self.normal[rows[which]].astype(np.float64))
         was_steep = _dot_vectors(normal, up) < limit[which]
         steep: Rows = which[is_rising | ~was_steep]
@@ -147,7 +147,7 @@ def deflect_steps_along_slopes(
 
     `step` (k, 3) mm: the steps that were too steep. Agents that would meet steep ground again do not move."""
     up = np.asarray(world.up, np.float64)
-    wall = find_face_normals(world, population.footing.take_rows(rows), population.normal[rows].astype(np.float64))
+    wall = find_face_normals(world, population.footing.select_rows(rows), population.normal[rows].astype(np.float64))
     wall = wall - _dot_vectors(wall, up)[:, None] * up
     wall = wall / np.maximum(np.sqrt(_dot_vectors(wall, wall))[:, None], 1e-12)
     into = _dot_vectors(step, wall)[:, None]
@@ -159,7 +159,7 @@ def deflect_steps_along_slopes(
         if not len(again):
             break
         result[again] = other[again]
-        moved.put_rows(again, move_along_ground(world, population, start, rows[again], other[again]))
+        moved.write_rows(again, move_along_ground(world, population, start, rows[again], other[again]))
     return result, moved
 
 
@@ -167,4 +167,4 @@ def move_along_ground(world: World, population: Population, start: StepStartStan
     """Return where the ground moves agents from their start by steps (k, 3) mm."""
     normal, heading = start.normal[rows].astype(np.float64), population.read_vector("heading")[rows].astype(np.float64)
     size = population.now["size"][rows].astype(np.float64)
-    return world.ground.move(start.footing.take_rows(rows), step, heading, normal, size, world.options.threads)
+    return world.ground.move(start.footing.select_rows(rows), step, heading, normal, size, world.options.threads)

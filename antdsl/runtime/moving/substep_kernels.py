@@ -15,14 +15,14 @@ from antdsl.ground.mesh.walk import (  # fmt: skip
     LEFT_OUT_STATUS,
     PREFETCH_GROUPS_AHEAD,
     WAITING_STATUS,
-    compact_waiting_agents,
+    move_waiting_agents_to_front,
     prefetch_faces,
     store_footing,
     store_waiting_agent,
     walk_agent,
 )
 from antdsl.ground.mesh.walkers import ClearanceTables, FootingArrays, SurfaceTables
-from antdsl.ground.plane import walk_straight
+from antdsl.ground.plane import walk_straight_on_plane
 from antdsl.machine_code.kernels import inlined, kernel, load3, prefetch, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
@@ -136,7 +136,7 @@ def walk_triangles(
     `footing`: initial footings. `new_footing`, `place` (n, 3): resulting footings and positions (mm). `pending_walks`: values of
     agents that wait for a later walk. Returns `begin`, and the numbers of waiting agents and of agents that are left out."""
     mesh, face, b1s, b2s, overs = footing
-    first, step, how = surface.first, arrival.step, pending_walks.statuses
+    first, step, how = surface.first_faces, arrival.step, pending_walks.statuses
     registers, heading, state = arrival.registers, arrival.registers.heading, arrival.body_stances.state
     for group in range(begin - 8 * PREFETCH_GROUPS_AHEAD, end, 8):
         # Columns need explicit prefetches: there are more than a processor prefetches automatically.
@@ -175,11 +175,11 @@ def walk_triangles(
             how[i] = FINISHED_STATUS
             # No edge connects two meshes.
             store_footing(new_footing, i, mesh[i], walk.walker.face - first[mesh[i]], walk.height, walk.walker)
-            pose = compute_final_pose(surface.table, walk.walker, walk.height)
+            pose = compute_final_pose(surface.face_table, walk.walker, walk.height)
             for k in range(3):
                 place[k, i] = pose.position[k]
             update_arrived_agent(i, pose, walk.stop.followed_borders > 0, arrival)
-    waiting, left = compact_waiting_agents(how, pending_walks.float_values, pending_walks.integer_values, begin, end)
+    waiting, left = move_waiting_agents_to_front(how, pending_walks.float_values, pending_walks.integer_values, begin, end)
     return begin, waiting, left
 
 
@@ -196,7 +196,7 @@ def walk_plane(
     for i in simd_range(begin, end):
         displacement = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
         look = _choose_level_heading(heading, level_heading, state, i)
-        pose, _ = walk_straight(up, (at[i, 0], at[i, 1], at[i, 2]), displacement, look)
+        pose, _ = walk_straight_on_plane(up, (at[i, 0], at[i, 1], at[i, 2]), displacement, look)
         for k in range(3):
             place[i, k] = pose.position[k]
         update_arrived_agent(i, pose, False, arrival)

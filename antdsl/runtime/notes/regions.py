@@ -113,7 +113,7 @@ def compute_region_share(agents: NoteAgents, outside: Floats | None) -> Floats:
         falloff = 0.0 if note.falloff is None else note.falloff.to_millimetres(world.setting.unit_mm)
         share *= apply_smoothstep(1.0 - outside / falloff) if falloff else (outside <= 0)
     if note.painted is not None and world.ground.meshes is not None:
-        footing = agents.population.footing.take_rows(agents.rows)
+        footing = agents.population.footing.select_rows(agents.rows)
         share *= np.clip(world.maps[note.painted].sample(world.ground.meshes, footing).astype(np.float64), 0.0, 1.0)
     return share
 

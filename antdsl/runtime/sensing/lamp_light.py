@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.lamps import LightSphere, place_bulb, select_largest
+from antdsl.casting.lamps import LightSphere, place_bulb, select_brightest_lamps
 from antdsl.casting.tolerances import MIN_VECTOR_LENGTH
 from antdsl.numerics.vector_rows import dot
 from antdsl.numerics.vectors import split_columns
@@ -33,7 +33,7 @@ def sense_light(world: World, population: Population, node: ir.PlanNode, rows: R
     start = place + normal * (population.start["size"][rows].astype(np.float64) * _RAY_START_HEIGHT_PER_BODY)[:, None]
     total = np.zeros(len(place))
     with np.errstate(all="ignore"):
-        for lamp in select_largest(_find_lamps(world, node.attrs[0])):
+        for lamp in select_brightest_lamps(_find_lamps(world, node.attrs[0])):
             light = lamp.compute_intensity(place, normal)
             lit = np.flatnonzero((light > _MIN_LIGHT) & (light < np.inf))
             total[lit] += light[lit] * (1 - _find_hidden_share(world, lamp, start[lit]))

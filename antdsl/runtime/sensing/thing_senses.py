@@ -42,19 +42,19 @@ def _sense_curve_closest(world: World, population: Population, node: ir.PlanNode
 def _sense_flow_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     place = read_exact_positions(world, population, rows)
     up = population.normal[rows].astype(np.float64)
-    return world.flows[node.attrs[0]].sample(world.ground.meshes, population.footing.take_rows(rows), place, up)
+    return world.flows[node.attrs[0]].sample(world.ground.meshes, population.footing.select_rows(rows), place, up)
 
 
 def _sense_flow_reachable(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     place = read_exact_positions(world, population, rows)
     up = population.normal[rows].astype(np.float64)
-    return world.flows[node.attrs[0]].has_flow_at(world.ground.meshes, population.footing.take_rows(rows), place, up)
+    return world.flows[node.attrs[0]].has_flow_at(world.ground.meshes, population.footing.select_rows(rows), place, up)
 
 
 def _sense_map_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     meshes = world.ground.meshes
     assert meshes is not None  # maps are painted on them
-    return world.maps[node.attrs[0]].sample(meshes, population.footing.take_rows(rows))
+    return world.maps[node.attrs[0]].sample(meshes, population.footing.select_rows(rows))
 
 
 def _find_camera(world: World, node: ir.PlanNode) -> SensedCamera:

@@ -238,7 +238,7 @@ def _sense_field_ahead(
         displacement = vec.add(vec.scale(heading, elementary.cos(turn)), vec.scale(left, elementary.sin(turn)))
         displacement = vec.scale(displacement, ahead)
         moved = world.ground.move(
-            population.footing.take_rows(rows),
+            population.footing.select_rows(rows),
             vec.stack_rows(displacement),
             vec.stack_rows(heading),
             vec.stack_rows(up),
@@ -263,10 +263,10 @@ def _pull_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArra
         return move.footing, move.position
     rows = np.flatnonzero(move.is_blocked & meshes.get_face_numbers(move.footing)[1])
     footing, position = move.footing.copy(), move.position.copy()
-    inner = footing.take_on_meshes(rows)
+    inner = footing.select_rows_on_meshes(rows)
     for weight in (inner.b1, inner.b2):
         weight += (1 / 3 - weight) * _BORDER_PULL_SHARE
-    footing.put_rows(rows, inner)
+    footing.write_rows(rows, inner)
     position[rows] = meshes.position(inner)
     return footing, position
 

@@ -44,7 +44,7 @@ def smear_bodies(lighting: PictureLighting) -> PictureLayer:
             origin = np.broadcast_to(begin, direction[own].shape)[rows].astype(np.float32)
             behind = lighting.ground.find_first_hits(origin, aim, lighting.threads).t
             is_visible = hits.t[rows] < behind
-            aim, origin, part = aim[is_visible], origin[is_visible], hits.select(rows[is_visible])
+            aim, origin, part = aim[is_visible], origin[is_visible], hits.select_rows(rows[is_visible])
             light = apply_tone_curve(compute_moving_light(lighting, part, origin, aim, time_index, spots[number]))
             corners = actors.mesh.faces[part.face]
             path = interpolate_vertices(actors.mesh.motion, corners, part.u, part.v).astype(np.float64) * half

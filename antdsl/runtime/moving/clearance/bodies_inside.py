@@ -68,7 +68,7 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
         clear = (radius - _VISIBLE_DEPTH) * size - volume.voxel / 2
         for end in (-half, 0.0, half):
             point = place + up * (height * size) + heading * ((ahead + end) * size)
-            is_inside |= volume.sample(point.T) < clear
+            is_inside |= volume.sample_distances(point.T) < clear
     return is_inside
 
 

@@ -10,11 +10,11 @@ from antdsl.ground.mesh.face_table import (  # fmt: skip
     CORNER_OFFSET,
     EDGE1_OFFSET,
     EDGE2_OFFSET,
+    FLOATS_PER_FACE_ROW,
     NORMAL_OFFSET,
     RATE1_OFFSET,
-    ROW_FLOATS,
 )
-from antdsl.ground.mesh.surroundings import position_on_face
+from antdsl.ground.mesh.surroundings import compute_position_on_face
 from antdsl.ground.mesh.walkers import FootingArrays, SurfaceTables
 from antdsl.machine_code.kernels import kernel, kernel_helper, load_consecutive, simd_range
 from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2
@@ -96,7 +96,7 @@ def list_bodies_to_lift(
 
     Returns `begin`, the number of these rows, and the number of climbers. Climbers are other bodies on faces that bend. The
     `state` of the rows becomes that of a body aligned with its feet."""
-    first, (rows, row_levels, climbers, kind) = surface.first, lists
+    first, (rows, row_levels, climbers, kind) = surface.first_faces, lists
     for row in simd_range(begin, end):
         climbs = False
         if feet.mesh[row] >= 0 and feet.face[row] >= 0:
@@ -136,8 +136,10 @@ def lift_bodies(
         i = rows[k]
         size, up, heading = np.float64(limits.size[i]), read_vector(pose.up, i), read_vector(pose.heading, i)
         has_face = feet.mesh[i] >= 0 and feet.face[i] >= 0
-        f, weights = surface.first[max(feet.mesh[i], 0)] + max(feet.face[i], 0), (feet.b1[i], feet.b2[i])
-        rise = _compute_face_lift(surface.table, surface.link, f, weights, compute_body_shape(limits, i, size), up, heading)
+        f, weights = surface.first_faces[max(feet.mesh[i], 0)] + max(feet.face[i], 0), (feet.b1[i], feet.b2[i])
+        rise = _compute_face_lift(
+            surface.face_table, surface.edge_links, f, weights, compute_body_shape(limits, i, size), up, heading
+        )
         old = read_vector(registers.lift, i)
         change = minus(times(up, min(rise, MAX_LIFT_BODY_LENGTHS * size) if has_face else 0.0), old)
         lift = plus(old, times(change, min(limits.voluntary_shift * size / max(np.sqrt(dot(change, change)), 1e-300), 1.0)))
@@ -151,10 +153,10 @@ def _compute_face_lift(
 ) -> F64:
     """Return how far (mm) both ends of a body must rise along its up, to clear its face and the faces that rise beyond its
     edges."""
-    row, lift = ROW_FLOATS * face, 0.0
+    row, lift = FLOATS_PER_FACE_ROW * face, 0.0
     own = load_vector(table, row + NORMAL_OFFSET)
     side = -1.0 if dot(own, up) < 0 else 1.0
-    own, place = times(own, side), position_on_face(table, row, weights, side)
+    own, place = times(own, side), compute_position_on_face(table, row, weights, side)
     middle = plus(times(up, shape.middle_height), times(heading, shape.middle_forward_offset))
     _, along, slant, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
     for edge in range(4):
@@ -172,7 +174,7 @@ def _compute_face_lift(
             beyond = np.int64(link[1 if side < 0 else 0, 3 * face + edge])
             if beyond < 0:
                 continue
-            other = ROW_FLOATS * (beyond >> 3)
+            other = FLOATS_PER_FACE_ROW * (beyond >> 3)
             normal = times(load_vector(table, other + NORMAL_OFFSET), -side if (beyond & 1) == 1 else side)
             corner = load_vector(table, other + CORNER_OFFSET)
             # The face beyond the edge rises if a corner of the own face lies above its plane.

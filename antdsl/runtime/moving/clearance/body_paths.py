@@ -10,10 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import BoxTree, FaceList, find_first_hit
-from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, EDGES_OFFSET, NORMAL_OFFSET, RATE1_OFFSET, ROW_FLOATS
+from antdsl.ground.mesh.boxes import FaceBoxTree, FaceList, find_first_face_hit
+from antdsl.ground.mesh.face_table import (
+    AXIS1_OFFSET,
+    AXIS2_OFFSET,
+    EDGES_OFFSET,
+    FLOATS_PER_FACE_ROW,
+    NORMAL_OFFSET,
+    RATE1_OFFSET,
+)
 from antdsl.ground.mesh.stretches import cross_edge
-from antdsl.ground.mesh.surroundings import position_on_face, turn_to_face
+from antdsl.ground.mesh.surroundings import compute_position_on_face, project_directions_to_face
 from antdsl.ground.mesh.walkers import FaceWalker, SurfaceTables
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, inlined, kernel_helper, load_consecutive, round_to_int
 from antdsl.numerics.elementary_loops import atan2
@@ -63,7 +70,7 @@ def write_path_point(points: Array1[F64], index: I64, position: Vec3, normal: Ve
 class FacesNearby(NamedTuple):
     """The first `face_count` faces of the list `faces`, which are near a body. The other fields are as in `FaceSearch`."""
 
-    box_tree: BoxTree
+    box_tree: FaceBoxTree
     faces: FaceList
     face_count: I64
     piece_numbers: Array1[I32]
@@ -90,11 +97,11 @@ def measure_ground_bend(
     receives the positions of the feet, of the edges and of the end of the path."""
     table, link, forked, _ = surface
     walker, left, roll, pitch, count, climb, walks = start, path_length, 0.0, 0.0, 0, 0.0, True
-    normal = times(load_vector(table, ROW_FLOATS * start.face + NORMAL_OFFSET), start.side)
+    normal = times(load_vector(table, FLOATS_PER_FACE_ROW * start.face + NORMAL_OFFSET), start.side)
     while walks:
         f, (b1, b2), side, (c, s), heading = walker
-        row = ROW_FLOATS * f
-        place = position_on_face(table, row, (b1, b2), side)
+        row = FLOATS_PER_FACE_ROW * f
+        place = compute_position_on_face(table, row, (b1, b2), side)
         write_path_point(points, count, place, normal, path_length - left, climb)
         count += 1
         _, along, slant, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
@@ -116,7 +123,7 @@ def measure_ground_bend(
         travel = plus(times(axis1, c), times(axis2, s))
         meets = False
         if nearby_faces.face_count > 0 and count <= MAX_PATH_EDGES:
-            hit = find_first_hit(
+            hit = find_first_face_hit(
                 table,
                 nearby_faces.box_tree,
                 nearby_faces.faces,
@@ -128,7 +135,7 @@ def measure_ground_bend(
             if hit.face >= 0 and may_faces_cross(nearby_faces, f, hit.face):
                 meets, walks = True, True
                 length = hit.path_fraction * length
-                other = load_vector(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
+                other = load_vector(table, FLOATS_PER_FACE_ROW * hit.face + NORMAL_OFFSET)
                 other_side = -1.0 if dot(other, travel) > 0 else 1.0
                 other = times(other, other_side)
                 hinge = cross(normal, other)
@@ -136,7 +143,7 @@ def measure_ground_bend(
                 turn = np.float64(atan2(_F(sine), _F(dot(normal, other))))
                 hinge = times(hinge, 1 / max(sine, 1e-12))
                 ahead, aside = dot(hinge, travel), dot(hinge, cross(normal, travel))
-                direction, facing = turn_to_face(table, walker, hit.face, other_side)
+                direction, facing = project_directions_to_face(table, walker, hit.face, other_side)
                 walker = FaceWalker(hit.face, clamp_weights(hit.weights[0], hit.weights[1]), other_side, direction, facing)
         left -= length
         weights = clamp_weights(b1 + rate1 * length, b2 + rate2 * length)
@@ -144,11 +151,11 @@ def measure_ground_bend(
             axis = plus(times(axis1, cosine), times(axis2, sine))
             ahead, aside = cosine * c + sine * s, (sine * c - cosine * s) * side
             walker = cross_edge(table, beyond, edge, (cosine, sine), weights, side, (c, s), heading)
-            other = times(load_vector(table, ROW_FLOATS * walker.face + NORMAL_OFFSET), walker.side)
+            other = times(load_vector(table, FLOATS_PER_FACE_ROW * walker.face + NORMAL_OFFSET), walker.side)
             turn = np.float64(atan2(_F(dot(cross(normal, other), axis)), _F(dot(normal, other))))
         is_wall = walks and turn * aside < 0 and abs(turn) > MAX_VALLEY_TURN
         if is_wall or not walks:
-            end = position_on_face(table, row, weights, side)
+            end = compute_position_on_face(table, row, weights, side)
             write_path_point(points, count, end, normal, path_length - max(left, 0.0), -1.0 if is_wall else 0.0)
             count += 1
             walks = False

@@ -30,16 +30,16 @@ SurfaceStances = tuple[Footing, NDArray[np.float64], NDArray[np.float32]]  # foo
 def make_face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
     """Return the tables for a search of faces for `count` rows."""
     several = parallel.count_parts(count, threads, ROWS_PER_THREAD)
-    table, boxes = walk.walk.table, walk.boxes
+    table, boxes = walk.walk_tables.table, walk.boxes
     buffers = FaceBuffers(np.empty(several * boxes.triangle_order.size, np.int64), several, count)
-    several, near = table.piece_count > 1 or bool(table.cuts.first[-1]), walk.build_tables()[1]
-    return FaceSearch(several, near, table.piece, table.cuts.first, boxes.to_box_tree(), buffers)
+    several, near = table.piece_count > 1 or bool(table.cuts.cut_starts[-1]), walk.build_tables()[1]
+    return FaceSearch(several, near, table.piece, table.cuts.cut_starts, boxes.to_box_tree(), buffers)
 
 
 def make_contact_faces(world: World, walk: CrowdWalk, count: int, threads: int) -> tuple[ContactFaces, ContactFaces]:
     """Return the faces of the ground and those of all obstacles, with buffers for `count` rows."""
-    several, table = parallel.count_parts(count, threads, ROWS_PER_THREAD), walk.walk.table
-    sets = ((walk.build_tables()[0].table, table.piece, walk.boxes.to_box_tree()), find_obstacle_faces(world))
+    several, table = parallel.count_parts(count, threads, ROWS_PER_THREAD), walk.walk_tables.table
+    sets = ((walk.build_tables()[0].face_table, table.piece, walk.boxes.to_box_tree()), find_obstacle_faces(world))
     ground, things = (
         ContactFaces(faces, pieces, boxes, FaceBuffers(np.empty(several * boxes.triangle_order.size, np.int64), several, count))
         for faces, pieces, boxes in sets
@@ -64,7 +64,7 @@ def compute_unit_shapes(
 def select_stances(stances: SurfaceStances, selection: NDArray[np.int64] | NDArray[np.bool_]) -> SurfaceStances:
     """Return the rows `selection` of footings, positions and normals."""
     selection = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
-    return stances[0].take_rows(selection), stances[1][selection], stances[2][selection]
+    return stances[0].select_rows(selection), stances[1][selection], stances[2][selection]
 
 
 def compute_row_dots(columns: Sequence[NDArray[np.float32]], vectors: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.surface import SHARP_REACH, MeshGround
+from antdsl.ground.mesh.surface import SHARP_EDGE_REACH_BODY_LENGTHS, MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk
 from antdsl.ground.mesh.walkers import SurfaceTables, get_footing_arrays
 from antdsl.ground.protocol import Footing
@@ -78,7 +78,7 @@ class BodyClearanceStep:
     """The substep of the bodies of a species.
 
     `walk`: the tables of the ground. `rows`: agents on ground with bends, and agents that are not aligned with their feet.
-    `bend_levels`: the bend of the ground below them, see `MeshGround.mark_bends`."""
+    `bend_levels`: the bend of the ground below them, see `MeshGround.mark_bend_levels`."""
 
     world: World
     population: Population
@@ -111,8 +111,8 @@ class BodyClearanceStep:
         assert isinstance(world.ground, MeshGround)
         (levels,), (row_levels,) = (population.get_buffers(name, 1, (n,), np.uint8) for name in ("bends", "bends of rows"))
         size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
-        has_bend = world.ground.mark_bends(population.footing, population.position, size, levels, threads)
-        mark_near_obstacles(world, population, SHARP_REACH * size, levels, SHARP_BEND_LEVEL)
+        has_bend = world.ground.mark_bend_levels(population.footing, population.position, size, levels, threads)
+        mark_near_obstacles(world, population, SHARP_EDGE_REACH_BODY_LENGTHS * size, levels, SHARP_BEND_LEVEL)
         (rows,), heading = population.get_buffers("uneven", 1, (n,), np.int64), vec.get_vector_registers(now, "heading")
         work = partial(select_bodies_near_bends, levels, heading, *stance, read_body_registers(population), rows, row_levels)
         rows, row_levels = parallel.join_parts(parallel.run_in_parts(work, n, threads), rows, row_levels)
@@ -174,7 +174,7 @@ class BodyClearanceStep:
         if deeper.size:
             at = uneven[deeper]
             back = rows[at]
-            self._restore_rows(back, (footing.take_rows(back), position[deeper], normal[deeper]))
+            self._restore_rows(back, (footing.select_rows(back), position[deeper], normal[deeper]))
             now["~idle"][back] = idle_times[at] + self.limits.dt
             for k, axis in enumerate(AXES):
                 now[f"~out.{axis}"][rows[uneven[too_deep]]] = out[k, too_deep]
@@ -182,7 +182,7 @@ class BodyClearanceStep:
             self._aim_bodies(back, self.bend_levels[at], previous_poses)
             turned, _ = self._shift_bodies(back, vec.take_rows(self.lifts, at))
             worse = np.flatnonzero((turned > np.maximum(old[deeper], _MAX_DEPTH)) | idle[at])
-            outset_rows = footing.take_rows(back[worse]), position[deeper[worse]], normal[deeper[worse]]
+            outset_rows = footing.select_rows(back[worse]), position[deeper[worse]], normal[deeper[worse]]
             own = [each[at[worse]] for each in held]
             turned[worse] = self._move_stuck_bodies(at[worse], old[deeper[worse]], turned[worse], own, outset_rows)
             depth[deeper] = turned
@@ -249,7 +249,7 @@ class BodyClearanceStep:
         p, rows = self.population, self.rows
         self.climber_positions = p.position.take(self.climbers, axis=0)
         columns = [p.now[name].take(rows) for name in (*_POSE_REGISTERS, "~wait", "~depth")]
-        self.recorded_stances = (p.footing.take_rows(rows), p.position[rows], p.normal[rows]), columns
+        self.recorded_stances = (p.footing.select_rows(rows), p.position[rows], p.normal[rows]), columns
 
     def correct_moved_bodies(self) -> None:
         """Turn and shift the bodies that contacts have moved.
@@ -276,7 +276,7 @@ class BodyClearanceStep:
         bad = (depth > np.maximum(old, _MAX_DEPTH)) | (cosine < np.minimum(old_cosine, _MIN_LEAN_COSINE))
         now["~depth"][moved] = depth
         back, at = moved[bad], at[bad]
-        self._restore_rows(back, (footing.take_rows(at), position[at], normal[at]))
+        self._restore_rows(back, (footing.select_rows(at), position[at], normal[at]))
         for name, values in zip((*_POSE_REGISTERS, "~wait", "~depth"), columns, strict=True):
             now[name][back] = values[at]
 
@@ -291,7 +291,7 @@ class BodyClearanceStep:
     def _restore_rows(self, rows: Rows, stances: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
         """Restore the footings, positions and normals of agents."""
         p, (footing, position, normal) = self.population, stances
-        p.footing.put_rows(rows, footing)
+        p.footing.write_rows(rows, footing)
         p.position[rows], p.normal[rows] = position, normal
         for k, axis in enumerate(AXES):
             p.now[f"position.{axis}"][rows] = position[:, k]

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import BoxTree, FaceList, gather_faces
-from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, NORMAL_OFFSET, ROW_FLOATS  # fmt: skip
-from antdsl.ground.mesh.stretches import get_clearance, project_to_face
-from antdsl.ground.mesh.surroundings import position_on_face
+from antdsl.ground.mesh.boxes import FaceBoxTree, FaceList, list_faces_near_segment
+from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, FLOATS_PER_FACE_ROW, NORMAL_OFFSET  # fmt: skip
+from antdsl.ground.mesh.stretches import get_face_part_clearance, project_to_face
+from antdsl.ground.mesh.surroundings import compute_position_on_face
 from antdsl.ground.mesh.walkers import FaceWalker, FootingArrays, SurfaceTables
 from antdsl.machine_code.kernels import allocate_scratch, inlined, kernel, kernel_helper
 from antdsl.machine_code.kernels.types import F32, F64, I64, Array1, Array2
@@ -82,7 +82,7 @@ _VALLEY_GAP_BODY_LENGTHS = 0.01  # body lengths; the same for a valley that is t
 
 
 @inlined
-def _get_face_list(buffers: FaceBuffers, box_tree: BoxTree, begin: I64) -> I64:
+def _get_face_list(buffers: FaceBuffers, box_tree: FaceBoxTree, begin: I64) -> I64:
     """Return the index in `buffers` at which the face list of the chunk from row `begin` on starts."""
     return compute_buffer_index(begin, buffers.rows_per_chunk, buffers.buffer_count) * box_tree.triangle_order.size
 
@@ -94,12 +94,12 @@ def _list_crossing_faces(
     """Write the faces that a path of length `reach` (mm) from `position` on face `face` may meet to `faces`. Return their number.
 
     No path meets the piece of face f, unless faces cut their own piece."""
-    if not search.has_several_pieces or get_clearance(search.clearances, face, weights) > reach * (
+    if not search.has_several_pieces or get_face_part_clearance(search.clearances, face, weights) > reach * (
         1 + _PROBE_HEIGHT_BODY_LENGTHS
     ):
         return 0
     piece = -1 if search.cut_starts[search.cut_starts.size - 1] > 0 else np.int64(search.piece_numbers[face])
-    return gather_faces(search.piece_numbers, search.box_tree, position, position, reach, -1, piece, faces)
+    return list_faces_near_segment(search.piece_numbers, search.box_tree, position, position, reach, -1, piece, faces)
 
 
 @inlined
@@ -139,7 +139,7 @@ def limit_steps(
 
     A step leads away from the surface that the body touched in the last step. It ends before an edge if the body cannot stand
     beyond it. It also ends before a valley that is too narrow for the body."""
-    table, first, rows, levels = surface.table, surface.first, body_rows.rows, body_rows.bend_levels
+    table, first, rows, levels = surface.face_table, surface.first_faces, body_rows.rows, body_rows.bend_levels
     points, faces = (
         allocate_scratch(FLOATS_PER_PATH, F64),
         FaceList(search.buffers.face_numbers, _get_face_list(search.buffers, search.box_tree, begin)),
@@ -163,14 +163,14 @@ def limit_steps(
             registers.wait_share[i] = _F(-1)
         if levels[j] == SHARP_BEND_LEVEL:
             f = first[feet.mesh[i]] + feet.face[i]
-            row = ROW_FLOATS * f
+            row = FLOATS_PER_FACE_ROW * f
             own = load_vector(table, row + NORMAL_OFFSET)
             side = -1.0 if dot(own, ground) < 0 else 1.0
             own, weights = times(own, side), (feet.b1[i], feet.b2[i])
             axis1, axis2 = load_vector(table, row + AXIS1_OFFSET), load_vector(table, row + AXIS2_OFFSET)
             c, s, left = project_to_face(axis1, axis2, displacement[0], displacement[1], displacement[2], 1.0, 0.0)
             if left > 0:
-                place = position_on_face(table, row, weights, side)
+                place = compute_position_on_face(table, row, weights, side)
                 count = _list_crossing_faces(search, f, weights, place, left + _PROBE_HEIGHT_BODY_LENGTHS * size, faces)
                 nearby = FacesNearby(search.box_tree, faces, count, search.piece_numbers, search.cut_starts)
                 start = FaceWalker(f, weights, side, (c, s), (c, s))
@@ -245,7 +245,7 @@ def aim_bodies(
     """Turn the listed bodies from `begin` to before `end` towards their feet, and lift them off the path below them.
 
     `previous_poses`: poses before the step. `current_poses`: poses of the feet; they are replaced by the poses of the bodies."""
-    table, first, rows, levels = surface.table, surface.first, body_rows.rows, body_rows.bend_levels
+    table, first, rows, levels = surface.face_table, surface.first_faces, body_rows.rows, body_rows.bend_levels
     faces = FaceList(search.buffers.face_numbers, _get_face_list(search.buffers, search.box_tree, begin))
     ahead_points, behind_points = allocate_scratch(FLOATS_PER_PATH, F64), allocate_scratch(FLOATS_PER_PATH, F64)
     for j in range(begin, end):
@@ -262,7 +262,7 @@ def aim_bodies(
         target_up, target_heading, place, ahead_count, behind_count = normal, heading, (0.0, 0.0, 0.0), 0, 0
         if feet.mesh[i] >= 0 and feet.face[i] >= 0 and feet.over[i] == 0 and size > 0 and levels[j] > 0:
             f = first[feet.mesh[i]] + feet.face[i]
-            row = ROW_FLOATS * f
+            row = FLOATS_PER_FACE_ROW * f
             own = load_vector(table, row + NORMAL_OFFSET)
             side = -1.0 if dot(own, normal) < 0 else 1.0
             own, weights, window = times(own, side), (feet.b1[i], feet.b2[i]), PATH_LENGTH_BODY_LENGTHS * size
@@ -270,7 +270,7 @@ def aim_bodies(
                 turn_heading(look, stands, own), compute_perpendicular_direction(heading, own), own, turn
             )
             c, s = dot(load_vector(table, row + AXIS1_OFFSET), travel), dot(load_vector(table, row + AXIS2_OFFSET), travel)
-            place = position_on_face(table, row, weights, side)
+            place = compute_position_on_face(table, row, weights, side)
             count = 0
             if levels[j] == SHARP_BEND_LEVEL:
                 count = _list_crossing_faces(search, f, weights, place, window, faces)

@@ -36,5 +36,5 @@ def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]
         beyond = np.abs(vec.dot(ahead.take(which, axis=1), normal)) * (1 - part)
         is_inside[which] = beyond > HEAD_DEPTH_TOLERANCE * size.take(which)
     for volume in world.solids.values():
-        is_inside |= volume.sample((middle + ahead).T) < -HEAD_DEPTH_TOLERANCE * size
+        is_inside |= volume.sample_distances((middle + ahead).T) < -HEAD_DEPTH_TOLERANCE * size
     return is_inside

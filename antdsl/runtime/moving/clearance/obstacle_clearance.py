@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import ROUNDING_BOUND
-from antdsl.ground.mesh.boxes import BoxTree, FaceBoxes
-from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, NORMAL_OFFSET, ROW_FLOATS
+from antdsl.ground.mesh.boxes import FaceBoxes, FaceBoxTree
+from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, FLOATS_PER_FACE_ROW, NORMAL_OFFSET
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import Population, World
 
@@ -29,7 +29,7 @@ def get_obstacle_clearance(world: World, population: Population, obstacle: str) 
 
 
 def is_contact_possible(clearance: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which agents may have a face within `reach` (mm). `clearance`: the result of `get_clearance`."""
+    """Return which agents may have a face within `reach` (mm). `clearance`: the result of `get_face_part_clearance`."""
     return clearance <= reach * (1 + _ROUNDING_SLACK) + _ROUNDING_SLACK
 
 
@@ -45,7 +45,7 @@ def mark_near_obstacles(
             levels[is_contact_possible(get_obstacle_clearance(world, population, name) - drift, reach.astype(np.float32))] = level
 
 
-def find_obstacle_faces(world: World) -> tuple[NDArray[np.float64], NDArray[np.int32], BoxTree]:
+def find_obstacle_faces(world: World) -> tuple[NDArray[np.float64], NDArray[np.int32], FaceBoxTree]:
     """Return the faces of all obstacles in the form that kernels read.
 
     They are computed again after an obstacle has moved."""
@@ -53,7 +53,7 @@ def find_obstacle_faces(world: World) -> tuple[NDArray[np.float64], NDArray[np.i
     if world.obstacle_faces is None or world.obstacle_faces[0] != scenes:
         corners = np.concatenate([np.empty((0, 3, 3)), *(each.corners for each in scenes if isinstance(each, RayScene))])
         world.obstacle_faces = scenes, _pack_faces(corners)
-    faces: tuple[NDArray[np.float64], NDArray[np.int32], BoxTree] = world.obstacle_faces[1]
+    faces: tuple[NDArray[np.float64], NDArray[np.int32], FaceBoxTree] = world.obstacle_faces[1]
     return faces
 
 
@@ -61,16 +61,16 @@ def _list_obstacles(world: World) -> list[str]:
     return [name for name in world.plan.obstacles if name in world.obstacles]
 
 
-def _pack_faces(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32], BoxTree]:
+def _pack_faces(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32], FaceBoxTree]:
     edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = vec.compute_stacked_cross(edge1.T, edge2.T)
     area = np.sqrt(vec.dot(normal, normal))
     live = np.flatnonzero(area > 0)
-    table = np.zeros((len(corners), ROW_FLOATS))
+    table = np.zeros((len(corners), FLOATS_PER_FACE_ROW))
     unit = (normal / np.where(area > 0, area, 1.0)).T
     for offset, values in ((CORNER_OFFSET, corners[:, 0]), (EDGE1_OFFSET, edge1), (EDGE2_OFFSET, edge2), (NORMAL_OFFSET, unit)):
         table[:, offset : offset + 3] = values
     pieces, faces = np.zeros(len(corners), np.int32), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
     if not live.size:
-        return table.ravel(), pieces, BoxTree(live, np.zeros(2, np.int64), np.empty((0, 6)))
+        return table.ravel(), pieces, FaceBoxTree(live, np.zeros(2, np.int64), np.empty((0, 6)))
     return table.ravel(), pieces, FaceBoxes.build(corners.reshape(-1, 3), faces, live, pieces).to_box_tree()

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import BoxTree, FaceList, find_first_hit, gather_faces, is_disjoint
-from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, NORMAL_OFFSET, ROW_FLOATS
+from antdsl.ground.mesh.boxes import FaceBoxTree, FaceList, find_first_face_hit, is_disjoint, list_faces_near_segment
+from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, FLOATS_PER_FACE_ROW, NORMAL_OFFSET
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, inlined, kernel_helper
 from antdsl.numerics.kernel_vectors import Vec3, dot, find_nearest_weights, load_vector, minus, plus, times
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
@@ -46,7 +46,7 @@ def _get_axis_point(middle: Vec3, heading: Vec3, half_length: F64, index: I64) -
 @kernel_helper
 def _is_body_touching_face(
     table: Array1[F64],
-    box_tree: BoxTree,
+    box_tree: FaceBoxTree,
     faces: FaceList,
     count: I64,
     shape: BodyShape,
@@ -63,13 +63,13 @@ def _is_body_touching_face(
     one, two = minus(middle, half), plus(middle, half)
     low_x, low_y, low_z = min(one[0], two[0]) - radius, min(one[1], two[1]) - radius, min(one[2], two[2]) - radius
     high_x, high_y, high_z = max(one[0], two[0]) + radius, max(one[1], two[1]) + radius, max(one[2], two[2]) + radius
-    if find_first_hit(table, box_tree, faces, count, anchor, minus(middle, anchor), 0.0).face >= 0:
+    if find_first_face_hit(table, box_tree, faces, count, anchor, minus(middle, anchor), 0.0).face >= 0:
         return True
     for k in range(count):
-        b = faces.numbers[faces.begin + k]
+        b = faces.face_numbers[faces.first_index + k]
         if is_disjoint(box_tree.bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
             continue
-        row = ROW_FLOATS * box_tree.triangle_order[b]
+        row = FLOATS_PER_FACE_ROW * box_tree.triangle_order[b]
         corner, normal = load_vector(table, row + CORNER_OFFSET), load_vector(table, row + NORMAL_OFFSET)
         at_one, at_two = dot(minus(one, corner), normal), dot(minus(two, corner), normal)
         if min(at_one, at_two) >= radius or max(at_one, at_two) <= -radius:
@@ -82,7 +82,7 @@ def _is_body_touching_face(
         if at_one * at_two < 0:
             for end in range(2):
                 step = tip if end == 0 else times(tip, -1.0)
-                if find_first_hit(table, box_tree, faces, count, middle, step, 0.0).face >= 0:
+                if find_first_face_hit(table, box_tree, faces, count, middle, step, 0.0).face >= 0:
                     return True
     return False
 
@@ -91,7 +91,7 @@ def _is_body_touching_face(
 def shift_body_outside_faces(
     table: Array1[F64],
     pieces: Array1[I32],
-    box_tree: BoxTree,
+    box_tree: FaceBoxTree,
     faces: FaceList,
     shape: BodyShape,
     stance: BodyStance,
@@ -110,11 +110,11 @@ def shift_body_outside_faces(
     middle = plus(rest, shift)
     away = minus(anchor, middle)
     near = max(shape.radius, np.sqrt(dot(away, away)))
-    n = gather_faces(pieces, box_tree, minus(middle, tip), plus(middle, tip), near, -1, -1, faces)
+    n = list_faces_near_segment(pieces, box_tree, minus(middle, tip), plus(middle, tip), near, -1, -1, faces)
     if not _is_body_touching_face(table, box_tree, faces, n, shape, anchor, middle, heading):
         return BodyShift(shift, 0.0, (0.0, 0.0, 0.0))
     wide = max(shape.radius + _MARGIN_BODY_LENGTHS * size, near)
-    n = gather_faces(pieces, box_tree, minus(middle, tip), plus(middle, tip), wide, -1, -1, faces)
+    n = list_faces_near_segment(pieces, box_tree, minus(middle, tip), plus(middle, tip), wide, -1, -1, faces)
     depth, out = 0.0, (0.0, 0.0, 0.0)
     for turn in range(max_rounds + 1):
         depth = 0.0
@@ -125,9 +125,9 @@ def shift_body_outside_faces(
                 start, step, extra = anchor, minus(middle, anchor), shape.radius
             if part == 2:
                 step = times(tip, -1.0)
-            hit = find_first_hit(table, box_tree, faces, n, start, step, 0.0)
+            hit = find_first_face_hit(table, box_tree, faces, n, start, step, 0.0)
             if hit.face >= 0:
-                m = load_vector(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
+                m = load_vector(table, FLOATS_PER_FACE_ROW * hit.face + NORMAL_OFFSET)
                 along = dot(m, step)
                 if along > 0:
                     m, along = times(m, -1.0), -along
@@ -140,7 +140,7 @@ def shift_body_outside_faces(
             center = _get_axis_point(plus(rest, shift), heading, shape.axis_half_length, point)
             best, away = shape.radius, (0.0, 0.0, 0.0)
             for k in range(n):
-                row = ROW_FLOATS * box_tree.triangle_order[faces.numbers[faces.begin + k]]
+                row = FLOATS_PER_FACE_ROW * box_tree.triangle_order[faces.face_numbers[faces.first_index + k]]
                 v = minus(center, load_vector(table, row + CORNER_OFFSET))
                 # All points of a face are at least as far away as its plane.
                 if abs(dot(v, load_vector(table, row + NORMAL_OFFSET))) >= best:

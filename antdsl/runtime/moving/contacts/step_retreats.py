@@ -37,7 +37,7 @@ class Stances:
         because walks replace these arrays."""
         now = population.now
         names = [name for name in _POSE_REGISTERS if name in now]
-        self.footing = population.footing if rows is None else population.footing.take_rows(rows)
+        self.footing = population.footing if rows is None else population.footing.select_rows(rows)
         self.position = population.position if rows is None else population.position[rows]
         self.normal = population.normal if rows is None else population.normal[rows]
         self.poses = {name: now[name].copy() if rows is None else now[name].take(rows) for name in names}
@@ -50,7 +50,9 @@ class Stances:
         population.position[rows], population.normal[rows] = position, self.normal[own]
         for name, values in self.poses.items():
             population.now[name][rows] = values[own]
-        population.footing.put_rows(rows, self.footing.take_rows(own))  # last: on a plane, footings are the positions themselves
+        population.footing.write_rows(
+            rows, self.footing.select_rows(own)
+        )  # last: on a plane, footings are the positions themselves
 
 
 def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near: NearbyCapsulePairs) -> None:
