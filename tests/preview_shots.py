@@ -32,7 +32,6 @@ def go(preview: PreviewPage, frame: int) -> None:
     preview.until("a.frame >= it", 300, frame)
     preview.press("play")
     back(preview, frame)
-    keys(preview, "s")  # the colours of states
 
 
 def back(preview: PreviewPage, frame: int) -> None:
@@ -109,7 +108,7 @@ def states(browser: Browser) -> None:
         preview.find("speed").select_option("0")
         preview.press("play")
         preview.until("a.frame >= 150", 300)
-        keys(preview, "s")
+        keys(preview, "s")  # the colours of states
         keep(preview, "preview_states")
 
 
