@@ -26,8 +26,8 @@ MAX_NEIGHBOUR_POSITIONS = 256  # maximum per set
 
 @dataclass(frozen=True, slots=True)
 class LocatedExplanation:
-    """An explanation with positions, in mm relative to the world's origin: of the agent at the start of the step, and of the
-    agents and items it considered. The nearest of each set comes first."""
+    """An explanation with positions in mm, relative to the world's origin: the agent's at the start of the step, and those of
+    the agents and items it considered. The nearest of each set comes first."""
 
     explanation: Explanation
     position: FloatTriple

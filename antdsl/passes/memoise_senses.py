@@ -1,4 +1,4 @@
-"""Finds the senses with results that are stored for the rest of the step, because several regions use them."""
+"""Finds the senses that several regions use, so that their results are stored for the rest of the step."""
 
 from __future__ import annotations
 

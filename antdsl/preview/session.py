@@ -213,7 +213,8 @@ class Session:
         self.compiler.replacement_texts = instead
 
     def set(self, name: str, value: str) -> Outcome:
-        """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the scene's line for it."""
+        """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the line for the scene.
+        `text` of the result is the scene's line for it."""
         text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
         quantity, report = parse_param(self.shot, name, value)
         if quantity is None:

@@ -1,5 +1,5 @@
-"""Mistakes in the flow style of YAML, `{…}` and `[…]`: calls in which a comma ends the value, `{kill: all(ant, within: 9 mm)}`,
-and keys without a value, `{kill:guards}`. What to write instead."""
+"""Explains mistakes in YAML's flow style: calls with commas, such as `{kill: all(ant, within: 9 mm)}`, and keys without a
+value, such as `{kill:guards}`. What to write instead."""
 
 from __future__ import annotations
 

@@ -210,8 +210,7 @@ def _strip_comment(line: str, depth: int, quote: str) -> tuple[str, int, str]:
 
 
 def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
-    """Return the error about a line with a key but no colon before the value, such as `fps 24` or `fps:24`; None if there is
-    none.
+    """Return the error about a line with a key but no colon before the value, such as `fps 24`; None if there is none.
 
     YAML reads such a line as continuing in the next line. `start`: only lines at or above this offset count."""
     line, _ = source.find_line_column(start)

@@ -225,7 +225,7 @@ def _check_characters(text: str, relative_text: str) -> None:
     if match := _FRAME_COUNTER_PATTERN.search(relative_text):
         raise _make_refusal(text, f"has `{match[0]}`, which is not expanded here", "write `####` for the number of a frame")
     if match := _VARIABLE_PATTERN.search(relative_text):
-        help = "write the path below the scene's folder, or rename a file that is called so"
+        help = "write the path below the scene's folder, or rename the file without this sign"
         raise _make_refusal(text, f"has `{match[0]}`, but variables are not expanded here", help)
     for sign in relative_text:
         display_sign = "a backtick" if sign == "`" else f"`{sign}`"

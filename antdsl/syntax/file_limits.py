@@ -1,5 +1,5 @@
-"""Counts the elements of a file before it is parsed and checked, which costs more; and measures the depth of a tree without
-recursion, so that later code may walk the tree recursively."""
+"""Counts the elements of a file before it is parsed and checked. Also measures the depth of a tree without recursion, so that
+later code may walk the tree recursively."""
 
 from __future__ import annotations
 

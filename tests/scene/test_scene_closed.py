@@ -82,7 +82,7 @@ def test_edges_that_border_on_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("mesh", "words"),
-    [(BALL, None), (turned(BALL), "parts of the obstacle `stone` point inward"), (one_turned(BALL), "point both ways")],
+    [(BALL, None), (turned(BALL), "parts of the obstacle `stone` point inward"), (one_turned(BALL), "point both in and out")],
 )
 def test_an_obstacle_that_looks_inward_is_warned_of(folder: Path, mesh: meshes.Mesh, words: str | None) -> None:  # noqa: F811
     (folder / "stone.ply").write_bytes(trimesh.Trimesh(*mesh, process=False).export(file_type="ply"))

@@ -102,7 +102,7 @@ def _create_live(scene: Path, choices: RunChoices, threads: int) -> Live:
 
 
 def _depends_on_params(choices: RunChoices, live: Live) -> bool:
-    """Return whether errors are due to the values from the command line: whether the files have none without these values."""
+    """Return whether the values from the command line cause the errors: whether the files have none without these values."""
     from dataclasses import replace
 
     if not choices.params:

@@ -178,7 +178,7 @@ def explain_missing_table(table_kind: str, file: Path, report: Report) -> str:
 
 
 def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[str]:
-    """Yield, for each scene that creates agents during the run, how many its crowd has at most."""
+    """Yield the largest possible number of agents of each scene that creates agents during the run."""
     from antdsl.scene.crowds.crowd_checks import count_agents
     from antdsl.scene.load import load_scene
 

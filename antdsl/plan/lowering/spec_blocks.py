@@ -1,5 +1,5 @@
-"""Lowers a spec, or the measures of a program, to a plan: blocks that evaluate each agent and item, numbers about complete
-populations, and conditions on them.
+"""Lowers a spec, or the measures of a program, to a plan. It has blocks that evaluate each agent and item, numbers about
+complete populations, and conditions on them.
 
 The blocks of a judged species store into separate registers and change nothing else. `decide` computes the values from which
 population numbers are aggregated. `act` judges each agent. `blend` computes the values for the message of a failure."""

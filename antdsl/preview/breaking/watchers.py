@@ -1,4 +1,4 @@
-"""Breakpoints that are hit when an agent enters a state, when a spec fails, and when any agent has a fault."""
+"""Breakpoints at three events: an agent enters a state, a spec fails, or an agent has a fault."""
 
 from __future__ import annotations
 

@@ -61,6 +61,6 @@ def _wrap_node(node: MappingNode) -> MappingNode:
 
 
 def _check_names(scene: Scene, program: Program, note: Note, node: MappingNode, report: Report) -> None:
-    """Report what is wrong with a note in a scene, without the notes of the scene."""
+    """Report unknown names and wrong values of a note, without the notes of the scene."""
     alone = replace(scene, model=scene.model.model_copy(update={"notes": (note,)}), document=_wrap_node(node), added_notes=1)
     check_note(alone, program, report, list_selector_names(scene, program), 0)

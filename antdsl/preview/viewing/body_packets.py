@@ -163,8 +163,8 @@ def _make_rig(body_outfit: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
 
 
 def _count_texels(table: ClipTable) -> int:
-    """Return the number of texels (four numbers each) per joint and sample: one for translation, one for rotation, and further
-    ones for scale and shear if there are any."""
+    """Return the number of texels (four numbers each) per joint and sample: translation, rotation, and scale and shear if the
+    rig has them."""
     return 2 + table.has_scale + table.has_shear
 
 

@@ -65,7 +65,7 @@ def _check_steering(species: Species, has_library: bool, report: Report) -> None
             "draw-in-steering",
             f"{quote_source(draw.span)} draws a new number in every step, so the path depends on the frames per second",
             draw.span,
-            f"write `{text}`, which is as much at {FILM_FPS} frames a second{addition}" if text
+            f"write `{text}`, which is equal at {FILM_FPS} frames a second{addition}" if text
             else "write `wander()` from `steering`, or draw once: an attribute, set in `enter`",
             fix=Fix(draw.span, text) if text and has_library else None,
         )  # fmt: skip
@@ -128,7 +128,7 @@ def _check_condition(test: Expr, report: Report) -> None:
                 "draw-in-condition",
                 f"{quote_source(part.span)} draws a new number in every step, so the result depends on the frames per second",
                 part.span,
-                f"write `{rate}`, which is as likely at {FILM_FPS} frames a second" if rate
+                f"write `{rate}`, which is equally likely at {FILM_FPS} frames a second" if rate
                 else "write `chance 20 %/s`, or draw once: an attribute, set in `enter`",
                 fix=Fix(part.span, rate) if rate else None,
             )  # fmt: skip

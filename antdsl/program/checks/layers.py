@@ -33,7 +33,7 @@ def check_layering(context: CheckContext, report: Report) -> None:
         states = [layer for layer in species.layers.layers if layer.push is None]
         if steering is not None and not states:
             verb = "steers" if isinstance(steering, Steer) else "faces a way"
-            message = f"`{species.name}` {verb} in its states, but `layers` has no line for that"
+            message = f"`{species.name}` {verb} in its states, but its `layers` have no line `state`"
             report.error("state-not-in-layers", message, species.layers.span, "write `state` in a line of `layers`")
         for extra in states[1:]:
             report.error("duplicate-name", "`state` appears twice in `layers`", extra.span, "delete one of them")
@@ -64,7 +64,7 @@ def _check_priorities(reader: ConditionReader, species: Species, report: Report)
         if is_always_true(reader, layer.condition) and _compute_min_layer_strength(species, layer) >= enough:
             for below in lines[place + 1 :]:
                 report.warning(
-                    "idle-layer", f"earlier layers never leave strength for {quote_source(below.span)}", below.span,
+                    "idle-layer", f"earlier layers always use all strength before {quote_source(below.span)}", below.span,
                     "move it up, or weaken the layers above: `… * 0.5`",
                     labels=(Label(layer.span, "this line always uses all strength"),),
                 )  # fmt: skip

@@ -70,7 +70,7 @@ def _check_added_amount(
     help, fix = "what a state adds is multiplied by `dt` already: write an amount per second, without `dt`", None
     if single_amount is not None and not depends_on_step(single_amount) and _is_inside(single_amount.span, line.span):
         fix = Fix(amount.span, _convert_to_per_second(_join_source_lines(single_amount.span)))
-        help = f"write `{line_start}{fix.text}`, which is as much at {FILM_FPS} frames a second"
+        help = f"write `{line_start}{fix.text}`, which is equal at {FILM_FPS} frames a second"
     report.warning("per-frame", f"{quote_source(line.span)} {_PER_FRAME_REASON}", line.span, help, fix=fix)
 
 
@@ -94,7 +94,7 @@ def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> N
         decay = _DECAY_PATTERN.fullmatch(text) if makers[0] is value else None
         addition = f", or `relax to 0 over {decay[1]}` where it is declared" if decay else ""
     if display_text:
-        help = f"write `{display_text}`, which is as much at {FILM_FPS} frames a second{addition}"
+        help = f"write `{display_text}`, which is equal at {FILM_FPS} frames a second{addition}"
     elif value.type.kind is TypeKind.BOOL:
         help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_join_source_lines(line.span)} }}`"
     elif any(_is_scaled_by_dt(each, name) for each in makers):
@@ -113,7 +113,7 @@ def _check_memory(memory: Binding, next_value: Expr, report: Report) -> None:
     help = "write an amount per second, times `dt`"
     if text:
         help = (
-            f"write `then {_replace_part(next_value.span, makers[0].span, text)}`, which is as much at {FILM_FPS} frames a second"
+            f"write `then {_replace_part(next_value.span, makers[0].span, text)}`, which is equal at {FILM_FPS} frames a second"
         )
     fix = Fix(makers[0].span, text) if text else None
     report.warning(
@@ -219,8 +219,7 @@ def _format_exponential(rate: float) -> str:
 
 
 def _convert_to_per_second(text: str) -> str:
-    """Convert the text of an amount per step to an amount per second: `1` to `24 /s`, `2 mm` to `48 mm/s`, `gain` to `gain * 24
-    /s`."""
+    """Convert the text of an amount per step to an amount per second, such as `1` to `24 /s` and `2 mm` to `48 mm/s`."""
     literal = QUANTITY_PATTERN.fullmatch(text)
     if literal is not None and "/" not in text:
         return f"{float(literal[1]) * FILM_FPS:.6g} {literal[2] or ''}/s"

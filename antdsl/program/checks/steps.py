@@ -50,7 +50,7 @@ def _suggest_step_free_quantity(
     if isinstance(parent, nodes.Setting) and parent.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:
-            return None, "state how fast it fades: `half_life 8 s`"
+            return None, "say how fast the field fades: `half_life 8 s`"
         return _describe_fix(parent.span, f"half_life {-math.log(2) / math.log(share) / FILM_FPS:.3g} s", "fades as fast")
     if isinstance(parent, nodes.AnimalProperty) and parent.name.text == "response" and node.value <= 1:
         return Fix(node.span, "0.001 s"), "write `response 0.001 s`, which is immediate at any frame rate"

@@ -75,11 +75,11 @@ def check_shadowed_transitions(context: CheckContext, report: Report) -> None:
 
 def _report_shadowed(reader: ConditionReader, change: Transition, first: Transition, report: Report) -> None:
     certain = first.delay is None and first.hold_time is None and is_always_true(reader, first.condition)
-    label = "this one always happens" if certain else "this one happens whenever the later one could"
+    label = "this transition always happens" if certain else "this transition happens whenever the later one could"
     advice = f"move it above the one that {'always happens' if certain else 'comes first'}"
     if first.take_action is not None:
-        label = "this one is chosen whenever the later one could be; if its `take` fails, the agent stays in its state"
-        advice = "add a condition to the first that is false when nothing is left to take, such as `and food.load > 0`"
+        label = "this transition is chosen whenever the later one could be; if its `take` fails, the agent stays in its state"
+        advice = "add a condition to the first transition that fails when nothing is left, such as `and food.load > 0`"
     report.warning("shadowed-change", "this transition never happens", change.span, advice, labels=(Label(first.span, label),))
 
 

@@ -135,7 +135,7 @@ def check_events(context: CheckContext, report: Report) -> None:
         others = [name for name in declared.events if name != event]
         near = find_nearest_name(event, others)
         if raised and not noticed:
-            advice = f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`"
+            advice = f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or test for it: `when {event} -> …`"
             report.warning("unheard-event", f"no agent handles the event `{event}`", span, advice)
         elif noticed and not raised:
             advice = f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens"

@@ -72,7 +72,7 @@ def _follow_names(expr: Expr) -> list[Expr]:
 
 
 def _find_constant_radius(expr: Expr, params: Mapping[str, Param]) -> Constant | None:
-    """Return the constant value of a radius; a param counts by its default."""
+    """Return the constant value of a radius, with a param at its default; None if it is not constant."""
     last = _follow_names(expr)[-1]
     return find_constant(params[last.name].default if isinstance(last, ParamRef) and last.name in params else last)
 

@@ -132,7 +132,7 @@ def has_default_without_register(name: str, species: SpeciesNames) -> bool:
 
 
 def find_switches(scope: NameScope, node: nodes.Species) -> dict[str, bool]:
-    """Return whether each switch of a species, such as `body_clearance`, is on, by the name of the switch.
+    """Return by name whether each switch of a species, such as `body_clearance`, is on.
 
     A switch without a line in the text has the default of the edition."""
     assert scope.species is not None
@@ -176,7 +176,9 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
             return False
     text = " ".join(member.value.span.text.split())
     if row is not None:
-        better = f"`max_speed {text}` is the fastest it goes" if name.text == "speed" else "it follows from the agent's motion"
+        better = (
+            f"`max_speed {text}` sets its highest speed" if name.text == "speed" else "it is computed from the agent's motion"
+        )
         scope.report.error("not-settable", f"`{name.text}` cannot be set", name.span, better)
     else:
         scope.report.error(

@@ -298,7 +298,7 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
     name, declared = info.node.name.text, scope.declarations
     if info.has_memory and scope.no_keep_reason:
         help = "call it in a separate line: `steer …`, or a line of `layers`"
-        scope.report.error("keep-inside", f"`{name}` remembers something, and {scope.no_keep_reason}", node.span, help)
+        scope.report.error("keep-inside", f"`{name}` stores a value between steps, and {scope.no_keep_reason}", node.span, help)
         return False
     if info.has_draws and scope.set_elements:
         message = f"`{name}` draws random numbers, which is not possible inside a set"

@@ -117,13 +117,13 @@ def _type_recipient(scope: NameScope, row: Effect, line: nodes.VerbLine, node: n
         return expr
     text = " ".join(node.span.text.split())
     if expr.type.kind is TypeKind.SPECIES:
-        message = f"`{text}` is a whole species, but `{row.op} … to` needs one agent"
+        message = f"`{text}` means all agents of a species, but `{row.op} … to` needs one agent"
         return scope.reject("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
     if expr.type.kind is not TypeKind.AGENT:
         return report_mismatch(scope.report, node, expr.type, ValueType(TypeKind.AGENT), f"`{row.op} … to`")
     if expr.type.referent is None:
         advice = "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`"
-        return scope.reject("wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span, advice)
+        return scope.reject("wrong-argument", f"no species is known for {quote_source(node.span)} is", node.span, advice)
     if line.name is not None:
         scope.mark_used("told", f"{line.name.text} {expr.type.referent}")
     return expr

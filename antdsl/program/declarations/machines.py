@@ -165,7 +165,7 @@ def _type_duration(scope: NameScope, node: nodes.Expr | None, subject: str) -> E
     duration = type_value_as(scope, node, TIME_TYPE, subject)
     constant = find_constant(duration)
     if constant is not None and constant.number < 0:
-        message = f"{subject} needs a time that is not negative, but {quote_source(node.span)} is before now"
+        message = f"{subject} needs a time of 0 or more, but {quote_source(node.span)} is negative"
         scope.report.error("out-of-range", message, node.span, "write `0 s` or more")
     elif constant is not None and not constant.unit_power and constant.number > limits.MAX_FRAMES:
         advice = f"write a shorter time: a run has {limits.MAX_FRAMES:,} frames at most"

@@ -221,7 +221,7 @@ def _report_no_unit(
     instead = _suggest_number(param_numbers, param_numbers.index(unitless_numbers[0])) if len(unitless_numbers) == 1 else None
     want = describe_dimension(unit_numbers[0].constant.type.dimension)
     ends = " and ".join(quote_source(each.node.span) for each in unit_numbers)
-    advice = f"write {want} that goes together with {ends}"
+    advice = f"write {want} with a unit that matches {ends}"
     fix = None if instead is None else Fix(span, instead)
     scope.report.error(
         "missing-unit",
@@ -261,11 +261,11 @@ def _check_order(scope: NameScope, node: nodes.Declaration, param_numbers: list[
             "out-of-range", f"{quote_source(end.node.span)} leaves {quote_source(value.node.span)} outside of the range",
             end.node.span,
             f"{_format_order_advice(end, low)} {quote_source(value.node.span)}",
-            labels=(Label(value.node.span, "the value it starts with"),),
+            labels=(Label(value.node.span, "its starting value"),),
         )  # fmt: skip
         return
     better = _suggest_within_limits(param_numbers)
-    message = f"{quote_source(value.node.span)} lies outside of {quote_source(node.range.span)}"
+    message = f"{quote_source(value.node.span)} is outside the range {quote_source(node.range.span)}"
     advice = f"did you mean `{better}`?" if better else "start inside the range, or widen it"
     scope.report.error("out-of-range", message, value.node.span, advice, fix=Fix(value.node.span, better) if better else None)
 

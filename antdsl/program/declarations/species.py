@@ -367,7 +367,7 @@ def _check_layer(scope: NameScope, node: nodes.Layer, word_counts: dict[str, int
     if node.is_face_line:
         push = type_facing_direction(scope, node.push)
     elif isinstance(node.push, nodes.NameRef) and is_state_name(scope, word) and own and word not in taken:
-        message = f"`{word}` is a state, but a layer must be a wish"
+        message = f"`{word}` is a state, but a layer must be a push"
         # the author probably means the steering
         scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")
         push = make_bad_expression(node.push.span)

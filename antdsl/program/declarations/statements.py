@@ -104,7 +104,8 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
     if block.must_commute and name not in ("heading", "velocity") and type.kind not in (TypeKind.AGENT, TypeKind.ITEM):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
         words = f"`{what}` is set in a handler, but several events may occur at once"
-        advice = f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`"
+        change = f"`when … -> … {{ {what} = {text} }}`"
+        advice = f"add to it: `{what} += {text}`, or set it in a transition that tests for the event: {change}"
         scope.report.error("not-commuting", words, line.span, advice)
         return None
     new = type_value_as(inner, line.value, type, f"`{name}`")
@@ -135,10 +136,10 @@ def _find_assigned_attribute(
         message = f"`{text}` is a param, which has one value for all agents"
         report.error("not-settable", message, name.span, f"make it an attribute: `{text} = …` without `param`")
     elif text in species.bindings:
-        message = f"`{text}` is a `let` or `latch`, which follows from other values"
+        message = f"`{text}` is a `let` or `latch`, which is computed from other values"
         report.error("not-settable", message, name.span, "set the values that it depends on, or make it an attribute")
     elif builtin is not None or text in ("state", "previous", "next", "time_in_state"):
-        advice = "it moves by `steer`" if text in ("position", "speed") else "it follows from other values"
+        advice = "it moves by `steer`" if text in ("position", "speed") else "it is computed from other values"
         if builtin is None:
             advice = "a transition changes it: `when … -> …`"
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)

@@ -33,7 +33,7 @@ from antdsl.syntax.words import WORD_SETTING_VALUES
 def make_outer_scope(declarations: Declarations, names: FileNames, path: str) -> NameScope:
     """Return a scope outside of every species."""
     return NameScope(
-        declarations, names, StableKeys(path), declarations.report, no_keep_reason="nothing is remembered outside a species"
+        declarations, names, StableKeys(path), declarations.report, no_keep_reason="values can be stored only within a species"
     )
 
 
@@ -206,7 +206,7 @@ def _is_ground(declarations: Declarations, name: nodes.Name) -> bool:
 def _check_single_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
     decays = [settings[word] for word in ("half_life", "evaporate", "keeps") if word in settings]
     for extra in decays[1:]:
-        message = f"`{decays[0].name.text}` and `{extra.name.text}` both define how fast it fades"
+        message = f"`{decays[0].name.text}` and `{extra.name.text}` both define how fast the field fades"
         report.error("two-decays", message, extra.span, "keep one of them", labels=(Label(decays[0].span, "the other one"),))
 
 

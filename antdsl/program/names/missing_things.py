@@ -39,8 +39,8 @@ def suggest_missing_thing(scope: NameScope, name: str, expected_type: ValueType 
     line = f"{word} {name}"
     world = next((item for item in scope.file.node.items if isinstance(item, nodes.World)), None)
     if world is None:
-        return f"declare it: `world {{ {line} }}`, and say in the scene what it is", None
-    return f"declare it in `world`: `{line}`, and say in the scene what it is", _make_append_fix(world.span, line)
+        return f"declare it: `world {{ {line} }}`, and define it in the scene", None
+    return f"declare it in `world`: `{line}`, and define it in the scene", _make_append_fix(world.span, line)
 
 
 def _make_append_fix(world: Span, line: str) -> Fix | None:

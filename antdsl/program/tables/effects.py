@@ -140,7 +140,7 @@ _EFFECT_ROWS = (
         "makes a new agent at this one's position, at t+1",
         "spawn {of}",
         "spawn {of}",
-        state_body_error="would make a new one in every step",
+        state_body_error="would create an agent in every step",
         uses_draws=True,
     ),
     Effect("die", "", (), "births", "removes this agent", "the agent is removed at t+1", "die", "die", removes_agent=True),

@@ -76,7 +76,7 @@ class SpecRules:
             if self.other_side is not None:
                 return self.comparison_rules[name](scope, self.other_side, node.span)
             when = "at the start" if name == "at_start" else "in the reference run"
-            message = f"`{name}` needs a comparison: it is the other side's value {when}"
+            message = f"`{name}` needs a comparison: it stands for the value of the other side {when}"
             advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
             return scope.reject("at-start-alone", message, node.span, advice)
         species = scope.species

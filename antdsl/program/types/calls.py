@@ -228,7 +228,7 @@ def check_row_limits(scope: NameScope, arg: ArgumentRow, subject: str, span: Spa
     if known is None:
         return
     if arg.lower_bound is not None and known.number <= arg.lower_bound:
-        message = f"{subject} has to be above {arg.lower_bound:g}, and is {quote_source(span)}"
+        message = f"{subject} must be above {arg.lower_bound:g}, but is {quote_source(span)}"
         if arg.display_name:
             message = f"{quote_source(span)} is no {arg.display_name}"
         help = f"write {describe_type(expr.type)} above {arg.lower_bound:g}" + (f": `{sample}`" if sample else "")

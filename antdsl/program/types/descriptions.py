@@ -127,8 +127,7 @@ def _make_mismatch(node: nodes.Expr, actual: ValueType, expected_type: ValueType
 
 
 def _make_vector_units_fix(node: nodes.Expr) -> Fix | None:
-    """Return a fix for `vector(10, 0, 0)` that adds a length unit to its numbers, so that the vector is a point; None if there is
-    none."""
+    """Return a fix that adds a length unit to the numbers of `vector(10, 0, 0)`, so that it is a point; None if there is none."""
     if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
         return None
     values = [each.value for each in node.arguments if isinstance(each, nodes.Argument)]

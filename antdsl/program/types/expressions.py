@@ -82,7 +82,7 @@ def type_none(scope: NameScope, node: nodes.NoneOf, expected_type: ValueType | N
         if expected_type is not None and expected_type.kind in OPTIONAL_KINDS:
             return NoneRef(expected_type, ChangeRate.CONST, node.span)
         advice = "write `none of food` or `none of rabbit`, with the name that is meant"
-        return scope.reject("none-of-what", "the kind of `none` is not clear here", node.span, advice)
+        return scope.reject("none-of-what", "the type of `none` is unknown here", node.span, advice)
     type = find_reference_type(scope, node.of)
     return make_bad_expression(node.span) if type is None else NoneRef(type, ChangeRate.CONST, node.span)
 

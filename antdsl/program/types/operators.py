@@ -349,7 +349,7 @@ _MAKER_BY_SIGN = {"+": _type_sum, "-": _type_sum, "*": _type_product, "/": _type
 
 def type_if_else(scope: NameScope, node: nodes.IfElse, expected_type: ValueType | None) -> Expr:
     test = type_condition(scope, node.condition, "`if`")
-    inner = scope.with_changes(no_keep_reason="inside `if` it is not clear when it advances")
+    inner = scope.with_changes(no_keep_reason="inside `if` it would not be updated in every step")
     bare = isinstance(node.then, nodes.NoneOf) and node.then.of is None
     if bare:
         otherwise = type_value(inner, node.otherwise, expected_type)

@@ -50,10 +50,10 @@ def check_pair_value(scope: NameScope, attribute: AttributeDecl, rest_value: Exp
         message = f"`{name}` is {describe_type(attribute.type)}, but a value per pair must be a number"
         scope.report.error("wrong-kind", message, default.span, f"start with a number: `{name} = 0 for each …`")
     elif default.rate > ChangeRate.RUN:
-        message = f"`{name}` begins with {quote_source(default.span)}, but it must begin equally for all"
+        message = f"`{name}` begins with {quote_source(default.span)}, but its first value must be equal for all"
         scope.report.error("wrong-rate", message, default.span, "write a number or a param, and set it where the agents meet")
     elif rest_value is not None and rest_value.type.kind is not TypeKind.BAD and not _is_same(default, rest_value):
-        message = f"`{name}` begins at {text} for all others, and cannot return to {quote_source(rest_value.span)}"
+        message = f"`{name}` begins at {text} for all others, so it cannot relax to {quote_source(rest_value.span)}"
         scope.report.error("wrong-argument", message, rest_value.span, f"write `relax to {text}`")
 
 
@@ -72,7 +72,7 @@ def type_set_index(scope: NameScope, node: nodes.IndexAll) -> tuple[AttributeRef
         over = make_complete_set(over)
     if not isinstance(over, SetExpr):
         if over.type.kind is not TypeKind.BAD:
-            message = f"`… in …` goes over a set, and {quote_source(over.span)} is {describe_type(over.type)}"
+            message = f"`… in …` needs a set, but {quote_source(over.span)} is {describe_type(over.type)}"
             scope.report.error("wrong-kind", message, over.span, "write a set, such as `neighbours(20 mm)`")
         return None
     element, inner = make_element_scope(scope, over, node.variable)

@@ -141,7 +141,7 @@ def type_all(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> 
 
 def _enter_set(scope: NameScope, element: Binding) -> NameScope:
     return scope.with_changes(
-        set_elements=(*scope.set_elements, element), no_keep_reason="inside a set it is not clear which agent's memory is meant"
+        set_elements=(*scope.set_elements, element), no_keep_reason="inside a set it is not clear which agent stores it"
     )
 
 
@@ -266,7 +266,7 @@ def _check_shadow(scope: NameScope, variable: nodes.Name) -> None:
         and (variable.text in names.attributes or variable.text in names.bindings or variable.text in names.params)
     )
     if own or variable.text in scope.local_names:
-        message = f"`{variable.text}` has a meaning here already"
+        message = f"`{variable.text}` is already defined here"
         scope.report.error("duplicate-name", message, variable.span, "choose another name for the element")
 
 

@@ -43,7 +43,7 @@ def check_shapes(scene: Scene, program: Program, report: Report, place: Placemen
             place_of = scene.span(*path, two, key=True)
             report.error("wrong-value", f"agents are placed by `{one}` or by `{two}`, not both", place_of, "keep one of them")
     if place.clumps is not None and shapes and shapes[0] in ("points", "inside", "ranks"):
-        words = f"agents at `{shapes[0]}` have these positions, so `clumps` has no effect"
+        words = f"agents at `{shapes[0]}` have fixed positions, so `clumps` has no effect"
         report.error("wrong-value", words, scene.span(*path, "clumps", key=True), "leave `clumps` out")
     curves = program.list_things_of_kind("curve")
     if place.along is not None and place.along not in curves:

@@ -31,7 +31,8 @@ def check_avoidance_steps(scene: Scene, program: Program, report: Report) -> Non
         frame_step = (speed or 0.0) * float(1 / scene.model.fps)
         if not speed or radius <= 0 or frame_step <= _MAX_AVOIDANCE_SHARE * radius:
             continue
-        words = f"a `{species.name}` walks {frame_step / radius:.2g} of its radius between two decisions, and avoids others late"
+        distance = f"{frame_step / radius:.2g} times its radius"
+        words = f"a `{species.name}` walks {distance} between two decisions, so it avoids others too late"
         place = scene.span("fps") if "fps" in scene.document.entries else scene.span("crowd", number, "species")
         fps = ceil(speed / (_MAX_AVOIDANCE_SHARE * radius))
         advice = f"write `fps: {fps}` or more" if fps <= limits.MAX_FPS else "write a greater `radius`, or a lower `max_speed`"

@@ -120,7 +120,7 @@ def _check_placement(scene: Scene, program: Program, report: Report, place: Plac
     for key in ("apart", "seed"):
         fixed_key = "points" if place.points is not None else "ranks" if place.ranks is not None else None
         if getattr(place, key) is not None and fixed_key is not None:
-            words = f"agents at `{fixed_key}` have these positions, so `{key}` has no effect"
+            words = f"agents at `{fixed_key}` have fixed positions, so `{key}` has no effect"
             report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
     if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
         what, addition = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")

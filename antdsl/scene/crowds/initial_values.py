@@ -139,8 +139,8 @@ def _convert_mean(
 
 
 def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path: PathKey) -> float | None:
-    """Return a text as a number: a quantity in base units, 1 or 0 for a truth value, or the index of a state; None after an
-    error."""
+    """Return the number of a text, or None after an error. It is a quantity in base units, 1 or 0 for a truth value, or the
+    index of a state."""
     if isinstance(target, Machine):
         indices = {state.name: float(state.index) for state in target.states}
         return _find_number_of_word(line, text, indices, f"`{line.species.name}` has no state", *path)

@@ -122,7 +122,9 @@ def check_obstacle_sides(staging: SceneStaging) -> None:
         inward, mixed = _count_wrong_sides(mesh)
         if inward or mixed:
             words = (
-                f"parts of the obstacle `{name}` point inward" if inward else f"faces of the obstacle `{name}` point both ways"
+                f"parts of the obstacle `{name}` point inward"
+                if inward
+                else f"faces of the obstacle `{name}` point both in and out"
             )
             help = "flip faces so that all point outward; ignore this if the obstacle is a room that encloses agents"
             staging.report.warning("inside-out", words, staging.scene.span("world", name), help)

@@ -101,7 +101,7 @@ class _Detail:
         )
         if max(self._point_count, self._primitive_count) > document.byte_count:
             raise MeshError(
-                f"says it has {self._point_count:,} points and {self._primitive_count:,} primitives, more than its bytes"
+                f"declares {self._point_count:,} points and {self._primitive_count:,} primitives, more than fit in its bytes"
             )
         self._attributes = _to_map(self._parts.get("attributes", []), "`attributes`")
         topology = _to_map(self._parts.get("topology", []), "`topology`")
@@ -277,7 +277,7 @@ def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: 
 
 
 def _expand_runs(runs: Integers, most: int) -> Integers:
-    """Return the numbers that pairs of a number and its count stand for: at most `most`, with a sum of at most `most`."""
+    """Expand pairs of a number and its count. Returns at most `most` numbers; their sum is also at most `most`."""
     if len(runs) % 2 or (runs < 0).any():
         raise MeshError("has runs of polygons that are not pairs of counts", _CONVERT_HELP)
     sizes, counts = runs[::2].astype(np.float64), runs[1::2].astype(np.float64)

@@ -29,7 +29,7 @@ class Stagger(ScenePart):
     def _check_kind(self) -> Stagger:
         kinds = [name for name in ("speed", "each", "random") if getattr(self, name) is not None]
         if not kinds:
-            raise make_error("this does not say how much later each agent is", _FORMS)
+            raise make_error("this does not define a delay for each agent", _FORMS)
         if len(kinds) > 1:
             raise make_error(f"`{kinds[0]}` and `{kinds[1]}` exclude each other", _FORMS)
         if self.speed is not None and self.origin is None:
@@ -42,7 +42,7 @@ class Stagger(ScenePart):
 def require_stagger(value: object) -> object:
     """Return a value unchanged. Raises an error that pydantic reports for a text or a list."""
     if not isinstance(value, dict):
-        raise make_error(f"{describe_value(value)} does not say how much later each agent is", _FORMS)
+        raise make_error(f"{describe_value(value)} does not define a delay for each agent", _FORMS)
     return value
 
 

@@ -55,7 +55,7 @@ def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: 
     if skipped:
         remainder = f" and {len(skipped) - 8} more" if len(skipped) > 8 else ""
         words = f"`{display_name}` has content that is not read: {', '.join(skipped[:8])}{remainder}"
-        report.warning("unread-content", words, span, "export everything that agents should meet as triangles or polygons")
+        report.warning("unread-content", words, span, "export everything that agents should touch as triangles or polygons")
 
 
 def check_origin_distances(staging: SceneStaging, setting: setting_data.WorldSetting) -> None:

@@ -56,7 +56,8 @@ def _list_gaps(mesh: MeshData, box: PeriodicBox) -> Iterator[tuple[str, float, f
 
 
 def _find_bounds(mesh: MeshData, box: PeriodicBox) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the low and high corner (3,) of the part of a mesh in the box; the mesh's own ends along axes that do not wrap."""
+    """Return the low and high corner (3,) of the part of a mesh in the box. Along axes that do not wrap, these are the mesh's
+    own ends."""
     wraps, begin = np.array(box.widths) > 0, np.array(box.low)
     low, high = mesh.vertices[mesh.faces.ravel()].min(axis=0), mesh.vertices[mesh.faces.ravel()].max(axis=0)
     return np.where(wraps, begin, low), np.where(wraps, begin + np.array(box.widths), high)

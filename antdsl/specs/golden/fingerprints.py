@@ -84,8 +84,8 @@ class FingerprintColumn:
         return format_value(world, value, self.type, self.unit)
 
     def summarise_values(self, world: World) -> str:
-        """Return the values if there are few of them; else how many agents are in each state, for how many a truth holds, or the
-        mean."""
+        """Return the values if there are few. Otherwise return the number of agents in each state, the number for which a
+        truth holds, or the mean."""
         if self.is_opaque or not len(self.values):
             return ""
         if len(self.values) <= _MAX_LISTED_VALUES:

@@ -1,4 +1,4 @@
-"""Text → the same program in the one layout: comments are preserved, and the output is parsed again before it is returned."""
+"""Formats a program in the standard layout. Comments are preserved, and the output is parsed again before it is returned."""
 
 from __future__ import annotations
 

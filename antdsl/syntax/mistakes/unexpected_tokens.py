@@ -1,4 +1,4 @@
-"""What the parser found and what it expected → one message in an artist's words."""
+"""Explains an unexpected token in one message, in an artist's words."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _find_misspelt_word(unexpected: UnexpectedToken) -> str | None:
-    """Return the allowed word that the unexpected token is a misspelling of; None if there is none."""
+    """Return the allowed word that the unexpected token misspells; None if there is none."""
     if unexpected.token_kind != "word" or len(unexpected.token_text) < 3 or "NAME" in unexpected.expected_terminals:
         return None
     words = [

@@ -58,7 +58,7 @@ def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[P
 
 
 def _find_nearest_image(w: PlanWriter, offset: VectorNodes) -> VectorNodes:
-    """Return the shortest of a vector between two positions and its images in a periodic world; elsewhere the vector itself."""
+    """Return the shortest image of a vector in a periodic world; in other worlds the vector itself."""
     return offset if w.period is None else values.wrap_vector(w.b, offset, w.period)
 
 
