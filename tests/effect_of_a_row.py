@@ -56,7 +56,7 @@ EFFECT_BY_OPERATION["scratch"] = Effect(
 
 from explained import cached, shot_of  # noqa: E402
 
-from antdsl.explain import explain  # noqa: E402
+from antdsl.explain import explain_agent_in_cache  # noqa: E402
 from antdsl.highlighting.lexer import AntLexer  # noqa: E402
 from antdsl.lsp.features.completion import complete_program  # noqa: E402
 from antdsl.lsp.features.tokens import list_keywords  # noqa: E402
@@ -163,7 +163,7 @@ def main() -> None:
     labels = {
         "plan": show(shot.plan),
         "dust": dust,
-        "did": [explain(cache, 0, frame).did for frame in (2, 5, 6)],
+        "did": [explain_agent_in_cache(cache, 0, frame).did for frame in (2, 5, 6)],
         "costs": [use.description for part in estimate_costs(shot.program, species) for use in part.uses],
         "complaints": {line: complaints(line) for line in LINES}
         | {"misplaced": complaints("die }\n  scratch ground(depth: 1 mm)\n  on collision(other) { die")},

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.explain import CacheHistory, Explanation, Replay, explain_agents, open_shot
+from antdsl.explain import CacheHistory, Explanation, StepReplay, explain_agents, open_shot
 from antdsl.numerics import randomness
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.recording import begin_recording, record_frames
@@ -110,7 +110,7 @@ def fact_of(world: World, picks: random.Random, drawn: list[tuple[str, str, int,
 
 
 def explanations(cache: Cache, scene: Path, run_facts: list[Fact]) -> Iterator[tuple[Fact, Explanation]]:
-    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache, scene)))
+    replay = StepReplay(CacheHistory.from_cache(cache, open_shot(cache, scene)))
     for frame in sorted({fact.frame for fact in run_facts}):
         mine = [fact for fact in run_facts if fact.frame == frame]
         for fact, explanation in zip(mine, explain_agents(replay, frame, [(f.species, f.agent) for f in mine]), strict=True):

@@ -62,13 +62,13 @@ class GroupedHelp(TyperGroup):
         width = max(map(len, self.commands))
         rows: dict[str, list[tuple[str, str]]] = {}
         for name, command in self.commands.items():
-            rows.setdefault(command.rich_help_panel, []).append((name.ljust(width), _first_sentence(command)))  # type: ignore[attr-defined]
+            rows.setdefault(command.rich_help_panel, []).append((name.ljust(width), _get_first_sentence(command)))  # type: ignore[attr-defined]
         for heading, commands in rows.items():
             with formatter.section(heading):
                 formatter.write_dl(commands)
 
 
-def _first_sentence(command: Any) -> str:
+def _get_first_sentence(command: Any) -> str:
     """Return the first sentence of a command's help."""
     text = " ".join((command.help or "").split())
     return text.partition(". ")[0].rstrip(".") + "."
@@ -83,39 +83,49 @@ class CommandEntry(NamedTuple):
     example: str
 
 
-WRITE_HEADING, SIMULATE_HEADING, RESULTS_HEADING, INSIDE_HEADING = "Write programs", "Simulate", "Use results", "Look inside"
+WRITE_COMMANDS_HEADING, SIMULATE_COMMANDS_HEADING, RESULT_COMMANDS_HEADING, INSPECTION_COMMANDS_HEADING = (
+    "Write programs",
+    "Simulate",
+    "Use results",
+    "Look inside",
+)
 # In the order of a first project: from a new folder to results.
 COMMANDS = (
-    CommandEntry("new", new.new, WRITE_HEADING, "antdsl new colony --template foraging"),
-    CommandEntry("examples", new.examples, WRITE_HEADING, "antdsl examples arena"),
-    CommandEntry("check", check.check, WRITE_HEADING, "antdsl check --strict"),
-    CommandEntry("fmt", fmt.fmt, WRITE_HEADING, "antdsl fmt ."),
-    CommandEntry("run", run.run, SIMULATE_HEADING, "antdsl run scene.yaml --frames 1..48 --out walk"),
-    CommandEntry("preview", preview.preview, SIMULATE_HEADING, "antdsl preview scene.yaml"),
-    CommandEntry("test", test.test, SIMULATE_HEADING, "antdsl test ."),
+    CommandEntry("new", new.run_new_command, WRITE_COMMANDS_HEADING, "antdsl new colony --template foraging"),
+    CommandEntry("examples", new.run_examples_command, WRITE_COMMANDS_HEADING, "antdsl examples arena"),
+    CommandEntry("check", check.run_check_command, WRITE_COMMANDS_HEADING, "antdsl check --strict"),
+    CommandEntry("fmt", fmt.run_fmt_command, WRITE_COMMANDS_HEADING, "antdsl fmt ."),
+    CommandEntry("run", run.run_run_command, SIMULATE_COMMANDS_HEADING, "antdsl run scene.yaml --frames 1..48 --out walk"),
+    CommandEntry("preview", preview.run_preview_command, SIMULATE_COMMANDS_HEADING, "antdsl preview scene.yaml"),
+    CommandEntry("test", test.run_test_command, SIMULATE_COMMANDS_HEADING, "antdsl test ."),
     CommandEntry(
-        "sweep", sweep.sweep, SIMULATE_HEADING, "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept"
+        "sweep",
+        sweep.run_sweep_command,
+        SIMULATE_COMMANDS_HEADING,
+        "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept",
     ),
     CommandEntry(
         "fit",
-        fit.fit,
-        SIMULATE_HEADING,
+        fit.run_fit_command,
+        SIMULATE_COMMANDS_HEADING,
         "antdsl fit scene.yaml --vary walker.pace=20mm/s..40mm/s --to 'half are home after 20 s'",
     ),
-    CommandEntry("render", render.render, RESULTS_HEADING, "antdsl render walk --frames 48..48 --out stills"),
-    CommandEntry("edit", edit.edit, RESULTS_HEADING, "antdsl edit walk --smooth orient:5"),
-    CommandEntry("export", export.export, RESULTS_HEADING, "antdsl export walk --to walk.usdc"),
-    CommandEntry("jobs", jobs.jobs, SIMULATE_HEADING, "antdsl jobs scene.yaml --chunk 24 --to openjd/scene.yaml"),
-    CommandEntry("info", info.info, RESULTS_HEADING, "antdsl info walk"),
-    CommandEntry("body", body.body, INSIDE_HEADING, "antdsl body ant"),
-    CommandEntry("explain", explain.explain, RESULTS_HEADING, "antdsl explain walk --agent 17 --frame 48"),
-    CommandEntry("graph", graph.graph, WRITE_HEADING, "antdsl graph walker.ant --out states.svg"),
-    CommandEntry("plan", plan.plan, INSIDE_HEADING, "antdsl plan walker.ant"),
-    CommandEntry("bench", bench.bench, INSIDE_HEADING, "antdsl bench foraging --agents 15000"),
-    CommandEntry("docs", docs.docs, INSIDE_HEADING, "antdsl docs"),
-    CommandEntry("doctor", doctor.doctor, INSIDE_HEADING, "antdsl doctor"),
-    CommandEntry("lsp", lsp.lsp, WRITE_HEADING, "antdsl lsp"),
-    CommandEntry("mcp", mcp.mcp, WRITE_HEADING, "antdsl mcp --root ."),
+    CommandEntry("render", render.run_render_command, RESULT_COMMANDS_HEADING, "antdsl render walk --frames 48..48 --out stills"),
+    CommandEntry("edit", edit.run_edit_command, RESULT_COMMANDS_HEADING, "antdsl edit walk --smooth orient:5"),
+    CommandEntry("export", export.run_export_command, RESULT_COMMANDS_HEADING, "antdsl export walk --to walk.usdc"),
+    CommandEntry(
+        "jobs", jobs.run_jobs_command, SIMULATE_COMMANDS_HEADING, "antdsl jobs scene.yaml --chunk 24 --to openjd/scene.yaml"
+    ),
+    CommandEntry("info", info.run_info_command, RESULT_COMMANDS_HEADING, "antdsl info walk"),
+    CommandEntry("body", body.run_body_command, INSPECTION_COMMANDS_HEADING, "antdsl body ant"),
+    CommandEntry("explain", explain.run_explain_command, RESULT_COMMANDS_HEADING, "antdsl explain walk --agent 17 --frame 48"),
+    CommandEntry("graph", graph.run_graph_command, WRITE_COMMANDS_HEADING, "antdsl graph walker.ant --out states.svg"),
+    CommandEntry("plan", plan.run_plan_command, INSPECTION_COMMANDS_HEADING, "antdsl plan walker.ant"),
+    CommandEntry("bench", bench.run_bench_command, INSPECTION_COMMANDS_HEADING, "antdsl bench foraging --agents 15000"),
+    CommandEntry("docs", docs.run_docs_command, INSPECTION_COMMANDS_HEADING, "antdsl docs"),
+    CommandEntry("doctor", doctor.run_doctor_command, INSPECTION_COMMANDS_HEADING, "antdsl doctor"),
+    CommandEntry("lsp", lsp.run_lsp_command, WRITE_COMMANDS_HEADING, "antdsl lsp"),
+    CommandEntry("mcp", mcp.run_mcp_command, WRITE_COMMANDS_HEADING, "antdsl mcp --root ."),
 )
 
 app = typer.Typer(

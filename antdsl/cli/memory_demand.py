@@ -20,7 +20,7 @@ _USABLE_MEMORY_SHARE = 0.8  # share of the available memory; the rest is for fra
 _MAX_LISTED_THINGS = 3  # maximum number of things named in a message
 
 
-def estimate_work(shot: Shot) -> list[WorkEstimate]:
+def estimate_shot_work(shot: Shot) -> list[WorkEstimate]:
     """Return the estimated allocations of a shot's world and crowd."""
     from antdsl.plan.registers import count_bytes_by_purpose
     from antdsl.program.model import Constant
@@ -36,7 +36,7 @@ def estimate_work(shot: Shot) -> list[WorkEstimate]:
     return estimate_world_work(shot.setting, fields, sizes)
 
 
-def require_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot: int = 1) -> None:
+def require_available_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot: int = 1) -> None:
     """End the command if runs need more than 80 % of the available memory. The message names the largest allocations, and where
     the scene causes the largest one.
 
@@ -46,7 +46,7 @@ def require_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot:
 
     available = measure_available_memory()
     works = sorted(
-        ((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(estimate_work, shots))), reverse=True
+        ((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(estimate_shot_work, shots))), reverse=True
     )
     needed = sum([each for each, *_ in works for _ in range(min(runs_per_shot, parallel_runs))][:parallel_runs])
     if available is None or not works or needed <= _USABLE_MEMORY_SHARE * available:

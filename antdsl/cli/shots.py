@@ -12,7 +12,7 @@ import typer
 
 from antdsl.cli.destinations import choose_default_path, protect_inputs, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode
-from antdsl.cli.memory_demand import require_memory
+from antdsl.cli.memory_demand import require_available_memory
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import SchedulerAddress, choose_stop_exit_code, open_engine, raise_on_sigterm
 from antdsl.numerics.processor.host import count_available_cores
@@ -72,7 +72,7 @@ def run_shots(
     processes = min(count_available_cores(), len(scenes))
     per = threads or max(1, count_available_cores() // processes)
     if not ignore_memory_limit and not scheduler[0]:  # machines of a cluster have their own memory
-        require_memory([shot for shot in shots if shot is not None], processes)
+        require_available_memory([shot for shot in shots if shot is not None], processes)
     files = [path for path in read if path.is_file()]
     failure_count = 0
     print_warning = partial(print_note, to_stderr=True)

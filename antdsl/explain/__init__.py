@@ -1,9 +1,9 @@
 """Explains an agent's step: the step is repeated from a checkpoint and traced. Data comes first; formatting is separate."""
 
 from antdsl.explain.history import CacheHistory, ExplainError, History, open_shot
-from antdsl.explain.model import Explanation, as_json
-from antdsl.explain.queries import explain, make_absence_error
-from antdsl.explain.replaying import Replay
+from antdsl.explain.model import Explanation, make_json_document
+from antdsl.explain.queries import explain_agent_in_cache, make_absence_error
+from antdsl.explain.replaying import StepReplay
 from antdsl.explain.state_timeline import merge_state_frames
 from antdsl.explain.step_report import LocatedExplanation, explain_agents, explain_agents_with_positions
 from antdsl.explain.text_report import format_explanation
@@ -14,13 +14,13 @@ __all__ = [
     "Explanation",
     "History",
     "LocatedExplanation",
-    "Replay",
-    "as_json",
-    "explain",
+    "StepReplay",
+    "explain_agent_in_cache",
     "explain_agents",
     "explain_agents_with_positions",
     "format_explanation",
     "make_absence_error",
+    "make_json_document",
     "merge_state_frames",
     "open_shot",
 ]

@@ -251,7 +251,7 @@ class Explanation:
     changes: tuple[ChangedValue, ...]
 
 
-def as_json(explanation: Explanation) -> dict[str, Any]:
+def make_json_document(explanation: Explanation) -> dict[str, Any]:
     """Return the explanation as JSON values: infinity and NaN become null."""
     document: dict[str, Any] = _json_value({"format": FORMAT_VERSION, **asdict(explanation)})
     return document

@@ -11,14 +11,14 @@ import numpy as np
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.explain.history import CacheHistory, ExplainError, open_shot
 from antdsl.explain.model import Explanation, StateInterval
-from antdsl.explain.replaying import Replay
+from antdsl.explain.replaying import StepReplay
 from antdsl.explain.state_timeline import read_state_timeline
 from antdsl.explain.step_report import explain_agents
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.runtime.moving.scripted_walks import find_scripted_agents
 
 
-def explain(
+def explain_agent_in_cache(
     cache: Cache,
     agent: int,
     frame: int,
@@ -36,7 +36,7 @@ def explain(
     _require_frame(cache, frame)
     stretches, alive = read_state_timeline(cache, name, agent)
     _require_alive(cache, name, agent, frame, stretches, alive)
-    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache, scene, grants), threads))
+    replay = StepReplay(CacheHistory.from_cache(cache, open_shot(cache, scene, grants), threads))
     explanation = explain_agents(replay, frame, [(name, agent)])[0]
     if explanation is None:
         raise make_absence_error(replay, name, agent, frame)
@@ -105,7 +105,7 @@ def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
     return f"did you mean {near}? {range_text}" if near else range_text
 
 
-def make_absence_error(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
+def make_absence_error(replay: StepReplay, species: str, agent: int, frame: int) -> ExplainError:
     """Return the error for an agent that was not traced: it did not live, was quarantined, or is guided by the scene."""
     world = replay.restore_step_start(frame)
     population = world.populations[species]

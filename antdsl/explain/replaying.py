@@ -41,7 +41,7 @@ class ReplayedStep(Generic[T]):
     checkpoint: int
 
 
-class Replay:
+class StepReplay:
     """A run that is replayed from the requested frame. Frames requested in order are simulated once.
 
     Raises ExplainError where a checkpoint is missing or a state differs from the known state of the run."""
@@ -83,7 +83,7 @@ class Replay:
         self._world = world
         return world
 
-    def step(self, frame: int, agents: Sequence[tuple[str, int]], read_trace: TraceReader[T]) -> ReplayedStep[T]:
+    def replay_step(self, frame: int, agents: Sequence[tuple[str, int]], read_trace: TraceReader[T]) -> ReplayedStep[T]:
         """Repeat the step to a frame and trace the agents, given by species and id. `read_trace` receives each agent's trace
         while other agents, items and fields are in their state at the start of the step."""
         world = self.restore_step_start(frame)

@@ -11,7 +11,7 @@ import numpy as np
 from antdsl.explain.layer_report import build_layer_reports, find_steering_lines, read_total_push
 from antdsl.explain.machine_report import build_machine_step
 from antdsl.explain.model import Explanation, FloatTriple, MachineStep
-from antdsl.explain.replaying import Replay
+from antdsl.explain.replaying import StepReplay
 from antdsl.explain.sense_report import list_observed_sets, list_random_draws, list_sense_readings, read_field_values
 from antdsl.explain.step_effects import describe_effects, list_changes
 from antdsl.explain.tracing import AgentTrace
@@ -34,21 +34,21 @@ class LocatedExplanation:
     neighbour_positions: tuple[FloatTriple, ...]
 
 
-def explain_agents(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
+def explain_agents(replay: StepReplay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
     """Return what each agent (species, id) did in the step to a frame, without its state timeline. None for an agent that did not
     live when the step began, or was in quarantine. Raises ExplainError if the step cannot be repeated."""
     return [None if each is None else each.explanation for each in explain_agents_with_positions(replay, frame, agents)]
 
 
 def explain_agents_with_positions(
-    replay: Replay, frame: int, agents: Sequence[tuple[str, int]]
+    replay: StepReplay, frame: int, agents: Sequence[tuple[str, int]]
 ) -> list[LocatedExplanation | None]:
     """Return explanations as `explain_agents` does, with positions."""
 
     def explain_agent(world: World, population: Population, trace: AgentTrace) -> tuple[AgentTrace, LocatedExplanation]:
         return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_find_positions(trace))
 
-    step = replay.step(frame, agents, explain_agent)
+    step = replay.replay_step(frame, agents, explain_agent)
     explanations: list[LocatedExplanation | None] = []
     for each in step.results:
         if each is None:
@@ -81,7 +81,7 @@ def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
     )
 
 
-def _build_explanation(replay: Replay, frame: int, world: World, population: Population, trace: AgentTrace) -> Explanation:
+def _build_explanation(replay: StepReplay, frame: int, world: World, population: Population, trace: AgentTrace) -> Explanation:
     """Return the explanation of a step up to the effects on the agent, which `_add_effects` adds."""
     program = replay.shot.program.species[population.name]
     notes = replay.notes[population.name]
@@ -121,7 +121,7 @@ def _build_explanation(replay: Replay, frame: int, world: World, population: Pop
     )
 
 
-def _list_scene_notes(replay: Replay, world: World, population: Population, row: int) -> tuple[str, ...]:
+def _list_scene_notes(replay: StepReplay, world: World, population: Population, row: int) -> tuple[str, ...]:
     """Return a sentence for each note of the scene that directs the agent in a row in this step."""
     scene = replay.shot.scene
     lines = []
@@ -150,7 +150,7 @@ def _find_active_sites(species: Species, machines: Sequence[MachineStep]) -> tup
     return tuple(sites)
 
 
-def _add_effects(replay: Replay, world: World, trace: AgentTrace, explanation: Explanation) -> Explanation:
+def _add_effects(replay: StepReplay, world: World, trace: AgentTrace, explanation: Explanation) -> Explanation:
     """Return the explanation with the results of the step. An agent that died in the step has no results."""
     population = world.populations[explanation.species]
     row = int(population.find_rows(np.array([explanation.agent]))[0])

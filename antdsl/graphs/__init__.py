@@ -1,14 +1,14 @@
 """Draws state machines: Program → charts → SVG, PNG, Mermaid or DOT. A layout is made only for SVG and PNG.
 
-`charts(program)`, `lay_out(charts)` and the values of `model` are for callers that draw in another format, or draw live."""
+`build_charts(program)`, `lay_out_charts(charts)` and the values of `model` are for callers that draw in other formats, or live."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
 from antdsl.diagnostics import Report
-from antdsl.graphs.charting import charts as charts
-from antdsl.graphs.layout import lay_out as lay_out
+from antdsl.graphs.charting import build_charts as build_charts
+from antdsl.graphs.layout import lay_out_charts as lay_out_charts
 from antdsl.graphs.model import Chart as Chart
 from antdsl.graphs.model import PlacedChart as PlacedChart
 
@@ -19,7 +19,7 @@ def _write_svg(charts: Sequence[Chart]) -> FileResult:
     from antdsl.graphs.drawing import draw_charts
     from antdsl.graphs.svg import format_svg
 
-    placed_charts, report = lay_out(charts)
+    placed_charts, report = lay_out_charts(charts)
     return (format_svg(draw_charts(placed_charts)).encode() if report.ok else None), report
 
 
@@ -27,7 +27,7 @@ def _write_png(charts: Sequence[Chart]) -> FileResult:
     from antdsl.graphs.drawing import draw_charts
     from antdsl.graphs.png import render_png
 
-    placed_charts, report = lay_out(charts)
+    placed_charts, report = lay_out_charts(charts)
     if not report.ok:
         return None, report
     try:
@@ -51,7 +51,7 @@ def _write_dot(charts: Sequence[Chart]) -> FileResult:
 
 
 # A format's name with the endings of its files, the usual one first, and the function that writes it. The first is the default.
-FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], FileResult]]] = {
+CHART_FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], FileResult]]] = {
     "svg": ((".svg",), _write_svg),
     "png": ((".png",), _write_png),
     "mermaid": ((".mmd", ".mermaid"), _write_mermaid),
@@ -60,5 +60,5 @@ FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], FileRes
 
 
 def write_charts(charts: Sequence[Chart], format: str) -> FileResult:
-    """Return the bytes of a file in one of `FORMATS`; None with a finding if a required package is not installed."""
-    return FORMATS[format][1](charts)
+    """Return the bytes of a file in one of `CHART_FORMATS`; None with a finding if a required package is not installed."""
+    return CHART_FORMATS[format][1](charts)

@@ -16,7 +16,7 @@ _BLACK = (0.15, 0.15, 0.17)
 _GREY = (0.45, 0.46, 0.48)
 
 
-def charts(program: Program) -> tuple[Chart, ...]:
+def build_charts(program: Program) -> tuple[Chart, ...]:
     """Return a chart for each machine of each species, in the order of the text. Species without states have none."""
     all_charts = []
     for species in program.species.values():
@@ -95,7 +95,7 @@ class _ChartBuilder:
             target = f"s{change.target}"
         self._add_arrow(source, target, change.is_interrupt, words, details)
         for state, weight in change.choices:
-            self._add_arrow(target, f"s{state}", False, _source_text(weight.span), details)
+            self._add_arrow(target, f"s{state}", False, _format_source_text(weight.span), details)
 
     def _add_arrow(self, source: str, target: str, interrupt: bool, words: str, details: str) -> None:
         """Add an arrow. Transitions between the same boxes share an arrow, except that interrupts have another one than the
@@ -113,7 +113,7 @@ class _ChartBuilder:
 def _make_state_box(state: State) -> Box:
     """Return the box of a state."""
     label = " ".join(state.label.split())
-    lasts = f"for at least {_source_text(state.min_duration.span)}" if state.min_duration is not None else ""
+    lasts = f"for at least {_format_source_text(state.min_duration.span)}" if state.min_duration is not None else ""
     details = " · ".join(part for part in (label, lasts, _format_location(state.span)) if part)
     return Box(f"s{state.index}", "state", state.name, " · ".join(p for p in (label, lasts) if p), state.colour, details)
 
@@ -128,15 +128,15 @@ def _format_condition(change: Transition) -> str:
     """Return a transition's condition as in the source: condition, required duration, and the take."""
     parts = [
         _format_interrupt(change),
-        _source_text(change.condition.span) if change.condition is not None else "",
-        f"after {_source_text(change.delay.span)}" if change.delay is not None else "",
-        f"held {_source_text(change.hold_time.span)}" if change.hold_time is not None else "",
-        _source_text(change.take_action.span) if change.take_action is not None else "",
+        _format_source_text(change.condition.span) if change.condition is not None else "",
+        f"after {_format_source_text(change.delay.span)}" if change.delay is not None else "",
+        f"held {_format_source_text(change.hold_time.span)}" if change.hold_time is not None else "",
+        _format_source_text(change.take_action.span) if change.take_action is not None else "",
     ]
     return " ".join(part for part in parts if part)
 
 
-def _source_text(span: Span) -> str:
+def _format_source_text(span: Span) -> str:
     """Return the text of a span on one line, without comments."""
     return " ".join(re.sub(r"#[^\n]*", "", span.text).split())
 
@@ -147,4 +147,4 @@ def _format_location(span: Span) -> str:
 
 
 def _make_tooltip(span: Span) -> str:
-    return f"{_format_location(span)}: {_source_text(span)}"
+    return f"{_format_location(span)}: {_format_source_text(span)}"

@@ -22,7 +22,7 @@ from antdsl.diagnostics import Report
 from antdsl.graphs.model import Arrow, Box, Chart, PlacedArrow, PlacedBox, PlacedChart, Point
 from antdsl.graphs.text_width import measure_text_width
 
-Size = tuple[float, float]
+SizePx = tuple[float, float]
 Route = tuple[Point, ...]
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -60,7 +60,7 @@ _SPACINGS: tuple[dict[str, float], ...] = tuple(
 _FIRST_WIDE_SPACING = 4  # wider spacings are tried only if words would overlap words or boxes
 
 
-def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
+def lay_out_charts(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
     """Return the charts with positions, each laid out separately, and a report. The report has an error if the library is not
     installed."""
     report = Report()
@@ -174,7 +174,7 @@ class _LabelPositions:
     - `costs`: the cost of each position, independent of other words [n].
     - `hidden_line_counts`: the number of lines that words at each position hide [n]."""
 
-    size: Size
+    size: SizePx
     centres: Array
     costs: Array
     hidden_line_counts: Array
@@ -185,7 +185,7 @@ class _LabelPositions:
         return PlacedBox((x, y), *self.size)
 
 
-def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequence[Size | None]) -> WordPlacement:
+def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequence[SizePx | None]) -> WordPlacement:
     """Return positions for the words on arrows.
 
     `boxes`: the boxes of the chart. `routes`: by arrow, the corners of its path, mostly vertical and horizontal. `sizes`: by
@@ -210,7 +210,7 @@ def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequ
     return WordPlacement(tuple(word_boxes.get(n) for n in range(len(sizes))), int(touching), crossed)
 
 
-def _find_label_positions(number: int, boxes: Sequence[PlacedBox], routes: Sequence[Route], size: Size) -> _LabelPositions:
+def _find_label_positions(number: int, boxes: Sequence[PlacedBox], routes: Sequence[Route], size: SizePx) -> _LabelPositions:
     """Return candidate positions for the words of arrow `number`: on the line of its path and next to it."""
     route = routes[number]
     centres, costs = _list_route_positions(route, size)
@@ -228,7 +228,7 @@ def _find_label_positions(number: int, boxes: Sequence[PlacedBox], routes: Seque
     return _LabelPositions(size, centres, costs, hidden)
 
 
-def _list_route_positions(route: Route, size: Size) -> tuple[Array, Array]:
+def _list_route_positions(route: Route, size: SizePx) -> tuple[Array, Array]:
     """Return candidate positions along a path: centres [n, 2] in px, and the cost of each [n]."""
     centres: list[Point] = []
     costs: list[float] = []
@@ -249,7 +249,7 @@ def _list_route_positions(route: Route, size: Size) -> tuple[Array, Array]:
     return np.array(centres), np.array(costs)
 
 
-def _count_overlaps(centres: Array, size: Size, others: Sequence[PlacedBox]) -> Array:
+def _count_overlaps(centres: Array, size: SizePx, others: Sequence[PlacedBox]) -> Array:
     """Return, for each candidate centre [n, 2], how many of the boxes `others` the words there would touch, int [n]."""
     if not others:
         return np.zeros(len(centres), int)
@@ -258,7 +258,7 @@ def _count_overlaps(centres: Array, size: Size, others: Sequence[PlacedBox]) -> 
     return np.asarray((np.abs(centres[:, None] - middles) < clearance).all(axis=2).sum(axis=1))
 
 
-def _count_crossings(centres: Array, size: Size, line_segments: Sequence[tuple[Point, Point]]) -> Array:
+def _count_crossings(centres: Array, size: SizePx, line_segments: Sequence[tuple[Point, Point]]) -> Array:
     """Return, for each candidate centre [n, 2], how many segments of other lines cross the words there, int [n]."""
     if not line_segments:
         return np.zeros(len(centres), int)

@@ -121,7 +121,7 @@ def find_occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOc
         bound.setdefault(span, {})[key] = None
     index = _OccurrenceIndexer(names, bound)
     for item in names.file.items:
-        index.visit(item)
+        index.index_item(item)
     return index.occurrences
 
 
@@ -144,7 +144,7 @@ class _OccurrenceIndexer:
     meaning_by_span: dict[Span, tuple[NameKey, bool] | None] = field(default_factory=dict)
     occurrences: list[NameOccurrence] = field(default_factory=list)
 
-    def visit(self, item: nodes.TopItem) -> None:
+    def index_item(self, item: nodes.TopItem) -> None:
         """Add all names in a top-level item."""
         for part, _ in iterate_nodes(item):
             if isinstance(part, nodes.Name):
@@ -228,7 +228,7 @@ class _OccurrenceIndexer:
     def mark_comprehension(self, node: nodes.Comprehension) -> None:
         self.mark_variable(node.variable)
 
-    def mark_each_of(self, node: nodes.IndexAll) -> None:
+    def mark_index_all(self, node: nodes.IndexAll) -> None:
         self.mark_variable(node.variable)
 
     def mark_reference(self, node: nodes.NameRef) -> None:
@@ -283,7 +283,7 @@ _MARKERS_BY_NODE_TYPE: dict[type, Callable[[_OccurrenceIndexer, Any], None]] = {
     nodes.SpecLine: _OccurrenceIndexer.mark_spec_line, nodes.Quantity: _OccurrenceIndexer.mark_quantity,
     nodes.Setting: _OccurrenceIndexer.mark_setting, nodes.Layer: _OccurrenceIndexer.mark_layer,
     nodes.On: _OccurrenceIndexer.mark_handler, nodes.NameRef: _OccurrenceIndexer.mark_reference,
-    nodes.Comprehension: _OccurrenceIndexer.mark_comprehension, nodes.IndexAll: _OccurrenceIndexer.mark_each_of,
+    nodes.Comprehension: _OccurrenceIndexer.mark_comprehension, nodes.IndexAll: _OccurrenceIndexer.mark_index_all,
     nodes.Member: _OccurrenceIndexer.mark_member,
     nodes.Call: _OccurrenceIndexer.mark_call,
     nodes.VerbLine: _OccurrenceIndexer.mark_verb_line, nodes.Target: _OccurrenceIndexer.mark_target,

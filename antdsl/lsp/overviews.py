@@ -10,11 +10,11 @@ from lsprotocol import types as lsp
 from antdsl.lsp import protocol
 from antdsl.lsp.features import tokens
 from antdsl.lsp.features.actions import find_quick_fixes
-from antdsl.lsp.features.colours import find_colours, find_near_colour_names
+from antdsl.lsp.features.colours import find_colours, find_nearest_colour_names
 from antdsl.lsp.features.formatting import find_formatting_edits
 from antdsl.lsp.features.hints import find_hints
 from antdsl.lsp.features.links import find_links
-from antdsl.lsp.features.outline import find_folds, find_workspace_symbols, list_symbols
+from antdsl.lsp.features.outline import find_folding_ranges, find_workspace_symbols, list_symbols
 from antdsl.lsp.features.spec_runs import RUN_SPEC_COMMAND, run_spec
 from antdsl.lsp.session import AntLanguageServer
 from antdsl.syntax import nodes
@@ -27,7 +27,7 @@ def _handle_document_symbols(ls: AntLanguageServer, params: lsp.DocumentSymbolPa
 
 def _handle_folding_ranges(ls: AntLanguageServer, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
     document = ls.find_document(params.text_document.uri)
-    return [protocol.to_folding_range(each) for each in find_folds(document)] if document is not None else []
+    return [protocol.to_folding_range(each) for each in find_folding_ranges(document)] if document is not None else []
 
 
 def _handle_semantic_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
@@ -96,7 +96,7 @@ def _handle_document_colours(ls: AntLanguageServer, params: lsp.DocumentColorPar
 
 
 def _handle_colour_presentations(ls: AntLanguageServer, params: lsp.ColorPresentationParams) -> list[lsp.ColorPresentation]:
-    return [lsp.ColorPresentation(name) for name in find_near_colour_names(protocol.to_rgb(params.color))]
+    return [lsp.ColorPresentation(name) for name in find_nearest_colour_names(protocol.to_rgb(params.color))]
 
 
 def _handle_code_lenses(ls: AntLanguageServer, params: lsp.CodeLensParams) -> list[lsp.CodeLens]:

@@ -29,8 +29,10 @@ def build_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": "Made from the models of scenes by `python -m antdsl.lsp.scene_schema`: change it there.",
         "title": "antdsl scene",
-        **_loosen(schema),
-        "$defs": {name: _loosen(part) if name in model_names else _SCALAR_SCHEMA for name, part in definitions.items()},
+        **_allow_scalar_texts(schema),
+        "$defs": {
+            name: _allow_scalar_texts(part) if name in model_names else _SCALAR_SCHEMA for name, part in definitions.items()
+        },
     }
 
 
@@ -54,26 +56,26 @@ def _list_models(model: type[ScenePart]) -> Iterator[type[ScenePart]]:
         yield from _list_models(child)
 
 
-def _loosen(part: Any) -> Any:
+def _allow_scalar_texts(part: Any) -> Any:
     """Return a part of the schema in which scalars may also be texts with units."""
     if isinstance(part, list):
-        return [_loosen(each) for each in part]
+        return [_allow_scalar_texts(each) for each in part]
     if not isinstance(part, dict):
         return part
     if part.get("type") in _SCALAR_TYPES and not part.keys() & {"enum", "const"}:
         return _SCALAR_SCHEMA
     if part.get("type") == "array":
-        items = {"items": _loosen(part["items"])} if "items" in part else {}
+        items = {"items": _allow_scalar_texts(part["items"])} if "items" in part else {}
         return {"anyOf": [{"type": "array", **items}, _SCALAR_SCHEMA]}
     loose_part: dict[str, Any] = {}
     for keyword, value in part.items():
         if keyword == "properties":
-            loose_part[keyword] = {key: _describe(key, _loosen(schema)) for key, schema in value.items()}
+            loose_part[keyword] = {key: _describe(key, _allow_scalar_texts(schema)) for key, schema in value.items()}
         elif keyword in ("oneOf", "anyOf"):  # looser alternatives can hold at the same time
-            alternatives = _loosen(value)
+            alternatives = _allow_scalar_texts(value)
             loose_part["anyOf"] = [each for number, each in enumerate(alternatives) if each not in alternatives[:number]]
         elif keyword not in _DROPPED_KEYWORDS:
-            loose_part[keyword] = _loosen(value)
+            loose_part[keyword] = _allow_scalar_texts(value)
     return loose_part
 
 

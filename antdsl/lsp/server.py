@@ -161,7 +161,7 @@ def _handle_completion(ls: AntLanguageServer, params: lsp.CompletionParams) -> l
         proposals = (
             complete_program(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
         )
-        snippets = ls.supports_snippets()
+        snippets = ls.has_snippet_support()
         return lsp.CompletionList(False, [protocol.to_completion_item(each, snippets) for each in proposals])
 
     return _answer_at_position(ls, params, answer)

@@ -49,7 +49,7 @@ class AntLanguageServer(LanguageServer):
         """Return the URI of a file, as the editor sent it if the file is open."""
         return self.uris.get(path, path_to_uri(path))
 
-    def supports_snippets(self) -> bool:
+    def has_snippet_support(self) -> bool:
         """Return whether the editor accepts snippets in completions."""
         capabilities = self.client_capabilities.text_document
         completion = capabilities.completion if capabilities is not None else None

@@ -23,7 +23,7 @@ from antdsl.syntax import nodes
 from antdsl.syntax.editions import EDITIONS
 from antdsl.syntax.words import EXAMPLE_LINES
 
-HelpRule = Callable[[NameKey], str | None]
+WordHelpRule = Callable[[NameKey], str | None]
 # The words at the start of species members; attributes have none.
 MEMBER_WORDS: Mapping[type, str] = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}
 
@@ -162,7 +162,7 @@ def _describe_unit(key: NameKey) -> str | None:
     )
 
 
-def _make_typed_word_rule(table: Any, explanation: str, form: str) -> HelpRule:
+def _make_typed_word_rule(table: Any, explanation: str, form: str) -> WordHelpRule:
     """Return a rule for the words of a table of types. `explanation`: the explanation. `form`: a sample with a placeholder."""
 
     def describe_typed_word(key: NameKey) -> str | None:
@@ -171,7 +171,7 @@ def _make_typed_word_rule(table: Any, explanation: str, form: str) -> HelpRule:
     return describe_typed_word
 
 
-def _make_word_rule(table: Mapping[str, tables.WordHelp | ThingKindRow], explanation: str, notation: str = "ant") -> HelpRule:
+def _make_word_rule(table: Mapping[str, tables.WordHelp | ThingKindRow], explanation: str, notation: str = "ant") -> WordHelpRule:
     """Return a rule for the words of a table of help texts. `explanation`: the explanation of all words."""
 
     def describe_word(key: NameKey) -> str | None:
@@ -220,7 +220,7 @@ def _describe_colour(key: NameKey) -> str | None:
     return format_markdown(f'state rest "At rest" {key[1]} {{ … }}', f"a colour for states: {red}, {green}, {blue} of 255")
 
 
-HELP_RULES: dict[str, HelpRule] = {
+HELP_RULES: dict[str, WordHelpRule] = {
     "given": _describe_builtin_attribute, "builtin": _describe_builtin, "builtin-argument": _describe_builtin_argument,
     "word": _describe_value_word, "unit": _describe_unit, "steered": _describe_steered_state,
     "event": _describe_event, "element": _describe_element,
@@ -238,7 +238,7 @@ HELP_RULES: dict[str, HelpRule] = {
     ),
 }  # fmt: skip
 # Possible meanings of a bare word: as text, the table that contains it, and the rule that recognises it.
-_WORD_MEANINGS: tuple[tuple[str, Collection[str], HelpRule], ...] = (
+_WORD_MEANINGS: tuple[tuple[str, Collection[str], WordHelpRule], ...] = (
     ("begins a line", tables.FORM_HELP, lambda key: describe_keyword(key[1], True)),
     ("inside a line", tables.INNER_WORD_HELP, lambda key: describe_keyword(key[1], False)),
     ("a call", vocabulary.BUILTINS_BY_NAME, _describe_builtin_function),

@@ -57,14 +57,14 @@ class NameIndex:
 class OpenDocument:
     """A file in its current state, in the editor or on disk.
 
-    - `resolve`: returns the bindings of the file and of all files that it uses.
+    - `find_bindings`: returns the bindings of the file and of all files that it uses.
     - `file_stamp`: two numbers that identify the state of the file on disk; None for an open buffer.
     - `version`: the editor's number of the state of an open buffer.
     - `last_valid_scene`: the names of the scene in its last valid text. They are used while the text is not valid YAML."""
 
     path: Path
     text: DocumentText
-    resolve: Callable[[Path], NameBindings]
+    find_bindings: Callable[[Path], NameBindings]
     file_stamp: tuple[int, int] | None = None
     version: int | None = None
     last_valid_scene: SceneIndex | None = None  # index of the previous text, used while this text is not valid YAML
@@ -95,7 +95,7 @@ class OpenDocument:
     @property
     def index(self) -> NameIndex:
         """Return the index of the document's names. It is built again if a new check gave other bindings."""
-        bindings = self.resolve(self.path) if self.is_program else NO_BINDINGS
+        bindings = self.find_bindings(self.path) if self.is_program else NO_BINDINGS
         if self._cached_index is None or self._cached_index[0] is not bindings:
             name_occurrences = find_occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
             name_occurrences = sorted(name_occurrences, key=lambda occurrence: self.find_start(occurrence.span))

@@ -144,12 +144,12 @@ class RunEvaluator:
     def _record_first_values(self, judged: Population, name: str, register: str) -> None:
         """Copy the value of a number in each agent's first frame to the register that the conditions read."""
         ids, current_values = judged.ids, judged.now[register]
-        values = self.start_values[name] = extend_table(self.start_values.get(name, np.zeros(0)), ids, _UNKNOWN_VALUE)
+        values = self.start_values[name] = extend_table_for_ids(self.start_values.get(name, np.zeros(0)), ids, _UNKNOWN_VALUE)
         values[ids] = np.where(values[ids] == _UNKNOWN_VALUE, current_values, values[ids])
         judged.start[name] = values[ids].astype(np.float32)
 
 
-def extend_table(table: NDArray[Any], ids: NDArray[np.int64], fill_value: Any) -> NDArray[Any]:
+def extend_table_for_ids(table: NDArray[Any], ids: NDArray[np.int64], fill_value: Any) -> NDArray[Any]:
     """Return the table with at least one row for each id in `ids`. New rows have the value `fill_value`."""
     missing_count = int(ids.max(initial=-1)) + 1 - len(table)
     return (

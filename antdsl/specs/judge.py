@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.measures.evaluator import RunEvaluator, extend_table
+from antdsl.measures.evaluator import RunEvaluator, extend_table_for_ids
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_plans import JudgementPlan, ReadingPlan, SpecPlan
 from antdsl.runtime.world import World
@@ -64,7 +64,7 @@ class SpecJudge:
         for line in self.lines:
             if line.plan.kind == "until" and line.plan.species is not None:
                 released_ids = line.find_failed(self._observe_line(world, spec_world, line, final))
-                line.is_fulfilled = extend_table(line.is_fulfilled, spec_world.populations[line.plan.species].ids, False)
+                line.is_fulfilled = extend_table_for_ids(line.is_fulfilled, spec_world.populations[line.plan.species].ids, False)
                 line.is_fulfilled[released_ids] = True
         if final:
             self.goals = [self._read_goal(world, line.plan) for line in self.lines if line.plan.goal is not None]
@@ -100,7 +100,7 @@ class SpecJudge:
         free = np.zeros(len(ids), np.bool_)
         for other in self.lines:
             if other.plan.kind == "until" and other.plan.block_number == line.plan.block_number:
-                free |= extend_table(other.is_fulfilled, ids, False)[ids]
+                free |= extend_table_for_ids(other.is_fulfilled, ids, False)[ids]
         return free
 
     def _judge_sooner(self, line: JudgementLine, observation: FrameObservation) -> AgentIds:

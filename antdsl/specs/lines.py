@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.measures.aggregates import evaluate_uniform_node
-from antdsl.measures.evaluator import extend_table
+from antdsl.measures.evaluator import extend_table_for_ids
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_plans import JudgementPlan
 from antdsl.runtime.world import World
@@ -93,7 +93,7 @@ class JudgementLine:
         Sets `failure_reason` to the reason in words; "" if the condition alone is the reason."""
         self.failure_reason = ""
         if self.held_steps is not None:
-            self.count = extend_table(self.count, observation.ids, 0)
+            self.count = extend_table_for_ids(self.count, observation.ids, 0)
             self.count[observation.ids] = np.where(observation.condition_holds, self.count[observation.ids] + 1, 0)
             observation.condition_holds = self.count[observation.ids] > self.held_steps
         if observation.since_holds is not None:
@@ -146,7 +146,7 @@ def _judge_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
 
 def _judge_eventually(line: JudgementLine, observation: FrameObservation) -> AgentIds:
     """Return the ids of the agents that fail `eventually` or `within`. A `within` fails as soon as its time is over."""
-    line.is_fulfilled = extend_table(line.is_fulfilled, observation.ids, False)
+    line.is_fulfilled = extend_table_for_ids(line.is_fulfilled, observation.ids, False)
     line.is_fulfilled[observation.ids[observation.condition_holds | observation.is_released]] = True
     waiting = ~line.is_fulfilled[observation.ids]
     removed_ids = line._find_removed(observation, waiting)
@@ -175,8 +175,8 @@ def _update_since(line: JudgementLine, observation: FrameObservation) -> BoolArr
     values for the next frame."""
     assert observation.since_holds is not None
     line.previous_since, line.pending_since_frames = (
-        extend_table(line.previous_since, observation.ids, False),
-        extend_table(line.pending_since_frames, observation.ids, _NEVER_FRAME),
+        extend_table_for_ids(line.previous_since, observation.ids, False),
+        extend_table_for_ids(line.pending_since_frames, observation.ids, _NEVER_FRAME),
     )
     comes = observation.since_holds & ~line.previous_since[observation.ids]
     line.previous_since[observation.ids] = observation.since_holds

@@ -9,7 +9,7 @@ import pytest
 
 import antdsl.numerics.processor.host as available
 from antdsl.cli.exits import CommandError, ExitCode
-from antdsl.cli.memory_demand import estimate_work, require_memory
+from antdsl.cli.memory_demand import estimate_shot_work, require_available_memory
 from antdsl.pipeline import Shot, open_scene
 
 SCENES = {"species walker": ("count: 200", "count: 4000000"), "surface ground": ("count: 200", "count: 1")}
@@ -28,14 +28,14 @@ def shot_of(folder: Path, *change: str) -> Shot:
 @pytest.mark.parametrize("thing", SCENES)
 def test_the_largest_demand_is_named_with_its_location(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thing: str) -> None:
     shot = shot_of(tmp_path / "project", *SCENES[thing])
-    needed = sum(work.bytes for work in estimate_work(shot))
+    needed = sum(work.bytes for work in estimate_shot_work(shot))
     monkeypatch.setattr(available, "measure_available_memory", lambda: int(needed / 0.8) + 1)
-    require_memory([shot])
+    require_available_memory([shot])
     monkeypatch.setattr(available, "measure_available_memory", lambda: None)
-    require_memory([shot])
+    require_available_memory([shot])
     monkeypatch.setattr(available, "measure_available_memory", lambda: int(needed / 0.8) - 1)
     with pytest.raises(CommandError) as stop:
-        require_memory([shot])
+        require_available_memory([shot])
     assert stop.value.code == ExitCode.INPUT_OUTPUT and "--any-memory" in stop.value.hint
     place, _, words = stop.value.message.removeprefix("error: ").partition(": this needs at least ")
     assert place.rsplit(":", 2)[0].endswith("scene.yaml") and words.partition(": ")[2].startswith(thing)
@@ -43,14 +43,14 @@ def test_the_largest_demand_is_named_with_its_location(tmp_path: Path, monkeypat
 
 def test_memory_of_parallel_scenes_is_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shot = shot_of(tmp_path / "project", "", "")
-    needed = sum(work.bytes for work in estimate_work(shot))
+    needed = sum(work.bytes for work in estimate_shot_work(shot))
     monkeypatch.setattr(available, "measure_available_memory", lambda: int(needed / 0.8) + 1)
-    require_memory([shot, shot, shot], 1)
+    require_available_memory([shot, shot, shot], 1)
     with pytest.raises(CommandError):
-        require_memory([shot, shot, shot], 2)
-    require_memory([shot], 2)
+        require_available_memory([shot, shot, shot], 2)
+    require_available_memory([shot], 2)
     with pytest.raises(CommandError, match="at least") as stop:
-        require_memory([shot], 2, runs_per_shot=5)
+        require_available_memory([shot], 2, runs_per_shot=5)
     assert "--jobs" in stop.value.hint
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from explained import cached
 
-from antdsl.explain import CacheHistory, Replay, explain_agents, format_explanation, open_shot
+from antdsl.explain import CacheHistory, StepReplay, explain_agents, format_explanation, open_shot
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.plan.registers import name_slot_registers
 from antdsl.runtime import Options, bind, step
@@ -73,7 +73,7 @@ def test_frames_hold_values_per_pair_in_scene_units(cache: Cache) -> None:
 
 
 def test_explain_reports_changes_of_values_per_pair(cache: Cache) -> None:
-    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
+    replay = StepReplay(CacheHistory.from_cache(cache, open_shot(cache)))
     previous_pairs, next_pairs = pairs(cache, 5), pairs(cache, 6)
     (explanation,) = explain_agents(replay, 6, [("bug", 4)])
     assert explanation is not None

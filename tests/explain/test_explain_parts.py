@@ -18,11 +18,11 @@ from antdsl.explain import (
     CacheHistory,
     ExplainError,
     Explanation,
-    Replay,
-    as_json,
-    explain,
+    StepReplay,
+    explain_agent_in_cache,
     explain_agents,
     format_explanation,
+    make_json_document,
     open_shot,
 )
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
@@ -113,7 +113,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
 @pytest.fixture(scope="module")
 def bug_explanations(cache: Cache) -> list[Explanation]:
     """Every bug in every step."""
-    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
+    replay = StepReplay(CacheHistory.from_cache(cache, open_shot(cache)))
     results = [each for frame in range(2, LAST + 1) for each in explain_agents(replay, frame, [("bug", k) for k in range(12)])]
     return [each for each in results if each is not None]
 
@@ -173,7 +173,7 @@ def test_tracing_does_not_change_the_run(cache: Cache, bug_explanations: list[Ex
     assert len(bug_explanations) == 12 * (LAST - 1)
     assert all(each.hash == hashes[each.frame] for each in bug_explanations)
     contents = {path: path.read_bytes() for path in cache.folder.rglob("*") if path.is_file()}
-    explain(cache, 3, 30, species="bug")
+    explain_agent_in_cache(cache, 3, 30, species="bug")
     assert contents == {path: path.read_bytes() for path in cache.folder.rglob("*") if path.is_file()}
 
 
@@ -266,12 +266,12 @@ def test_explanations_include_others_items_and_changes(cache: Cache, bug_explana
 
 
 def test_every_step_from_birth_to_death_is_explained(cache: Cache) -> None:
-    last = explain(cache, 0, 15, species="fly")
+    last = explain_agent_in_cache(cache, 0, 15, species="fly")
     assert [stretch.state for stretch in last.strip] == ["young", "old"] or last.strip[-1].last >= 15
     died = next(frame for frame in range(2, LAST) if frame > (last.alive or (0, 0))[1])
-    end = explain(cache, 0, died, species="fly")
+    end = explain_agent_in_cache(cache, 0, died, species="fly")
     assert end.notes == (f"it died in this step, so frame {died} does not contain it",) and "die" in end.did
-    assert json.loads(json.dumps(as_json(end), allow_nan=False))["velocity"][1] is None
+    assert json.loads(json.dumps(make_json_document(end), allow_nan=False))["velocity"][1] is None
 
 
 def test_a_seed_and_values_given_to_the_run_are_known_from_the_cache(copy: Cache) -> None:
@@ -281,7 +281,7 @@ def test_a_seed_and_values_given_to_the_run_are_known_from_the_cache(copy: Cache
     resting = next(
         looked
         for k in range(12)
-        for looked in explain(new_cache, k, 22, species="bug").machines[0].looked
+        for looked in explain_agent_in_cache(new_cache, k, 22, species="bug").machines[0].looked
         if "chance brave" in looked.place.text and looked.condition is not None
     )
     bar = next(part.value for part in resting.condition.parts if part.role == "bar")
@@ -291,7 +291,7 @@ def test_a_seed_and_values_given_to_the_run_are_known_from_the_cache(copy: Cache
 
 def refused(cache: Cache, *words: object) -> ExplainError:
     with pytest.raises(ExplainError) as why:
-        explain(cache, *words[:2], species=words[2] if len(words) > 2 else None)  # type: ignore[arg-type]
+        explain_agent_in_cache(cache, *words[:2], species=words[2] if len(words) > 2 else None)  # type: ignore[arg-type]
     return why.value
 
 
@@ -335,11 +335,11 @@ def test_other_hash_versions_are_rejected(copy: Cache) -> None:
 
 def test_damaged_checkpoints_are_skipped_and_missing_ones_reported(copy: Cache) -> None:
     points = copy.checkpoints()
-    assert explain(copy, 1, 50, species="bug").checkpoint == 41
-    explanation_text = format_explanation(explain(copy, 1, 50, species="bug"))
+    assert explain_agent_in_cache(copy, 1, 50, species="bug").checkpoint == 41
+    explanation_text = format_explanation(explain_agent_in_cache(copy, 1, 50, species="bug"))
     path = copy.folder / "checkpoints" / "checkpoint.0041.npz"
     path.write_bytes(path.read_bytes()[:-40])
-    again = explain(copy, 1, 50, species="bug")
+    again = explain_agent_in_cache(copy, 1, 50, species="bug")
     assert again.checkpoint == 21 and format_explanation(again) == explanation_text
     for point in points:
         (copy.folder / "checkpoints" / f"checkpoint.{point:04d}.npz").unlink()
@@ -377,7 +377,7 @@ def test_json_has_the_same_content(cache: Cache, capsys: pytest.CaptureFixture[s
     )
     assert run_in_process() == 0
     document = json.loads(capsys.readouterr().out)
-    assert document == json.loads(json.dumps(as_json(explain(cache, 3, 30, species="bug"))))
+    assert document == json.loads(json.dumps(make_json_document(explain_agent_in_cache(cache, 3, 30, species="bug"))))
     assert document["format"] == 1 and document["machines"][0]["looked"][0]["place"]["line"] > 0
 
 
@@ -393,12 +393,12 @@ def test_the_scene_is_found_relative_to_the_cache(cache: Cache, tmp_path: Path, 
     for folder in (tmp_path / "moved" / "out", tmp_path / "elsewhere", tmp_path / "moved" / "shots", tmp_path):
         monkeypatch.chdir(folder)
         moved_cache = open_cache(Path(os.path.relpath(tmp_path / "moved" / "out" / "b")))
-        assert explain(moved_cache, 1, 10, species="bug").frame == 10
+        assert explain_agent_in_cache(moved_cache, 1, 10, species="bug").frame == 10
     shutil.rmtree(tmp_path / "moved" / "shots")
     (tmp_path / "moved" / "scene.yaml").unlink()
     refusal = refused(moved_cache, 1, 10, "bug")
     assert refusal.usage and "`../../shots/a/b/scene.yaml`" in str(refusal) and "--scene" in refusal.help
-    scene = explain(moved_cache, 1, 10, species="bug", scene=home / "scene.yaml")
+    scene = explain_agent_in_cache(moved_cache, 1, 10, species="bug", scene=home / "scene.yaml")
     assert scene.frame == 10
 
 

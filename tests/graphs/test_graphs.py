@@ -17,7 +17,7 @@ from children import child_environment
 from antdsl import graphs, pipeline
 from antdsl.cli import _run_without_warnings as run_in_process
 from antdsl.graphs.drawing import Drawing, TextLine, draw_charts
-from antdsl.graphs.layout import NAME_FONT_SIZE, WORD_FONT_SIZE, lay_out
+from antdsl.graphs.layout import NAME_FONT_SIZE, WORD_FONT_SIZE, lay_out_charts
 from antdsl.graphs.model import Chart, PlacedBox, PlacedChart
 from antdsl.graphs.png import MAX_PIXELS, render_png
 from antdsl.graphs.text_width import measure_text_width
@@ -58,7 +58,7 @@ species bug {
 def charts_of(path: Path) -> tuple[Chart, ...]:
     program, report = pipeline.check_path(path)
     assert program is not None and report.ok, report.errors
-    return graphs.charts(program)
+    return graphs.build_charts(program)
 
 
 @pytest.fixture(scope="module")
@@ -189,14 +189,14 @@ def crossed(chart: PlacedChart) -> int:
 
 @pytest.mark.parametrize("path", [FORAGER, ROOT / "examples" / "anthill" / "builder.ant"], ids=lambda p: p.stem)
 def test_charts_of_few_states_have_no_overlaps(path: Path) -> None:
-    (chart,), report = lay_out(charts_of(path))
+    (chart,), report = lay_out_charts(charts_of(path))
     assert report.ok
     assert_can_be_read(chart)
     assert crossed(chart) == 0
 
 
 def test_charts_of_twenty_five_states_have_few_overlaps() -> None:
-    (chart,), _ = lay_out(charts_of(COLONY))
+    (chart,), _ = lay_out_charts(charts_of(COLONY))
     assert sum(box.kind == "state" for box, _ in chart.boxes) == 25
     assert_can_be_read(chart)
     assert crossed(chart) <= 2
@@ -204,7 +204,7 @@ def test_charts_of_twenty_five_states_have_few_overlaps() -> None:
 
 
 def test_unusual_machines_are_drawn_in_rows(odd: tuple[Chart, ...]) -> None:
-    placed, _ = lay_out(odd)
+    placed, _ = lay_out_charts(odd)
     for chart in placed:
         assert_can_be_read(chart)
     drawing = draw_charts(placed)
@@ -216,7 +216,7 @@ def test_unusual_machines_are_drawn_in_rows(odd: tuple[Chart, ...]) -> None:
 def test_random_machines_have_readable_charts(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "bug.ant"
     path.write_text(machine(2 + 3 * seed, seed), encoding="utf-8")
-    (chart,), _ = lay_out(charts_of(path))
+    (chart,), _ = lay_out_charts(charts_of(path))
     assert_can_be_read(chart)
 
 
@@ -245,7 +245,7 @@ def test_png_shows_the_states_colours(odd: tuple[Chart, ...]) -> None:
     from PIL import Image
 
     image = Image.open(io.BytesIO(written(odd, "png"))).convert("RGB")
-    placed, _ = lay_out(odd)
+    placed, _ = lay_out_charts(odd)
     drawing = draw_charts(placed)
     assert image.width == round(drawing.width * 2) and abs(image.height - drawing.height * 2) <= 1
     colours = {colour for _, colour in image.getcolors(1 << 24) or []}
@@ -299,7 +299,7 @@ def read(text: str) -> str:
     return re.sub(r"#(\d+);", lambda m: chr(int(m[1])), text.replace("<br/>", "\n"))
 
 
-@pytest.mark.parametrize("format", list(graphs.FORMATS))
+@pytest.mark.parametrize("format", list(graphs.CHART_FORMATS))
 def test_the_same_program_gives_the_same_bytes_in_another_process_and_folder(
     odd_file: Path, odd: tuple[Chart, ...], tmp_path: Path, format: str
 ) -> None:

@@ -10,7 +10,7 @@ from commands import run
 from directed import Track, follow, open_directed, row_of, start
 from explained import cached
 
-from antdsl.explain import explain
+from antdsl.explain import explain_agent_in_cache
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, World, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.runtime.notes.target_findings import find_far_targets, report_missed_targets
@@ -319,6 +319,6 @@ def test_info_lists_the_notes_that_were_on(tmp_path: Path) -> None:
 def test_an_explanation_names_the_notes_that_direct_an_agent(tmp_path: Path) -> None:
     open_directed(tmp_path, "{hold: guards.3, frames: 10..20}", count=6, last=24)
     cache = cached(tmp_path / "scene.yaml", 24, tmp_path / "cache")
-    held, free, later = (explain(cache, agent, frame).notes for agent, frame in ((3, 15), (2, 15), (3, 8)))
+    held, free, later = (explain_agent_in_cache(cache, agent, frame).notes for agent, frame in ((3, 15), (2, 15), (3, 8)))
     assert held == ("the scene directs it by {hold: guards.3, frames: 10..20} in scene.yaml:16, with weight 1",) and free == ()
     assert "with weight 0." in later[0]

@@ -10,7 +10,7 @@ from explained import cached
 from meaning import play
 from test_specs import GROUND
 
-from antdsl.explain import CacheHistory, Replay, explain_agents, format_explanation, open_shot
+from antdsl.explain import CacheHistory, StepReplay, explain_agents, format_explanation, open_shot
 from antdsl.pipeline import open_scene
 from antdsl.runtime import FaultStop, Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.specs import RunContext, collect_cases, run_cases
@@ -95,7 +95,7 @@ def test_a_spec_sees_the_same_frame_and_time_as_the_animals(scene: Path, backend
 
 def test_explain_describes_the_requested_frame(scene: Path) -> None:
     cache = cached(scene, 20, scene.parent / "out")
-    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
+    replay = StepReplay(CacheHistory.from_cache(cache, open_shot(cache)))
     for frame, fires in ((11, False), (12, True)):
         (step_report,) = explain_agents(replay, frame, [("walker", 0)])
         assert step_report is not None

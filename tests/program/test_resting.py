@@ -12,7 +12,7 @@ from test_program import checked
 from test_specs import GROUND
 
 from antdsl.cli.commands.new import TEMPLATE_FILES, build_ground_ply, read_template_file
-from antdsl.explain import CacheHistory, Replay, explain, explain_agents, format_explanation, open_shot
+from antdsl.explain import CacheHistory, StepReplay, explain_agent_in_cache, explain_agents, format_explanation, open_shot
 from antdsl.pipeline import open_scene
 from antdsl.plan.lowering.source_map import RESTING_TEXT
 from antdsl.runtime import bind, step
@@ -113,10 +113,10 @@ def test_explain_says_why_it_stands_still(tmp_path: Path, rest: str, words: str)
     for name, content in (("a.ant", text), ("scene.yaml", scene), ("ground.ply", GROUND)):
         (tmp_path / name).write_text(content)
     cache = cached(tmp_path / "scene.yaml", 12, tmp_path / "out")
-    replay = Replay(CacheHistory.from_cache(cache, open_shot(cache)))
+    replay = StepReplay(CacheHistory.from_cache(cache, open_shot(cache)))
     (step_report,) = explain_agents(replay, 3, [("a", 0)])
     assert step_report is not None
-    words_of_strip = format_explanation(explain(cache, 0, 3)).splitlines()[3]
+    words_of_strip = format_explanation(explain_agent_in_cache(cache, 0, 3)).splitlines()[3]
     assert words_of_strip.startswith("  [rest 1..")  # and no name of a state stands before the first one's
     assert [steer.text for steer in step_report.steers] == [words if words == RESTING_TEXT else "steer coast()"]
     assert f"state: {step_report.steers[0].text}" in format_explanation(step_report)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SLOWEST_BACKEND = "reference"  # skipped unless named: it runs one agent at a time
 
 
-def bench(
+def run_bench_command(
     cases: list[str] = typer.Argument(None, metavar="[CASE…]", help="Cases of --list, or scenes. [default: a quick selection]"),
     agents: list[int] = typer.Option([], "--agents", metavar="N", min=1, help="Number of agents; may be given several times."),
     backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="Backend; several backends also show ratios."),

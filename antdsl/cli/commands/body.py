@@ -19,7 +19,7 @@ BODY_TARGETS = ("antdsl", "houdini")
 _PROPOSAL_RATE = 120.0  # samples per second; enough to measure the speeds of feet that stand for a few frames
 
 
-def body(
+def run_body_command(
     file: Path = typer.Argument(
         ..., help="A definition file (.json), a glTF file (.glb, .gltf), a USD file, or a word of the library: ant."
     ),

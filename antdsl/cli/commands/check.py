@@ -27,7 +27,7 @@ class ReportFormat(StrEnum):
     junit = "junit"
 
 
-def check(
+def run_check_command(
     paths: list[Path] = typer.Argument(
         None,
         help="Files (.ant, .yaml), folders, or patterns such as 'shots/**/*.ant'; - reads a program from standard input. "

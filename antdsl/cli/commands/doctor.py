@@ -23,7 +23,7 @@ OPTIONAL_PACKAGES = {
 }
 
 
-def doctor() -> None:
+def run_doctor_command() -> None:
     """Check that everything antdsl needs is installed."""
     problems: list[str] = []
     _check_python(problems)

@@ -19,7 +19,7 @@ _SceneAndRoots = tuple[Path | None, tuple[str, ...]]  # the scene, and the roots
 
 
 @report_failures("the edit stopped")
-def edit(
+def run_edit_command(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     edits: Path = typer.Option(
         None, "--edits", metavar="FILE", help="A file of edits. They replace those that the cache has; its frames stay unchanged."

@@ -10,7 +10,7 @@ from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors
 from antdsl.cli.printing.messages import print_result
 
 
-def explain(
+def run_explain_command(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     agent: str = typer.Option(..., "--agent", metavar="ID", help="The agent's id, or its name as in scenes: `guards.17`."),
     frame: int = typer.Option(..., "--frame", metavar="N", help="The frame after the step."),
@@ -22,8 +22,7 @@ def explain(
     """Explain an agent's decisions in a frame: transitions, the push of each layer, senses and random draws."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.printing.reports import exit_on_errors, print_report
-    from antdsl.explain import ExplainError, as_json, format_explanation
-    from antdsl.explain import explain as explained
+    from antdsl.explain import ExplainError, explain_agent_in_cache, format_explanation, make_json_document
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.chosen_agents import UnknownAgent, find_agent
@@ -38,7 +37,9 @@ def explain(
                 raise UnknownAgent(f"`{agent}` is of the species `{chosen.species}`", "leave out `--species`")
             name = chosen.species or species
             threads = count_available_cores()
-            explanation = explained(opened, chosen.id, frame, species=name, scene=scene, grants=grants, threads=threads)
+            explanation = explain_agent_in_cache(
+                opened, chosen.id, frame, species=name, scene=scene, grants=grants, threads=threads
+            )
     except UnknownAgent as error:
         raise typer.BadParameter(f"{error}: {error.help}", param_hint="--agent") from None
     except BindError as error:
@@ -53,6 +54,6 @@ def explain(
     if json:
         from json import dumps
 
-        print_result(dumps(as_json(explanation), indent=1, ensure_ascii=False, allow_nan=False))
+        print_result(dumps(make_json_document(explanation), indent=1, ensure_ascii=False, allow_nan=False))
         return
     print_result(format_explanation(explanation), newline=False)

@@ -50,7 +50,7 @@ def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset
 
 
 @report_failures("the export stopped")
-def export(
+def run_export_command(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     to: Path = typer.Option(
         ...,

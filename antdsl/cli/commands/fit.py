@@ -28,7 +28,7 @@ RESULT_FILE_NAMES = ("fit.txt", "fit.json", "points.csv")
 
 
 @report_failures("the fit stopped", "run the same command again")
-def fit(
+def run_fit_command(
     scenes: list[Path] = typer.Argument(..., metavar="SCENE…", help="Scenes with which the spec is run."),
     vary: list[str] = typer.Option(..., "--vary", metavar="NAME=A..B", help="A range of a param; may be repeated."),
     spec: str = typer.Option(..., "--to", metavar="SPEC", help="The name of the spec with the goals."),

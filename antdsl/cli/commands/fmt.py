@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from antdsl.diagnostics import Report
 
 
-def fmt(
+def run_fmt_command(
     paths: list[Path] = typer.Argument(
         None, help="Files (.ant), folders or patterns; - reads standard input and writes to standard output."
     ),

@@ -26,7 +26,7 @@ class GraphFormat(StrEnum):
     dot = "dot"
 
 
-def graph(
+def run_graph_command(
     file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
     format: GraphFormat = typer.Option(None, "--format", help="Format. [default: by the ending of --out, else svg]"),
     out: Path = typer.Option(None, "--out", metavar="FILE", help="Output file; `-` prints it. [default: FILE.svg here]"),
@@ -39,7 +39,7 @@ def graph(
     from antdsl.cli.printing.reports import exit_on_errors
 
     chosen = _choose_format(format, out)
-    target = out or choose_default_path(Path(), file.stem + graphs.FORMATS[chosen][0][0])
+    target = out or choose_default_path(Path(), file.stem + graphs.CHART_FORMATS[chosen][0][0])
     require_writable_file(target, "--out")
     with protect_inputs({"--out": target}) as inputs:
         inputs.append(file)
@@ -47,7 +47,7 @@ def graph(
     exit_on_errors(report)
     if program is None:
         raise CommandError(ExitCode.FINDINGS)
-    charts = _select_charts(graphs.charts(program), only)
+    charts = _select_charts(graphs.build_charts(program), only)
     if not charts:
         words = f"error: `{file}` has no species with states"
         raise CommandError(ExitCode.FINDINGS, words, "`antdsl graph` draws states and transitions")
@@ -61,16 +61,16 @@ def graph(
 
 def _choose_format(format: GraphFormat | None, target: Path | None) -> str:
     """Return the requested format, or else the format of the file's suffix, or else the default."""
-    from antdsl.graphs import FORMATS
+    from antdsl.graphs import CHART_FORMATS
 
     if format is not None:
         return format.value
     if target is None or is_standard_output(target):
-        return next(iter(FORMATS))
-    for name, (endings, _) in FORMATS.items():
+        return next(iter(CHART_FORMATS))
+    for name, (endings, _) in CHART_FORMATS.items():
         if target.suffix.lower() in endings:
             return name
-    all_endings = ", ".join(ending for endings, _ in FORMATS.values() for ending in endings)
+    all_endings = ", ".join(ending for endings, _ in CHART_FORMATS.values() for ending in endings)
     raise typer.BadParameter(f"`{target}` has no known ending ({all_endings}): add `--format`", param_hint="--out")
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from antdsl.outputs.cache.manifest import MeshEntry
 
 
-def info(
+def run_info_command(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     verify: bool = typer.Option(False, "--verify", help="Read all files, and compare them with their hashes."),
 ) -> None:

@@ -17,7 +17,7 @@ from antdsl.cli.printing.messages import print_note
 if TYPE_CHECKING:
     from antdsl.farm import FarmJob
 
-OPEN_TEMPLATE_SUFFIXES, LINE_SUFFIXES = (".yaml", ".yml", ".json"), (".jsonl",)
+TEMPLATE_FILE_SUFFIXES, JSON_LINES_SUFFIXES = (".yaml", ".yml", ".json"), (".jsonl",)
 # Options of `antdsl render` that a job writes itself, and the alternatives.
 RESERVED_RENDER_OPTIONS = {
     "frames": "use the option of the job: `antdsl jobs … --frames A..B`",
@@ -30,7 +30,7 @@ RESERVED_RENDER_OPTIONS = {
 }
 
 
-def jobs(
+def run_jobs_command(
     scene: Path = typer.Argument(..., help="A scene.yaml."),
     to: Path = typer.Option(
         ...,
@@ -61,9 +61,9 @@ def jobs(
     from antdsl.pipeline import RunChoices, open_scene
 
     require_scene(scene)
-    if to.suffix not in (*OPEN_TEMPLATE_SUFFIXES, *LINE_SUFFIXES):
+    if to.suffix not in (*TEMPLATE_FILE_SUFFIXES, *JSON_LINES_SUFFIXES):
         raise typer.BadParameter(
-            f"`{to.name}` is none of {', '.join((*OPEN_TEMPLATE_SUFFIXES, *LINE_SUFFIXES))}", param_hint="--to"
+            f"`{to.name}` is none of {', '.join((*TEMPLATE_FILE_SUFFIXES, *JSON_LINES_SUFFIXES))}", param_hint="--to"
         )
     require_writable_file(to, "--to")
     look = _parse_render_words(render)
@@ -89,7 +89,7 @@ def jobs(
         makes_film=film,
     )
     job = build_shot_job(shot, scene.resolve().stem)
-    if to.suffix in LINE_SUFFIXES:
+    if to.suffix in JSON_LINES_SUFFIXES:
         write_result(to, format_json_lines(job).encode(), sys.stdout)
     else:
         _require_template(job, shot.frame_step, opened.frames.last - opened.frames.first + 1)
@@ -100,13 +100,13 @@ def jobs(
 
 def _parse_render_words(text: str) -> tuple[str, ...]:
     """Return the words of `--render` as extra arguments of `antdsl render`. That command has checked them."""
-    from antdsl.cli.commands.render import render
+    from antdsl.cli.commands.render import run_render_command
 
     # depending on its version, typer has click as a dependency or a part of it
     wrong_use: tuple[type[BaseException], ...] = typer.BadParameter.__bases__
     advice = "`antdsl render --help` lists its options"
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-    app.command()(render)
+    app.command()(run_render_command)
     try:
         words = tuple(shlex.split(text))
         context = typer.main.get_command(app).make_context("render", ["CACHE", *words])
@@ -151,7 +151,7 @@ def _print_summary(job: FarmJob, target: Path) -> None:
 
     counts = [f"{step.name} ({len(step.chunk_ranges)} tasks)" if step.chunk_ranges else step.name for step in job.steps]
     print_note(f"{target}: {', '.join(counts)}")
-    missing = find_external_paths(job, target.resolve().parent) if target.suffix in OPEN_TEMPLATE_SUFFIXES else []
+    missing = find_external_paths(job, target.resolve().parent) if target.suffix in TEMPLATE_FILE_SUFFIXES else []
     if missing:
         print_note("these are not below it, so name them when you submit the job:")
         for place in missing:

@@ -44,7 +44,7 @@ def read_template_file(name: str, title: str = "Walkers", program: str = "walker
     return text
 
 
-def new(
+def run_new_command(
     folder: Path = typer.Argument(..., metavar="DIR", help="A new or empty folder."),
     template: str = typer.Option(
         DEFAULT_TEMPLATE, "--template", metavar="NAME", help=f"{', '.join((DEFAULT_TEMPLATE, *EXAMPLE_BY_TEMPLATE))}."
@@ -73,7 +73,7 @@ def new(
     print_note(f"{folder / 'README.md'} explains more; a GitHub workflow and pre-commit hooks are included")
 
 
-def examples(
+def run_examples_command(
     name: str | None = typer.Argument(None, metavar="NAME", help="An example to copy; without it, all are listed."),
     folder: Path | None = typer.Argument(None, metavar="DIR", help="A new or empty folder. [default: NAME]"),
 ) -> None:

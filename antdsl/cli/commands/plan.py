@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from antdsl.scene.setting import WorldSetting
 
 
-def plan(
+def run_plan_command(
     file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
     raw: bool = typer.Option(False, "--raw", help="Print the plan before optimisation."),
     native: bool = typer.Option(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from antdsl.preview.serving.addresses import ListeningSockets
 
 
-def preview(
+def run_preview_command(
     scene: Path = typer.Argument(..., help="A scene.yaml."),
     port: int = typer.Option(
         None, "--port", min=0, max=65535, help="Port to listen on; 0: any free port. [default: 8765, or the next free port]"

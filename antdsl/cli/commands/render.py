@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from antdsl.outputs.drawing import DrawRequest, StillStore
     from antdsl.outputs.gallery import Gallery
 
-SHEET_PICTURES = 9  # pictures on a contact sheet if no frames are named
+PICTURES_PER_SHEET = 9  # pictures on a contact sheet if no frames are named
 MAX_PICTURES = 100
 
 
@@ -50,7 +50,7 @@ class LegendPlacement(StrEnum):
 
 
 @report_failures("drawing stopped", "run the same command with `--resume` to draw the others")
-def render(
+def run_render_command(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frames to draw. [default: the last; with --film, all]"),
     every: int = typer.Option(None, "--every", min=1, metavar="N", help="Draw only every Nth frame."),
@@ -236,7 +236,7 @@ def _choose_frames(gallery: Gallery, frame_range: Any, frame_step: int | None, s
         words = f"error: {len(cache_frames)} pictures do not fit on a sheet"
         raise CommandError(ExitCode.USAGE, words, f"use a larger `--every`, for at most {MAX_PICTURES} pictures")
     if sheet and not film:
-        steps = min(SHEET_PICTURES, len(cache_frames))
+        steps = min(PICTURES_PER_SHEET, len(cache_frames))
         return sorted({cache_frames[round(k * (len(cache_frames) - 1) / max(steps - 1, 1))] for k in range(steps)})
     return cache_frames if frame_range is not None or film else cache_frames[-1:]
 

@@ -20,7 +20,7 @@ from antdsl.cli.destinations import (
     write_result,
 )
 from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors, report_failures
-from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_memory
+from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_available_memory
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import NO_TLS_OPTION, SCHEDULER_OPTION, TLS_OPTION, require_scheduler
 from antdsl.cli.shots import run_shots
@@ -47,7 +47,7 @@ class FaultReaction(StrEnum):
     quarantine = "quarantine"
 
 
-def run(
+def run_run_command(
     scenes: list[Path] = typer.Argument(
         ..., metavar="SCENE…", help="A scene (.yaml); several scenes run in parallel, each independently."
     ),
@@ -128,7 +128,7 @@ def run(
     if shot is None:
         raise CommandError(ExitCode.FINDINGS)
     if not any_memory:
-        require_memory([shot])
+        require_available_memory([shot])
     from antdsl.runtime import Options
 
     options = Options(

@@ -14,7 +14,7 @@ from antdsl.atomic_write import write_atomically
 from antdsl.cli.arguments import UNTIL_OPTION
 from antdsl.cli.destinations import choose_default_path, protect_inputs, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
-from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_memory
+from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_available_memory
 from antdsl.cli.printing.messages import print_note, treat_output_as_notes
 from antdsl.cli.scheduler import (
     NO_TLS_OPTION,
@@ -60,7 +60,7 @@ class DesignName(StrEnum):
 
 
 @report_failures("the sweep stopped", "run the same command again, or add `--resume`, to complete the remaining runs")
-def sweep(
+def run_sweep_command(
     context: typer.Context,
     scenes: list[Path] = typer.Argument(None, metavar="SCENE…", help="Scenes; the table has one line per scene."),
     vary: list[str] = typer.Option(
@@ -174,7 +174,7 @@ def sweep(
     processes = min(jobs or count_available_cores(), max(todo, 1))
     threads = max(1, count_available_cores() // processes)
     if todo and not any_memory and not scheduler:  # machines of a cluster have their own memory
-        require_memory(open_scene_shots(study, request), processes, len(runs))
+        require_available_memory(open_scene_shots(study, request), processes, len(runs))
     failed_outcomes: list[JobOutcome] = []
     files = [path for path in read if path.is_file()]
     where = open_engine((scheduler, tls, no_tls), processes, threads, files)

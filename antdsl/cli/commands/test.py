@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from antdsl.specs import SpecCase, SpecRun
 
 
-def test(
+def run_test_command(
     paths: list[Path] = typer.Argument(..., help="Programs (.ant), scenes (.yaml), or folders to search."),
     name_filter: str = typer.Option("", "-k", metavar="NAME", help="Only specs with this in their name."),
     seeds: int = typer.Option(None, "--seeds", metavar="N", min=1, max=1000, help="Run each spec with seeds 1 to N."),

@@ -194,9 +194,9 @@ def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[
 
 def format_work_table(file: Path, shot: Shot) -> Iterator[str]:
     """Yield the allocations of a scene's world and crowd: counts and bytes, estimated before anything is allocated."""
-    from antdsl.cli.memory_demand import estimate_work, format_bytes
+    from antdsl.cli.memory_demand import estimate_shot_work, format_bytes
 
-    works = estimate_work(shot)
+    works = estimate_shot_work(shot)
     yield f"{file}: at least {format_bytes(sum(work.bytes for work in works))} for the world and its crowd"
     rows = [(work.thing, f"{work.part_count:,} {work.unit_name}", format_bytes(work.bytes)) for work in works]
     yield from _align_rows([("thing", "work", "memory"), *rows])

@@ -27,7 +27,7 @@ def find_colours(document: OpenDocument) -> Iterator[ColourName]:
                 yield ColourName(node.colour.span, rgb)
 
 
-def find_near_colour_names(rgb: RgbTriple, count: int = 5) -> list[str]:
+def find_nearest_colour_names(rgb: RgbTriple, count: int = 5) -> list[str]:
     """Return the names of the colours nearest to sRGB values 0..255, nearest first."""
 
     def squared_distance(name: str) -> int:

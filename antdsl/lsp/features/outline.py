@@ -136,7 +136,7 @@ class FoldedRange:
     is_comment: bool = False
 
 
-def find_folds(document: OpenDocument) -> list[FoldedRange]:
+def find_folding_ranges(document: OpenDocument) -> list[FoldedRange]:
     """Return the foldable ranges: brackets over several lines and runs of comments in a program, or values below keys in a
     scene."""
     if not document.is_program:

@@ -11,7 +11,7 @@ from antdsl.lsp.word_help import find_help_text, format_builtin, format_signatur
 from antdsl.lsp.workspace import OpenDocument, Workspace
 from antdsl.program.tables import vocabulary
 
-_OPENING, _CLOSING = "([{", ")]}"
+_OPENING_BRACKETS, _CLOSING_BRACKETS = "([{", ")]}"
 
 
 class Signature(NamedTuple):
@@ -59,9 +59,9 @@ def _split_arguments(text: str) -> list[str]:
     """Return the parts of a text between commas that no bracket encloses."""
     parts, depth, begin = [], 0, 0
     for offset, character in enumerate(text):
-        if character in _OPENING:
+        if character in _OPENING_BRACKETS:
             depth += 1
-        elif character in _CLOSING:
+        elif character in _CLOSING_BRACKETS:
             depth -= 1
         elif character == "," and depth == 0:
             parts.append(text[begin:offset].strip())

@@ -15,11 +15,11 @@ from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.explain import (
     ExplainError,
     LocatedExplanation,
-    Replay,
-    as_json,
+    StepReplay,
     explain_agents_with_positions,
     format_explanation,
     make_absence_error,
+    make_json_document,
     merge_state_frames,
 )
 from antdsl.explain.model import StateInterval as StateStretch
@@ -81,7 +81,7 @@ class Explainer:
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self._cached_replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], Replay]] = []
+        self._cached_replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], StepReplay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
         """Return an explanation for each agent (species, id) of its decisions in the step to a frame, with its states over time.
@@ -112,13 +112,13 @@ class Explainer:
         if account is None:
             return reply | {"explanation": None, "told": "", "place": None, "neighbours": []}
         return reply | {
-            "explanation": _rename_files(as_json(account.explanation), name_file),
+            "explanation": _rename_files(make_json_document(account.explanation), name_file),
             "told": format_explanation(account.explanation),
             "place": list(account.position),
             "neighbours": [list(place) for place in account.neighbour_positions],
         }
 
-    def _find_replay(self, frame: int) -> Replay:
+    def _find_replay(self, frame: int) -> StepReplay:
         """Return the replay for the step to a frame. It belongs to the stretch in which the step began."""
         first, head = self.session.first_frame, self.session.last_frame
         if frame == first:
@@ -132,7 +132,7 @@ class Explainer:
         for known, changes, replay in self._cached_replays:
             if known is stretch and changes == key:
                 return replay
-        replay = Replay(StretchHistory(self.session, stretch))
+        replay = StepReplay(StretchHistory(self.session, stretch))
         self._cached_replays = [stored for stored in self._cached_replays if stored[0] is not stretch][1 - _CACHED_STRETCHES :]
         self._cached_replays.append((stretch, key, replay))
         return replay

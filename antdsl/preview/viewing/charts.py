@@ -19,14 +19,14 @@ class ChartMessages:
 
     def is_laid_out(self, program: Program) -> bool:
         """Return whether the existing layouts cover the charts of a program."""
-        return all(_remove_positions(chart) in self._layout_by_chart for chart in graphs.charts(program))
+        return all(_remove_positions(chart) in self._layout_by_chart for chart in graphs.build_charts(program))
 
     def list_charts(self, program: Program) -> list[dict[str, Any]]:
         """Return one message per state machine of a program. Layouts that do not exist yet are computed."""
         machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
-        charts = graphs.charts(program)
+        charts = graphs.build_charts(program)
         missing = [plain for chart in charts if (plain := _remove_positions(chart)) not in self._layout_by_chart]
-        placed, report = graphs.lay_out(list(dict.fromkeys(missing)))
+        placed, report = graphs.lay_out_charts(list(dict.fromkeys(missing)))
         if not report.ok:
             self.missing_package = f"{report.errors[0].message}: {report.errors[0].help}"
             return []

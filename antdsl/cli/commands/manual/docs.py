@@ -21,7 +21,7 @@ FIRST_PAGE = "docs/index.html"
 _PACKAGES = ("sphinx", "myst_parser", "furo")
 
 
-def docs(
+def run_docs_command(
     to: Path = typer.Option(None, "--to", metavar="DIR", help="Build the site in this new or empty folder, and do not open it."),
     no_open: bool = typer.Option(False, "--no-open", help="Print the path of the first page without opening a browser."),
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from antdsl.cli.exits import CommandError, ExitCode
 
 
-def lsp() -> None:
+def run_lsp_command() -> None:
     """Answer an editor over standard input and output (language server protocol). Needs the extra [lsp]."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.packages import check_extra

@@ -10,7 +10,7 @@ from antdsl.cli.arguments import parse_grants
 from antdsl.cli.exits import CommandError, ExitCode
 
 
-def mcp(
+def run_mcp_command(
     root: list[str] = typer.Option(
         ...,
         "--root",
