@@ -85,7 +85,7 @@ def check_files(
 def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_seconds: float = 0.0) -> CheckResult:
     """Check one program that does not come from a file. Its imports are resolved from the working directory."""
     path, parsed, result = Path("<stdin>.ant"), SharedParsedFiles(), CheckResult(cpu_seconds=cpu_seconds)
-    source, report = syntax.read_bytes("<stdin>", data)
+    source, report = syntax.decode_program("<stdin>", data)
     if source is None:
         result.reports[path] = report
         return result

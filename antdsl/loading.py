@@ -139,7 +139,7 @@ class LoadedSources:
             file, report = self.parse_cache[place]
         else:
             try:
-                source, report = syntax.read(path, None if origin is None else origin[0].open_file(origin[1]))
+                source, report = syntax.read_program_file(path, None if origin is None else origin[0].open_file(origin[1]))
             except PathRefused as error:  # it has changed since it was looked for
                 self.report.error(error.code, str(error), span, error.help)
                 return None

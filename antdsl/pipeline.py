@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from antdsl.plan.lowering.spec_plans import MeasuresPlan, SpecPlan
     from antdsl.plan.lowering.writer import BodyProportions
     from antdsl.program.expectations import SpecChange
-    from antdsl.program.memo import CheckMemo
+    from antdsl.program.memo import CheckResultCache
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
     from antdsl.scene import Scene
@@ -84,7 +84,11 @@ class Shot:
 
 
 def compile_files(
-    paths: Iterable[Path | str], *, strict: bool = False, parsed: ParsedFileCache | None = None, memo: CheckMemo | None = None
+    paths: Iterable[Path | str],
+    *,
+    strict: bool = False,
+    parsed: ParsedFileCache | None = None,
+    memo: CheckResultCache | None = None,
 ) -> tuple[Program | None, Report]:
     """Parse and check programs together, with the library and all files that they use.
 
@@ -98,7 +102,9 @@ def compile_files(
     return _check_loaded_sources(loaded, strict, memo)
 
 
-def _check_loaded_sources(loaded: LoadedSources, strict: bool, memo: CheckMemo | None = None) -> tuple[Program | None, Report]:
+def _check_loaded_sources(
+    loaded: LoadedSources, strict: bool, memo: CheckResultCache | None = None
+) -> tuple[Program | None, Report]:
     """Check loaded files as one program. `strict`: as in `compile_files`."""
     from antdsl.program import check
 
@@ -185,7 +191,7 @@ def open_scene(
     sensed_cameras = setting.cameras if scene.model.notes else program.list_things_of_kind("camera")  # notes select by any
     inputs |= {f"camera {name}": scene.hash_camera(name) for name in sensed_cameras}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
-    final_plan = lowered if raw else passes.optimise(lowered, thorough=thorough)
+    final_plan = lowered if raw else passes.optimise_plan(lowered, thorough=thorough)
     measures, until, findings = lower_scene_measures(scene, program, loaded, final_plan)
     report.extend(findings)
     if not report.ok:

@@ -33,10 +33,10 @@ def first(name: str) -> Any:
 VERBS = first("antdsl.syntax.verbs")
 VERBS.VERB_BY_WORD["scratch"] = VERBS.Verb("scratch", "arguments", "scratch ground(depth: 1 mm)", "the name of a surface")
 
-from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect  # noqa: E402
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, EffectRow  # noqa: E402
 from antdsl.program.tables.rows import ArgumentRow, UseCost  # noqa: E402
 
-EFFECT_BY_OPERATION["scratch"] = Effect(
+EFFECT_BY_OPERATION["scratch"] = EffectRow(
     "scratch",
     "surface",
     (
@@ -62,7 +62,7 @@ from antdsl.lsp.features.completion import complete_program  # noqa: E402
 from antdsl.lsp.features.tokens import list_keywords  # noqa: E402
 from antdsl.lsp.word_help import explain_word  # noqa: E402
 from antdsl.lsp.workspace import Workspace  # noqa: E402
-from antdsl.plan.show import show  # noqa: E402
+from antdsl.plan.show import format_plan  # noqa: E402
 from antdsl.program import check  # noqa: E402
 from antdsl.program.cost import estimate_costs  # noqa: E402
 from antdsl.runtime import Options, bind, phases, step  # noqa: E402
@@ -161,10 +161,10 @@ def main() -> None:
     species = shot.program.species["ant"]
     loose = PROGRAM.replace("ground(3 mm, width: 4 mm", "ground( 3 mm ,width:4 mm")
     labels = {
-        "plan": show(shot.plan),
+        "plan": format_plan(shot.plan),
         "dust": dust,
         "did": [explain_agent_in_cache(cache, 0, frame).did for frame in (2, 5, 6)],
-        "costs": [use.description for part in estimate_costs(shot.program, species) for use in part.uses],
+        "costs": [use.description for part in estimate_costs(shot.program, species) for use in part.cost_entries],
         "complaints": {line: complaints(line) for line in LINES}
         | {"misplaced": complaints("die }\n  scratch ground(depth: 1 mm)\n  on collision(other) { die")},
         "formatted": format(Source("ant.ant", loose))[0] == PROGRAM,

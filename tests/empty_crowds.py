@@ -19,7 +19,7 @@ from meaning import crowd
 from plan_text import plan_of
 from test_program import checked
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.plan import ir
 from antdsl.program.tables import senses
 from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
@@ -234,7 +234,7 @@ def plan(size: Size = "all") -> ir.Plan:
     lines += [f"{name} = {text}" for name, (*_, text) in zip(names, reduced(every), strict=True)]
     body = _TEXT.replace(_LAYERS, "state") if size == "sets" else _TEXT
     text = body.format(endless=int(ENDLESS), attributes="; ".join(f"{name} = 5" for name in names), lines="\n    ".join(lines))
-    return optimise(plan_of(text, WORLD))
+    return optimise_plan(plan_of(text, WORLD))
 
 
 KINDS = tuple(kind for kind in random_extremes.Extremes.KINDS if kind != "loose")  # the program names a surface

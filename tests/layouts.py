@@ -13,7 +13,7 @@ from antdsl.diagnostics.model import Report
 from antdsl.source import Source
 from antdsl.syntax.blocks import SourceLine, cut_lines
 from antdsl.syntax.brackets import pair_brackets
-from antdsl.syntax.scan import ScannedToken, TokenScan, scan
+from antdsl.syntax.scan import ScannedToken, TokenScan, scan_tokens
 from antdsl.syntax.words import BODY_RULE_BY_LINE
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,7 +22,7 @@ FILES = sorted(path for folder in _FOLDERS for path in (ROOT / folder).rglob("*.
 
 
 def scanned(text: str) -> tuple[TokenScan, list[ScannedToken]]:
-    scan_result = scan(Source("t.ant", text), Report())
+    scan_result = scan_tokens(Source("t.ant", text), Report())
     tokens = pair_brackets(scan_result)
     assert tokens is not None
     return scan_result, tokens

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from plan_text import WORLD, plan_of
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.plan import ir
 from antdsl.runtime import CrowdData, ItemData, Options, PlacementData, World, WorldSetting, bind, state_hash, step
 
@@ -100,6 +100,6 @@ def play(
     orders: Mapping[str, Sequence[str]] | None = None, **setting_arguments: Any,
 ) -> RunHistory:  # fmt: skip
     """Run a program on the endless plane, ten frames a second, by default with one agent of the species `a`."""
-    plan = optimise(plan_of(text, world, **({} if orders is None else {"orders": orders})))
+    plan = optimise_plan(plan_of(text, world, **({} if orders is None else {"orders": orders})))
     setting = WorldSetting(fps=Fraction(fps), crowds=crowds or (crowd(),), **setting_arguments)
     return played(plan, setting, steps, species, option_sets, each)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.loading import find_library
-from antdsl.plan import ir, lower, verify
+from antdsl.plan import ir, lower, verify_plan
 from antdsl.program import check
 from antdsl.program.model import Program
 from antdsl.source import Source
@@ -32,7 +32,7 @@ def program_of(text: str, world: str = WORLD) -> Program:
 
 def lowered(text: str, world: str = WORLD, **options: object) -> tuple[ir.Plan, Report]:
     plan, report = lower(program_of(text, world), **options)  # type: ignore[arg-type]
-    verify(plan)
+    verify_plan(plan)
     return plan, report
 
 

@@ -16,8 +16,8 @@ import random_sensing
 from meaning import crowd, item
 from plan_text import program_of
 
-from antdsl.passes import optimise
-from antdsl.plan import ir, lower, verify
+from antdsl.passes import optimise_plan
+from antdsl.plan import ir, lower, verify_plan
 from antdsl.plan.traverse import iterate_statements, list_blocks
 from antdsl.program import typed
 from antdsl.program.model import Program
@@ -197,8 +197,8 @@ def plan_and_program(extremes: Extremes) -> tuple[ir.Plan, Program]:
     """The program as checked, and its plan."""
     program = program_of(extremes.text, WORLD)
     plan, _ = lower(program)
-    verify(plan)
-    return optimise(plan), program
+    verify_plan(plan)
+    return optimise_plan(plan), program
 
 
 def setting(extremes: Extremes, agents: int = 21) -> WorldSetting:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from antdsl.api.errors import AntdslError
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.plan.ir import ValueKind
-from antdsl.program.tables.vocabulary import explain_range, is_limit
+from antdsl.program.tables.vocabulary import explain_range, is_limit_attribute
 from antdsl.runtime.world import AXES
 
 if TYPE_CHECKING:
@@ -173,7 +173,7 @@ class Crowd:
             raise AntdslError(f"`{name}` needs numbers of the shape {shape}", f"there are {len(population)} agents") from None
         with np.errstate(over="ignore"):
             columns = columns.astype(np.float32)
-        if not (np.isfinite(columns) | (is_limit(name) & (columns == np.inf))).all():
+        if not (np.isfinite(columns) | (is_limit_attribute(name) & (columns == np.inf))).all():
             raise AntdslError(f"`{name}` needs finite numbers")
         for extreme in (columns.min(), columns.max()) if columns.size else ():
             if (advice := explain_range(name, float(extreme))) is not None:

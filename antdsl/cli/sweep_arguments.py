@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from antdsl.pipeline import Shot
     from antdsl.sweeps import SweepJob
     from antdsl.sweeps.stopping import WidthGoal
-    from antdsl.sweeps.study import Study, SweepRequest
+    from antdsl.sweeps.study import SweepRequest, SweepStudy
 
 
 def reject_missing_scene() -> list[str]:
@@ -43,7 +43,7 @@ def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
     """Return the request of the earlier sweep in a folder.
 
     Raises BadParameter if further options that define the runs are given, CommandError if the folder has no sweep."""
-    from antdsl.sweeps.study import NoStoredSweep, read_request
+    from antdsl.sweeps.study import NoStoredSweepError, read_request
 
     for name, words in _STUDY_OPTIONS.items():
         source = context.get_parameter_source(name)
@@ -53,17 +53,17 @@ def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
         raise typer.BadParameter("name the sweep to continue: `--resume --out DIR`", param_hint="--resume")
     try:
         return read_request(folder)
-    except NoStoredSweep as error:
+    except NoStoredSweepError as error:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "start one: `antdsl sweep SCENE… --out DIR`") from None
 
 
-def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
+def build_study(request: SweepRequest) -> tuple[SweepStudy, list[SweepJob], Report]:
     """Return the study of a request, all its runs, and a report. Wrong arguments end the command with a usage error."""
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs
     from antdsl.sweeps import build_jobs, make_variations
     from antdsl.sweeps.designs import choose_design
     from antdsl.sweeps.factors import build_end_points, parse_factors
-    from antdsl.sweeps.study import Study
+    from antdsl.sweeps.study import SweepStudy
 
     scenes = [Path(scene) for scene in dict.fromkeys(request.scenes)]
     for scene in scenes:
@@ -84,14 +84,14 @@ def build_study(request: SweepRequest) -> tuple[Study, list[SweepJob], Report]:
         make_variations(scenes, build_end_points(sweep_factors) or [{}]), (), **job_options
     )  # each end once, not once for each point beyond it
     if not report.ok:
-        return Study(chosen, (), ()), [], report
+        return SweepStudy(chosen, (), ()), [], report
     run = make_variations(scenes, chosen.unique_points)
     runs, findings = build_jobs(run, numbers, **job_options)
     report.extend(findings)
-    return Study(chosen, tuple(scenes), tuple(run)), runs, report
+    return SweepStudy(chosen, tuple(scenes), tuple(run)), runs, report
 
 
-def open_scene_shots(study: Study, request: SweepRequest) -> list[Shot]:
+def open_scene_shots(study: SweepStudy, request: SweepRequest) -> list[Shot]:
     """Return the shot of each scene of a sweep, opened with the scene's own values. All runs of a scene have the same things,
     with other values."""
     from antdsl.cli.arguments import parse_grants

@@ -14,7 +14,7 @@ from antdsl.plan.ir import Register
 from antdsl.plan.registers import find_pair_values
 from antdsl.program.model import Dimension, Species, TypeKind, ValueType
 from antdsl.program.tables.columns import REGISTER_COLUMN_BY_NAME
-from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect, fill_template
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, EffectRow, fill_template
 from antdsl.program.tables.units import choose_default_unit
 from antdsl.runtime.requests import EffectRequests, RequestEntry
 from antdsl.runtime.world import AXES, Population, World
@@ -148,7 +148,7 @@ def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _describe_request(row: Effect, entry: RequestEntry) -> str:
+def _describe_request(row: EffectRow, entry: RequestEntry) -> str:
     """Return one request in the words of its row; empty if it has no effect."""
     if row.hides_zero_in_trace and not float(entry.get_required_operand(0)[0]):
         return ""

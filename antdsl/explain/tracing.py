@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.plan import ir
-from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, PartNote, SourceNotes
+from antdsl.plan.lowering.source_map import ChangeNote, ExpressionNote, LayerNote, SourceNotes
 from antdsl.plan.registers import number_statements
 from antdsl.program.tables.senses import SENSE_BY_OPERATION
 from antdsl.runtime.backends.reference import STEP_BLOCKS, AgentRun, SetMember, apply_claims
@@ -138,7 +138,7 @@ def trace_agent(
         return TracedAgent(world, population, plan, row, now, notes, replacement_by_node).run_step_blocks()
 
 
-def list_part_nodes(note: PartNote | None) -> list[ir.PlanNode]:
+def list_part_nodes(note: ExpressionNote | None) -> list[ir.PlanNode]:
     """Return all nodes of a noted part."""
     if note is None:
         return []

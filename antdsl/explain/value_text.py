@@ -9,7 +9,7 @@ import numpy as np
 
 from antdsl.explain.model import ExpressionPart, FloatTriple, PlainValue, SourceLocation, TimerReading
 from antdsl.plan.ir import PlanNode
-from antdsl.plan.lowering.source_map import PartNote, TimerNote
+from antdsl.plan.lowering.source_map import ExpressionNote, TimerNote
 from antdsl.program.model import TypeKind, ValueType
 from antdsl.program.tables.units import find_unit_measure
 from antdsl.runtime.world import World
@@ -36,7 +36,7 @@ def to_float_triple(parts: Any) -> FloatTriple:
     return x, y, z
 
 
-def build_condition_part(world: World, note: PartNote | None, values: NodeValues) -> ExpressionPart | None:
+def build_condition_part(world: World, note: ExpressionNote | None, values: NodeValues) -> ExpressionPart | None:
     """Return a noted part with its value."""
     if note is None or any(node not in values for node in note.nodes):
         return None

@@ -1,6 +1,6 @@
 """Draws state machines: Program → charts → SVG, PNG, Mermaid or DOT. A layout is made only for SVG and PNG.
 
-`build_charts(program)`, `lay_out_charts(charts)` and the values of `model` are for callers that draw in other formats, or live."""
+`build_charts(program)`, `lay_out_charts(charts)` and the values of `model` are for callers that draw in other formats or live."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from antdsl.lsp.names import NameOccurrence, ProgramNames, collect_names, find_o
 from antdsl.lsp.scenes import SceneIndex, build_scene_index
 from antdsl.lsp.text import DocumentText, TextRange, normalise_line_ends
 from antdsl.pipeline import check_scene_text, compile_files
-from antdsl.program.memo import CheckMemo
+from antdsl.program.memo import CheckResultCache
 from antdsl.program.names.bindings import NameBindings
 from antdsl.safe_read import resolve_path
 from antdsl.source import Source, Span
@@ -175,7 +175,7 @@ class Workspace:
     _disk_documents: dict[Path, OpenDocument] = field(default_factory=dict)
     _check_by_path: dict[Path, tuple[object, DocumentCheck]] = field(default_factory=dict)
     _last_good_programs: dict[Path, Program] = field(default_factory=dict)
-    _check_memos: dict[Path, CheckMemo] = field(default_factory=dict)
+    _check_memos: dict[Path, CheckResultCache] = field(default_factory=dict)
     _file_search: tuple[float, list[Path]] = (0.0, [])  # time until which the list is valid, and the files
 
     # --- documents ---
@@ -215,7 +215,7 @@ class Workspace:
         stamp = (status.st_mtime_ns, status.st_size)
         stored = self._disk_documents.get(path)
         if stored is None or stored.file_stamp != stamp:
-            source, _ = syntax.read(path)
+            source, _ = syntax.read_program_file(path)
             if source is None:
                 return None
             stored = self._disk_documents[path] = OpenDocument(
@@ -285,7 +285,7 @@ class Workspace:
         """Check a program with all files that it uses."""
         # a text that was parsed completely shares nothing with the previous text, which may return
         has_parts = document.path in self.open_documents and document.parsed[0].parts
-        memo = self._check_memos.setdefault(document.path, CheckMemo()) if has_parts else None
+        memo = self._check_memos.setdefault(document.path, CheckResultCache()) if has_parts else None
         program, report = compile_files([document.path], parsed=self.find_parsed_files(document.path), memo=memo)
         return DocumentCheck(program, None, report)
 

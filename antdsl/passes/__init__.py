@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from antdsl.passes.drop_unused import drop_unused
+from antdsl.passes.drop_unused import drop_unused_stores
 from antdsl.passes.fold import fold_regions
 from antdsl.passes.hoist import hoist_factors
 from antdsl.passes.memoise_senses import memoise_senses
 from antdsl.passes.merge_regions import merge_regions
 from antdsl.passes.split_conditions import split_conditions
 from antdsl.plan.ir import Plan
-from antdsl.plan.verify import verify
+from antdsl.plan.verify import verify_plan
 
 PASSES: tuple[Callable[[Plan], Plan], ...] = (
     fold_regions,  # first: a constant condition removes complete regions
-    drop_unused,  # before `merge_regions`: an empty region between two others prevents merging
+    drop_unused_stores,  # before `merge_regions`: an empty region between two others prevents merging
     merge_regions,  # needs shared conditions
     hoist_factors,  # needs the merged regions; rebuilds all nodes once
     split_conditions,  # after `merge_regions`, which could not join the two halves
@@ -23,18 +23,18 @@ PASSES: tuple[Callable[[Plan], Plan], ...] = (
 )
 
 
-def optimise(plan: Plan, *, thorough: bool = True) -> Plan:
+def optimise_plan(plan: Plan, *, thorough: bool = True) -> Plan:
     """Run all passes on a plan that was just lowered. The plan is verified before the first pass and after each pass. If not
     `thorough`, it is verified only after the last pass, which is faster."""
     if thorough:
-        verify(plan)
+        verify_plan(plan)
     for run in PASSES:
         plan = run(plan)
         if thorough:
-            verify(plan)
+            verify_plan(plan)
     if not thorough:
-        verify(plan)
+        verify_plan(plan)
     return plan
 
 
-__all__ = ["PASSES", "optimise"]
+__all__ = ["PASSES", "optimise_plan"]

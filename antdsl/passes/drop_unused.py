@@ -17,7 +17,7 @@ from antdsl.plan.traverse import (
 RESULT_TEMPS = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz")  # read by the runtime
 
 
-def drop_unused(plan: Plan) -> Plan:
+def drop_unused_stores(plan: Plan) -> Plan:
     """Return an equivalent plan without temps that are never read. Attributes and memories are part of the state, so they remain.
 
     The nodes that only these stores used are removed by the next pass that rebuilds nodes."""

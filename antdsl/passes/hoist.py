@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import reduce
 from typing import Any
 
-from antdsl.passes.rewriting import rebuild
+from antdsl.passes.rewriting import rebuild_plan
 from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import Plan, PlanNode, UpdateRate
 
@@ -20,8 +20,8 @@ _PAIR_OPERATIONS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 def hoist_factors(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
     """Return the plan with products and quotients per pair reordered, so that factors of the agent are computed once per agent.
 
-    `tracked_nodes`: as in `rebuild`."""
-    return rebuild(plan, _reorder_product, tracked_nodes)
+    `tracked_nodes`: as in `rebuild_plan`."""
+    return rebuild_plan(plan, _reorder_product, tracked_nodes)
 
 
 def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:

@@ -35,7 +35,7 @@ def replace_blocks(plan: Plan, change_block: Callable[[SpeciesPlan, Block], Bloc
     return replace(plan, species=species)
 
 
-def rebuild(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
+def rebuild_plan(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
     """Return an equivalent plan with only the nodes that are needed: simplified, shared and numbered without gaps.
 
     - `make_node`: returns another node for an operation, or None for no change. The operands are already rebuilt.

@@ -19,16 +19,16 @@ class PlanError(AssertionError):
 def find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
     """Return an error message about the operands and attributes of an operation, or None if they are valid."""
     shape = (op, len(attrs), *[arg.kind for arg in args])
-    if shape in _CHECKED_SHAPES:
+    if shape in _VALID_OPERAND_SHAPES:
         return None
     wrong = _find_operand_problem(op, args, attrs)
     if wrong is None:
-        _CHECKED_SHAPES.add(shape)
+        _VALID_OPERAND_SHAPES.add(shape)
     return wrong
 
 
 # Operand kinds and attribute counts that `_find_operand_problem` has already accepted, by operation.
-_CHECKED_SHAPES: set[tuple[Any, ...]] = set()
+_VALID_OPERAND_SHAPES: set[tuple[Any, ...]] = set()
 
 
 def _find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
@@ -92,7 +92,7 @@ class PlanBuilder:
         wrong = find_operand_problem(op, args, attrs)
         if wrong:
             raise PlanError(wrong)
-        simple = simplify.simplify(self, op, args, attrs)
+        simple = simplify.simplify_operation(self, op, args, attrs)
         return simple if simple is not None else self.find_or_add(op, args, attrs, infer_result_kind(op, args, attrs, kind))
 
     def find_or_add(

@@ -274,7 +274,7 @@ class Register:
     language_type: tuple[Any, ...] = ()  # kind, exponents of its dimension, and its species or thing
 
 
-def name_birth_register(attribute: str) -> str:
+def format_birth_register_name(attribute: str) -> str:
     """Return the name of the temp that has the scene's value of an attribute at birth; infinite if the scene sets none."""
     return f"~born.{attribute}"
 

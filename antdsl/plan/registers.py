@@ -78,7 +78,7 @@ def count_bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
     return sizes
 
 
-def name_slot_registers(name: str, count: int) -> list[tuple[str, str]]:
+def list_slot_register_names(name: str, count: int) -> list[tuple[str, str]]:
     """Return the two registers of each slot of a pair value: the other agent's id (I64, -1 for a free slot) and the value
     (F32)."""
     return [(f"{name}|{k}.id", f"{name}|{k}") for k in range(count)]
@@ -91,4 +91,4 @@ def find_pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]
         name, slot, number = register.partition("|")
         if slot and number.isdecimal():
             counts[name] = counts.get(name, 0) + 1
-    return {name: name_slot_registers(name, count) for name, count in counts.items()}
+    return {name: list_slot_register_names(name, count) for name, count in counts.items()}

@@ -32,7 +32,7 @@ _LEAF_OPERATIONS = frozenset(name for name, row in OPERATION_BY_NAME.items() if 
 _MAX_EXPRESSION_CHARACTERS = 100  # longer expressions are split: their parts get names
 
 
-def show(plan: Plan) -> str:
+def format_plan(plan: Plan) -> str:
     """Return the text of a plan for people. Equal plans have equal texts.
 
     A value that is used several times gets a name, `a1 = …`, at its first use."""

@@ -26,7 +26,7 @@ def get_constant_value(node: PlanNode) -> Any:
     return node.attrs[0] if node.op in _CONSTANT_OPERATIONS else None
 
 
-def simplify(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
+def simplify_operation(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
     """Return a simpler node with the same value as the operation, or None if none is known."""
     if not args:
         return None

@@ -34,11 +34,11 @@ from antdsl.program.tables.things import KIND_BY_WORD, list_replacements
 
 _READ_OPERATIONS = ("snap", "load")
 # whether the operation reduces over items
-_REDUCES_ITEMS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}
+_READS_ITEMS_BY_OPERATION = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}
 _BUILTIN_ITEM_VALUES = {"position", "velocity", "heading", "up"}
 
 
-def verify(plan: Plan) -> None:
+def verify_plan(plan: Plan) -> None:
     """Raise PlanError if the plan breaks a rule. The message lists all errors."""
     wrong = [*_check_nodes(plan), *_check_names(plan)]
     for species in plan.species.values():
@@ -111,7 +111,7 @@ def _check_elements(plan: Plan, reduction: PlanNode) -> Iterator[str]:
     """Check that a reduction reads only values that its elements have."""
     source = reduction.args[0]
     of_items = source.op == "set.items"
-    labels = _REDUCES_ITEMS.get(reduction.op)
+    labels = _READS_ITEMS_BY_OPERATION.get(reduction.op)
     if labels is not None and labels != of_items:
         yield f"{reduction!r} over {source.op}"
     for node in _iterate_pair_nodes(reduction.args[1:]):
@@ -227,7 +227,7 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
             yield f"{word} does not name the species of the agent for {name}"
 
 
-class _LoadState:
+class _RegisterLoadState:
     """What the check of the order of loads knows at a place in a block.
 
     `version`: by register, the number of stores before its last load. `stale_registers`: the registers with a store after their
@@ -240,11 +240,11 @@ class _LoadState:
 
 def _check_load_order(block: Block) -> Iterator[str]:
     """Check that no load is used both before and after a store to its register, and that versions only increase."""
-    state = _LoadState()
+    state = _RegisterLoadState()
     yield from _check_block_order(block, state)
 
 
-def _check_block_order(block: Block, state: _LoadState) -> Iterator[str]:
+def _check_block_order(block: Block, state: _RegisterLoadState) -> Iterator[str]:
     for statement in block.statements:
         for node in collect_required_nodes(list_operands(statement)):
             if node.op != "load":

@@ -83,7 +83,7 @@ class Compiler:
             if known is None or known[0].source.text != text:
                 self._parsed_files[str(path)] = syntax.parse(Source(str(path) if known is None else known[0].source.path, text))
         for place in [place for place in self._parsed_files if Path(place) not in self.replacement_texts]:
-            source, _ = syntax.read(place)
+            source, _ = syntax.read_program_file(place)
             if source is None or source.text != self._parsed_files[place][0].source.text:
                 del self._parsed_files[place]
 

@@ -20,7 +20,7 @@ def remove_disabled_layers(disabled_layers: DisabledLayers) -> tuple[dict[Path, 
     texts: dict[Path, str] = {}
     missing_layers: list[tuple[str, str]] = []
     for path in dict.fromkeys(disabled_layers.values()):
-        source, _ = syntax.read(path)
+        source, _ = syntax.read_program_file(path)
         if source is None:
             continue
         layer_keys = {key for key, place in disabled_layers.items() if place == path}

@@ -12,10 +12,10 @@ from antdsl.program.cascading_errors import add_all_locations, drop_cascading_er
 from antdsl.program.checks import CHECKS, ERROR_FREE_CHECKS, PER_SPECIES_CHECKS, PER_STATE_CHECKS, Check, CheckContext
 from antdsl.program.declarations.behaviours import check_behaviour
 from antdsl.program.declarations.measures import check_measures, declare_measures
-from antdsl.program.declarations.species import complete_species, draft_species
+from antdsl.program.declarations.species import begin_species, complete_species
 from antdsl.program.declarations.specs import check_spec
 from antdsl.program.declarations.world import check_field, check_world_species, declare_fields, declare_world
-from antdsl.program.memo import CheckMemo, get_or_compute_part, update_outside_number
+from antdsl.program.memo import CheckResultCache, get_or_compute_part, update_outside_number
 from antdsl.program.names.bindings import NameBindings
 from antdsl.program.names.collect import FileLoader, LibraryFinder, declare_names
 from antdsl.program.names.scope import Declarations, FileNames, SpeciesNames
@@ -32,7 +32,7 @@ def check(
     modules: Mapping[str, nodes.File] | None = None,
     *,
     strict: bool = False,
-    memo: CheckMemo | None = None,
+    memo: CheckResultCache | None = None,
 ) -> tuple[model.Program, Report]:
     """Check names, types, units and rates of one or more files, and everything else that is decidable without a run.
 
@@ -65,8 +65,8 @@ def check(
     for look in ERROR_FREE_CHECKS if sound else ():
         _run_check(checked, look, report)
     if memo is not None:
-        memo.mark_used(() if sound else (*ERROR_FREE_CHECKS, "named"))
-        memo.drop_unused()
+        memo.mark_results_used(() if sound else (*ERROR_FREE_CHECKS, "named"))
+        memo.drop_unused_results()
         if any(each.missing_uses for each in loader.known.values()):
             memo.known.clear()  # cached parts lack the findings that the missing `use` suppressed
     repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown_names.values() if others}
@@ -153,7 +153,7 @@ def _assemble_program(
     for file in names:
         for item in file.node.items:
             if isinstance(item, nodes.Species) and declarations.species[item.name.text].node is item:
-                drafts.append(draft_species(declarations, file, item))
+                drafts.append(begin_species(declarations, file, item))
                 update_outside_number(declarations, (declarations.outside_number, _make_type_key(drafts[-1].names)))
     check_world_species(declarations)
     update_outside_number(declarations, (declarations.outside_number, *map(_make_type_key, declarations.species.values())))

@@ -38,13 +38,13 @@ class StateCost:
     A state is named `MACHINE.STATE`, or `STATE` if there is only one machine. Common uses are named `every state`."""
 
     name: str
-    uses: tuple[CostEntry, ...]
+    cost_entries: tuple[CostEntry, ...]
     operation_count: int  # operations on numbers; those inside sets count ASSUMED_SET_MEMBERS times
 
     @property
     def weight(self) -> float:
         """Return the total weight of the state: its uses and its operations on numbers."""
-        return self.operation_count + sum(use.weight for use in self.uses)
+        return self.operation_count + sum(use.weight for use in self.cost_entries)
 
 
 def estimate_costs(program: model.Program, species: model.Species) -> list[StateCost]:

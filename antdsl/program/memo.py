@@ -67,7 +67,7 @@ class _UnknownNames(dict[tuple[str, ...], list[Span]]):
         return is_known
 
 
-class CheckMemo:
+class CheckResultCache:
     """Cached check results for parts of a program, by the inputs of each check.
 
     After a complete check, entries that it did not use are removed."""
@@ -131,12 +131,12 @@ class CheckMemo:
             self.known[key] = _CachedPart(result, complaints, frozenset(own_used), frozenset(own_written), spent, names_there)
         return result
 
-    def mark_used(self, kinds: Collection[Hashable]) -> None:
+    def mark_results_used(self, kinds: Collection[Hashable]) -> None:
         """Mark all results of some kinds of parts as used, because this check skipped them. The kind is the first element of the
         key."""
         self.used_keys |= {key for key in self.known if key[0][0] in kinds}
 
-    def drop_unused(self) -> None:
+    def drop_unused_results(self) -> None:
         """Remove entries that the completed check did not use."""
         self.known = {key: value for key, value in self.known.items() if key in self.used_keys}
         used_numbers = self.numbers_in_use.union(outside for _, outside in self.known)

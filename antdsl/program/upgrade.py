@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from antdsl.diagnostics import Report
 from antdsl.program.tables.editions import EDITION_DEFAULTS, SWITCH_HELP
-from antdsl.program.tables.vocabulary import builtin_attributes
+from antdsl.program.tables.vocabulary import get_builtin_attributes
 from antdsl.source import Source
 from antdsl.syntax import nodes
 from antdsl.syntax.parser import parse
@@ -18,7 +18,7 @@ _BLANK_REST_PATTERN = re.compile(r"[ \t;]*(?:#[^\n]*)?(?=\n|$)")  # the rest of 
 Insertion = tuple[int, str]  # offset in the text, and the inserted text
 
 
-def upgrade(source: Source, edition: int) -> tuple[Source | None, Report]:
+def upgrade_source(source: Source, edition: int) -> tuple[Source | None, Report]:
     """Return the text of a file rewritten for an edition, with the same meaning, and the report of parsing.
 
     The layout is not standard. Returns None if the text has errors, or names that the newer edition reserves. A file of this
@@ -69,7 +69,7 @@ def _iterate_default_lines(source: Source, species: nodes.Species, previous_edit
 
 def _report_reserved(species: nodes.Species, previous_edition: int, edition: int, report: Report) -> None:
     """Report declared names of a species that are built-in names in `edition`, but not in `previous_edition`."""
-    reserved = (builtin_attributes(edition).keys() - builtin_attributes(previous_edition).keys()) | SWITCH_HELP.keys()
+    reserved = (get_builtin_attributes(edition).keys() - get_builtin_attributes(previous_edition).keys()) | SWITCH_HELP.keys()
     for member in species.members:
         own = member.declaration if isinstance(member, nodes.ParamDecl) else member
         if isinstance(own, nodes.Declaration | nodes.Let | nodes.Latch | nodes.Fuzzy) and own.name.text in reserved:

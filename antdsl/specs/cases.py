@@ -250,13 +250,13 @@ def _find_first_line(spec: Spec) -> Span:
 class SpecVerdict:
     """The verdict about a spec of which a share of the seeds must pass.
 
-    `passed_count`, `case_count`: the numbers of seeds that have passed, and of all seeds. `holds`: whether enough seeds have
+    `passed_count`, `case_count`: the numbers of seeds that have passed, and of all seeds. `has_passed`: whether enough seeds have
     passed; None if cases are still waiting."""
 
     spec: Spec
     passed_count: int
     case_count: int
-    holds: bool | None
+    has_passed: bool | None
 
 
 def resolve_verdicts(cases: Sequence[SpecCase]) -> list[SpecVerdict]:

@@ -17,7 +17,7 @@ from antdsl.specs.lines import JudgementLine, count_duration_steps, observe_aggr
 JudgementKey = tuple[str, int]
 
 
-class ComparedRun:
+class ReferenceRunRecord:
     """The values of the reference run of a spec. Call `record_frame` at each frame of that run, from the first on.
 
     Frames are counted from the first frame of each run, so the two scenes may have different frame numbers. `dt`: seconds per
@@ -47,7 +47,7 @@ class ComparedRun:
             if len(line.find_failed(observe_aggregate(world.frame, False, self.first, holds, None))):
                 self.steps_by_line.setdefault(place, world.frame - self.first)
 
-    def values(self, frame: int) -> Mapping[str, Any]:
+    def get_reference_values(self, frame: int) -> Mapping[str, Any]:
         """Return the values of the reference run in a frame, counted from its first. After its last frame, they stay constant."""
         return self.values_by_frame[min(frame, len(self.values_by_frame) - 1)]
 

@@ -27,7 +27,7 @@ class CoverageEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class _MachineCoverage:
+class _MachineCoverageTable:
     """The entries of one machine's states and transitions, in the order of their numbers in the plan.
 
     `claim_changes`: the numbers of the transitions that depend on a claim."""
@@ -61,10 +61,10 @@ class SpecCoverage:
                 _count_states(machine, states)
         world.watchers.append(partial(_count_all_changes, machines=machines))
 
-    def _make_machine_coverage(self, species: str, machine: Machine) -> _MachineCoverage:
+    def _make_machine_coverage(self, species: str, machine: Machine) -> _MachineCoverageTable:
         """Return the entries of a machine; new entries are added with count 0."""
         pairs = [change for state in machine.states for change in state.transitions]
-        return _MachineCoverage(
+        return _MachineCoverageTable(
             species,
             machine.name,
             tuple(self._get_entry(self.states, f"{species}.{machine.name}.{s.name}", s.span) for s in machine.states),
@@ -77,17 +77,17 @@ class SpecCoverage:
         return table.setdefault((span.source.path, span.start, name), CoverageEntry(name, span))
 
 
-def _count_states(machine: _MachineCoverage, states: np.ndarray) -> None:
+def _count_states(machine: _MachineCoverageTable, states: np.ndarray) -> None:
     for state, number in zip(machine.states, np.bincount(states, minlength=len(machine.states)), strict=True):
         state.count += int(number)
 
 
-def _count_all_changes(world: World, machines: list[_MachineCoverage]) -> None:
+def _count_all_changes(world: World, machines: list[_MachineCoverageTable]) -> None:
     for machine in machines:
         _count_changes(world, machine)
 
 
-def _count_changes(world: World, machine: _MachineCoverage) -> None:
+def _count_changes(world: World, machine: _MachineCoverageTable) -> None:
     """Count the transitions of a machine in a step. Call this after all agents have acted, before dead agents are removed.
 
     Transitions have the numbers of `plan.machines`."""

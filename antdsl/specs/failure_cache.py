@@ -34,7 +34,7 @@ MAX_STORED_CASES = 5  # maximum number of stored cases of one `antdsl test`
 
 
 @dataclass(frozen=True, slots=True)
-class FailurePoint:
+class FailureSnapshot:
     """The frame in which a case failed, with the data to simulate it again.
 
     `hash`: the hash of the state in this frame; None if the step to it failed. `arrays`: the stored state of an earlier frame."""
@@ -49,7 +49,7 @@ class FailurePoint:
         return int(self.arrays["frame"])
 
 
-class StateCopies:
+class StateSnapshots:
     """Stores the last periodic copy of a run's state.
 
     If the scene moves anything by its frames, the first copy is stored instead, because the run can only continue from there."""
@@ -63,9 +63,9 @@ class StateCopies:
         if self.last is None or (not self.keeps_first_copy and world.frame >= int(self.last["frame"]) + COPY_INTERVAL_FRAMES):
             self.last = take_checkpoint(world)
 
-    def make_failure_point(self, world: World) -> FailurePoint:
+    def make_failure_point(self, world: World) -> FailureSnapshot:
         """Return the data that is needed to simulate this frame again."""
-        return FailurePoint(world.frame, state_hash(world), take_checkpoint(world) if self.last is None else self.last)
+        return FailureSnapshot(world.frame, state_hash(world), take_checkpoint(world) if self.last is None else self.last)
 
 
 @dataclass(slots=True)
@@ -77,7 +77,9 @@ class FailureSaver:
     options: Options
     count: int = 0
 
-    def save_failure(self, run: SpecRun, case: SpecCase, failure_point: FailurePoint, binding_cache: BindingCache) -> SavedFrames:
+    def save_failure(
+        self, run: SpecRun, case: SpecCase, failure_point: FailureSnapshot, binding_cache: BindingCache
+    ) -> SavedFrames:
         """Simulate the frames before a failure again, and write them into a cache. The result's `note` has the problem, if
         any."""
         self.count += 1
@@ -113,7 +115,7 @@ class FailureSaver:
             folder, note, failure_point.first_frame, failure_point.frame, look, f"{rerun_command} --out {folder_text} --resume"
         )
 
-    def _record_frames(self, shot: Shot, folder: Path, failure_point: FailurePoint, binding_cache: BindingCache) -> str:
+    def _record_frames(self, shot: Shot, folder: Path, failure_point: FailureSnapshot, binding_cache: BindingCache) -> str:
         """Write the frames from the copy to the failure; return the hash of the last."""
         model = shot.scene.model
         output = model.output.model_copy(update={"checkpoint": 1})

@@ -14,7 +14,7 @@ from antdsl.plan import ir
 from antdsl.plan.lowering.spec_plans import JudgementPlan, ReadingPlan, SpecPlan
 from antdsl.runtime.world import World
 from antdsl.specs.cases import MAX_NAMED_AGENTS, GoalValue, SpecFailure
-from antdsl.specs.comparison import ComparedRun
+from antdsl.specs.comparison import ReferenceRunRecord
 from antdsl.specs.lines import AgentIds, FrameObservation, JudgementLine, count_duration_steps, observe_aggregate
 from antdsl.specs.value_text import describe_states_and_position, format_value
 from antdsl.syntax.words import NUMBER_REGEX
@@ -28,7 +28,7 @@ class SpecJudge:
     `failures`: the failures in the order of detection. `fulfilled_at_start`: lines with `within` or `eventually` that hold in the
     first frame already, so that they test nothing. A spec that compares runs also needs the reference run."""
 
-    def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ComparedRun | None = None) -> None:
+    def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ReferenceRunRecord | None = None) -> None:
         self.plan, self.first, self.reference_run = plan, world.frame, compared_run
         self.evaluator = RunEvaluator(plan, world)
         self.last = find_last_frame(plan, world, last)
@@ -46,13 +46,13 @@ class SpecJudge:
         if self.is_over:
             return
         spec_world = self.evaluator.evaluate_frame(
-            world, {} if self.reference_run is None else self.reference_run.values(world.frame - self.first)
+            world, {} if self.reference_run is None else self.reference_run.get_reference_values(world.frame - self.first)
         )
         final = world.frame >= self.last
         for line in (line for line in self.lines if line.plan.kind == "until" and line.plan.species is None):
             final = bool(len(line.find_failed(self._observe_line(world, spec_world, line, final)))) or final
         for line in self.lines:
-            if line.is_open and line.plan.kind != "until" and (final or not line.plan.is_at_end):
+            if line.is_undecided and line.plan.kind != "until" and (final or not line.plan.is_at_end):
                 observation = self._observe_line(world, spec_world, line, final)
                 if world.frame == self.first and line.is_fulfilled_at_start(observation):
                     self.fulfilled_at_start.append(line.plan)
@@ -68,7 +68,7 @@ class SpecJudge:
                 line.is_fulfilled[released_ids] = True
         if final:
             self.goals = [self._read_goal(world, line.plan) for line in self.lines if line.plan.goal is not None]
-        self.is_over = final or not any(line.is_open for line in self.lines if line.plan.kind != "until")
+        self.is_over = final or not any(line.is_undecided for line in self.lines if line.plan.kind != "until")
 
     def _read_goal(self, world: World, plan: JudgementPlan) -> GoalValue:
         assert plan.goal is not None
@@ -115,7 +115,7 @@ class SpecJudge:
             line.failure_reason += ", no later than here" if holds else ", but not here yet"
         elif not holds and observation.is_final:
             is_lost, line.failure_reason = True, "the run is over, and it did not hold in the reference run either"
-        line.is_open = not holds
+        line.is_undecided = not holds
         return observation.ids if is_lost else observation.ids[:0]
 
     def _format_seconds(self, steps: int) -> str:
@@ -139,7 +139,7 @@ class SpecJudge:
         """Store the failure of a line, and stop judging the line.
 
         The failure has the values of aggregates, or of the failed agent with the least id."""
-        line.is_open = False
+        line.is_undecided = False
         plan, fps = line.plan, float(world.setting.fps)
         first_agent = int(agents.min())
         row = None

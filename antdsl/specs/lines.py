@@ -21,7 +21,7 @@ AgentIds = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 TIME_OVER_REASON, RUN_OVER_REASON, AGENT_LEFT_REASON = "the time is over", "the run is over", "it left before"
 _NO_IDS = np.empty(0, np.int64)
-_NEVER_FRAME = -(2**62)
+_NO_FRAME_NUMBER = -(2**62)
 
 
 @dataclass(slots=True, eq=False)
@@ -29,7 +29,8 @@ class FrameObservation:
     """What a line of a spec observes in one frame. The arrays have one row for each agent that the line concerns.
 
     - `first_frames`: the first frame of each agent.
-    - `condition_holds`, `since_holds`: whether the condition of the line, and that of its `when`, holds (None: no `when`).
+    - `condition_holds`: whether the condition of the line holds.
+    - `start_condition_holds`: whether the condition of its `when` holds; None without a `when`.
     - `is_released`: whether an `until` of the same block has held for the agent before."""
 
     frame: int
@@ -37,7 +38,7 @@ class FrameObservation:
     ids: AgentIds
     first_frames: AgentIds
     condition_holds: BoolArray
-    since_holds: BoolArray | None
+    start_condition_holds: BoolArray | None
     is_released: BoolArray
 
 
@@ -72,18 +73,18 @@ class JudgementLine:
     - `is_open`: whether the line is still judged. `failure_reason`: the reason of the last failure in words.
     - `is_fulfilled`: whether the agent has fulfilled the line.
     - `count`: the number of successive frames in which the condition has held.
-    - `previous_since`: whether the condition of the `when` held in the previous frame.
-    - `pending_since_frames`: the frame in which the agent's current waiting time began; _NEVER_FRAME without one.
+    - `previous_start_condition`: whether the condition of the `when` held in the previous frame.
+    - `pending_since_frames`: the frame in which the agent's current waiting time began; _NO_FRAME_NUMBER without one.
     - `waiting_ids`: the ids of the agents that waited in the previous frame."""
 
     plan: JudgementPlan
     steps: int | None
     held_steps: int | None
-    is_open: bool = True
+    is_undecided: bool = True
     failure_reason: str = ""
     is_fulfilled: BoolArray = field(default_factory=lambda: np.zeros(0, np.bool_))
-    previous_since: BoolArray = field(default_factory=lambda: np.zeros(0, np.bool_))
-    count: AgentIds = field(default_factory=_NO_IDS.copy)
+    previous_start_condition: BoolArray = field(default_factory=lambda: np.zeros(0, np.bool_))
+    held_step_counts: AgentIds = field(default_factory=_NO_IDS.copy)
     pending_since_frames: AgentIds = field(default_factory=_NO_IDS.copy)
     waiting_ids: AgentIds = field(default_factory=_NO_IDS.copy)
 
@@ -93,22 +94,28 @@ class JudgementLine:
         Sets `failure_reason` to the reason in words; "" if the condition alone is the reason."""
         self.failure_reason = ""
         if self.held_steps is not None:
-            self.count = extend_table_for_ids(self.count, observation.ids, 0)
-            self.count[observation.ids] = np.where(observation.condition_holds, self.count[observation.ids] + 1, 0)
-            observation.condition_holds = self.count[observation.ids] > self.held_steps
-        if observation.since_holds is not None:
+            self.held_step_counts = extend_table_for_ids(self.held_step_counts, observation.ids, 0)
+            self.held_step_counts[observation.ids] = np.where(
+                observation.condition_holds, self.held_step_counts[observation.ids] + 1, 0
+            )
+            observation.condition_holds = self.held_step_counts[observation.ids] > self.held_steps
+        if observation.start_condition_holds is not None:
             return _JUDGE_BY_SINCE_KIND[self.plan.kind](self, observation)
         return _JUDGE_BY_KIND[self.plan.kind](self, observation)
 
     def is_fulfilled_at_start(self, observation: FrameObservation) -> bool:
         """Return whether the first frame already fulfils a line that waits for its condition, for all agents that it concerns."""
-        waits = self.plan.kind in ("within", "eventually") and observation.since_holds is None and self.held_steps is None
+        waits = (
+            self.plan.kind in ("within", "eventually") and observation.start_condition_holds is None and self.held_steps is None
+        )
         return waits and len(observation.ids) > 0 and bool(observation.condition_holds.all())
 
     def find_start_frame(self, agent: int) -> int | None:
         """Return the frame in which an agent's expired waiting time began, if the line has a `when`."""
         is_pending = self.plan.start_condition is not None and agent < len(self.pending_since_frames)
-        return int(self.pending_since_frames[agent]) if is_pending and self.pending_since_frames[agent] != _NEVER_FRAME else None
+        return (
+            int(self.pending_since_frames[agent]) if is_pending and self.pending_since_frames[agent] != _NO_FRAME_NUMBER else None
+        )
 
     def _find_removed(self, observation: FrameObservation, is_waiting: BoolArray) -> AgentIds:
         """Return the agents that waited before and no longer exist. `is_waiting`: by row, whether the agent waits now."""
@@ -140,7 +147,7 @@ def _judge_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
     assert line.steps is not None
     last = observation.first_frames + line.steps
     if line.plan.species is None and (observation.frame >= last).all() and observation.condition_holds.all():
-        line.is_open = False
+        line.is_undecided = False
     return observation.ids[~observation.condition_holds & ~observation.is_released & (observation.frame <= last)]
 
 
@@ -154,7 +161,7 @@ def _judge_eventually(line: JudgementLine, observation: FrameObservation) -> Age
         line.failure_reason = AGENT_LEFT_REASON
         return removed_ids
     if line.plan.species is None and not waiting.any():
-        line.is_open = False
+        line.is_undecided = False
     if line.steps is not None:
         late = observation.ids[waiting & (observation.frame >= observation.first_frames + line.steps)]
         if len(late):
@@ -170,27 +177,27 @@ def _judge_eventually(line: JudgementLine, observation: FrameObservation) -> Age
 # --- after a `when` --------------------------------------------------------------------------------------------------
 
 
-def _update_since(line: JudgementLine, observation: FrameObservation) -> BoolArray:
+def _update_waiting_agents(line: JudgementLine, observation: FrameObservation) -> BoolArray:
     """Return whether the `when` of each agent holds in this frame but did not in the previous one, bool[n]. Store the current
     values for the next frame."""
-    assert observation.since_holds is not None
-    line.previous_since, line.pending_since_frames = (
-        extend_table_for_ids(line.previous_since, observation.ids, False),
-        extend_table_for_ids(line.pending_since_frames, observation.ids, _NEVER_FRAME),
+    assert observation.start_condition_holds is not None
+    line.previous_start_condition, line.pending_since_frames = (
+        extend_table_for_ids(line.previous_start_condition, observation.ids, False),
+        extend_table_for_ids(line.pending_since_frames, observation.ids, _NO_FRAME_NUMBER),
     )
-    comes = observation.since_holds & ~line.previous_since[observation.ids]
-    line.previous_since[observation.ids] = observation.since_holds
+    comes = observation.start_condition_holds & ~line.previous_start_condition[observation.ids]
+    line.previous_start_condition[observation.ids] = observation.start_condition_holds
     return comes
 
 
 def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> AgentIds:
     """Judge a `when` with `within` or `eventually`. Of overlapping waiting times only the first counts; all end with it."""
-    comes = _update_since(line, observation)
+    comes = _update_waiting_agents(line, observation)
     pending: AgentIds = line.pending_since_frames[observation.ids]
-    pending = np.where(comes & (pending == _NEVER_FRAME), observation.frame, pending)
-    pending[observation.condition_holds | observation.is_released] = _NEVER_FRAME
+    pending = np.where(comes & (pending == _NO_FRAME_NUMBER), observation.frame, pending)
+    pending[observation.condition_holds | observation.is_released] = _NO_FRAME_NUMBER
     line.pending_since_frames[observation.ids] = pending
-    waiting = pending != _NEVER_FRAME
+    waiting = pending != _NO_FRAME_NUMBER
     removed_ids = line._find_removed(observation, waiting)
     if len(removed_ids):
         line.failure_reason = AGENT_LEFT_REASON
@@ -210,20 +217,20 @@ def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> A
 def _judge_since_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
     """Judge a `when` with `for`. If several times overlap, the last one counts, because it ends after the others."""
     assert line.steps is not None
-    comes = _update_since(line, observation)
+    comes = _update_waiting_agents(line, observation)
     line.pending_since_frames[observation.ids[comes]] = observation.frame
     under_way = observation.frame <= line.pending_since_frames[observation.ids] + line.steps
     return observation.ids[under_way & ~observation.condition_holds & ~observation.is_released]
 
 
-def _find_holding(line: JudgementLine, observation: FrameObservation) -> AgentIds:
+def _find_ids_where_condition_holds(line: JudgementLine, observation: FrameObservation) -> AgentIds:
     """Return the ids for which `until` or `sooner` holds. The caller decides whether an agent fails."""
     return observation.ids[observation.condition_holds]
 
 
 _JUDGE_BY_KIND: Mapping[str, Callable[[JudgementLine, FrameObservation], AgentIds]] = {
-    "until": _find_holding,
-    "sooner": _find_holding,
+    "until": _find_ids_where_condition_holds,
+    "sooner": _find_ids_where_condition_holds,
     "always": _judge_always,
     "never": _judge_never,
     "finally": _judge_finally,

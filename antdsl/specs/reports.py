@@ -19,7 +19,9 @@ from antdsl.specs.golden.golden_runs import GoldenResult
 from antdsl.specs.text_report import describe_failure, describe_golden
 
 
-def as_json(cases: Sequence[SpecCase], coverage: SpecCoverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
+def format_json_report(
+    cases: Sequence[SpecCase], coverage: SpecCoverage, report: Report, goldens: Sequence[GoldenResult] = ()
+) -> str:
     """Return one JSON document with all cases and golden runs, the coverage, and the reasons why others did not run."""
     document = {
         "passed": sum(case.outcome == "passed" for case in cases),
@@ -110,7 +112,7 @@ def _make_location_entry(span: Span | None) -> dict[str, Any] | None:
 # --- JUnit -----------------------------------------------------------------------------------------------------------
 
 
-def as_junit(cases: Sequence[SpecCase], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
+def format_junit_report(cases: Sequence[SpecCase], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
     """Return the results as JUnit XML, with one suite for each program.
 
     Waiting and allowed cases count as skipped. Golden runs, and errors in files that prevented specs from running, have separate

@@ -11,9 +11,9 @@ from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_plans import JudgementPlan
 from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, step
 from antdsl.specs.cases import SpecCase, SpecFailure, SpecRun
-from antdsl.specs.comparison import ComparedRun
+from antdsl.specs.comparison import ReferenceRunRecord
 from antdsl.specs.coverage import SpecCoverage
-from antdsl.specs.failure_cache import FailurePoint, FailureSaver, StateCopies
+from antdsl.specs.failure_cache import FailureSaver, FailureSnapshot, StateSnapshots
 from antdsl.specs.golden.golden_comparison import GoldenComparison
 from antdsl.specs.judge import SpecJudge, find_last_frame
 
@@ -48,7 +48,7 @@ def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
     run."""
     for run in runs:
         started = perf_counter()
-        moments: dict[int, FailurePoint] = {}
+        moments: dict[int, FailureSnapshot] = {}
         try:
             _judge_run(run, context, moments)
         except BindError as error:
@@ -75,14 +75,14 @@ def _fail_cases(run: SpecRun, failure: SpecFailure) -> None:
         case.failures.append(failure)
 
 
-def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, FailurePoint]) -> None:
+def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, FailureSnapshot]) -> None:
     """Simulate a run and judge its cases. `failure_points` receives the first failure of each case, by the `id()` of the case."""
     rivals = _run_compared(run, work)
     try:
         world = _make_world(run.shot, run.seed, work)
     except FaultStop as error:
         return _fail_with_fault(run, error)
-    first, trail = world.frame, None if work.failure_saver is None else StateCopies(run.shot.setting)
+    first, trail = world.frame, None if work.failure_saver is None else StateSnapshots(run.shot.setting)
     judges = [
         (case, SpecJudge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases if not case.failures
     ]
@@ -101,7 +101,7 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
             watch.observe_frame(world)
         work.report_frame(run, world.frame - first, last - first)
         if all(judge.is_over for _, judge in judges) and (watch is None or watch.is_over):
-            return None if watch is None else watch.end(world)
+            return None if watch is None else watch.finish(world)
         if trail is not None:
             trail.store_copy(world)
         frame_number = world.frame
@@ -109,7 +109,7 @@ def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, Failure
             step(world)
         except FaultStop as error:
             if trail is not None and trail.last is not None:
-                failure_point = FailurePoint(frame_number, None, trail.last)
+                failure_point = FailureSnapshot(frame_number, None, trail.last)
                 failure_points |= {id(case): failure_point for case in run.cases if id(case) not in failure_points}
             return _fail_with_fault(run, error)
 
@@ -144,10 +144,10 @@ def _describe_fault(stop: FaultStop, prefix: str) -> SpecFailure:
     return SpecFailure(words, fault.span, fault.frame, None, fault.operands, culprit, 0, (fault.agent,))
 
 
-def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ComparedRun]:
+def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ReferenceRunRecord]:
     """Return the reference runs of cases by the case's id. Cases with the same shot share one run. A fault in a run fails its
     cases."""
-    compared_runs: dict[int, ComparedRun] = {}
+    compared_runs: dict[int, ReferenceRunRecord] = {}
     for shot in {
         id(case.comparison_shot.shot): case.comparison_shot.shot for case in run.cases if case.comparison_shot is not None
     }.values():
@@ -160,11 +160,13 @@ def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ComparedRun]:
     return compared_runs
 
 
-def _simulate_compared(run: SpecRun, work: RunContext, shot: Shot, cases: list[SpecCase]) -> dict[int, ComparedRun]:
+def _simulate_compared(run: SpecRun, work: RunContext, shot: Shot, cases: list[SpecCase]) -> dict[int, ReferenceRunRecord]:
     """Simulate one run that cases compare with, to the last frame that one of them needs."""
     world = _make_world(shot, run.seed, work)
     first = world.frame
-    rivals = {id(case): ComparedRun(case.comparison_shot.plan, world) for case in cases if case.comparison_shot is not None}
+    rivals = {
+        id(case): ReferenceRunRecord(case.comparison_shot.plan, world) for case in cases if case.comparison_shot is not None
+    }
     last = max(find_last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in cases)
     while True:
         for compared_run in rivals.values():

@@ -69,7 +69,7 @@ def _describe_saved(saved_frames: SavedFrames) -> list[str]:
 
 def describe_verdict(verdict: SpecVerdict) -> str:
     """Return the verdict over seeds: `"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
-    ends = {True: "enough for", False: "too few for", None: "not all seeds ran, of"}[verdict.holds]
+    ends = {True: "enough for", False: "too few for", None: "not all seeds ran, of"}[verdict.has_passed]
     share = f"{verdict.spec.pass_share * 100:.6g} %"
     return f'"{escape_text(verdict.spec.name)}": {verdict.passed_count} of {verdict.case_count} seeds passed, {ends} {share}'
 

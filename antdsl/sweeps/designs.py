@@ -19,12 +19,12 @@ from antdsl.diagnostics import Report
 from antdsl.sweeps import sensitivity
 from antdsl.sweeps.factors import Factor
 
-Shares = NDArray[np.float64]
-Point = Mapping[str, str]
+RangeShares = NDArray[np.float64]
+ParameterPoint = Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class SamplingDesign:
     """A design of experiments.
 
     `sample_shares(factors, count, seed)`: returns an array (points, factors) of numbers from 0 to 1; None for a grid.
@@ -38,7 +38,7 @@ class Design:
     name: str
     description: str
     count_meaning: str = ""  # the meaning of `--points`; empty if the design has no such option
-    sample_shares: Callable[[int, int, int], Shares] | None = None
+    sample_shares: Callable[[int, int, int], RangeShares] | None = None
     points_per_unit: int | None = None  # points per counted unit, plus one for each factor; None: one point
     needs_power_of_two: bool = False
     needs_ranges: bool = False
@@ -50,19 +50,19 @@ class ChosenPoints:
     """The points that a design has chosen, in order, possibly with duplicates. `shares`: the shares (points, factors) from which
     they were computed; None for a grid."""
 
-    design: Design
+    design: SamplingDesign
     factors: tuple[Factor, ...]
-    points: tuple[Point, ...]
-    shares: Shares | None = None
+    points: tuple[ParameterPoint, ...]
+    shares: RangeShares | None = None
 
     @property
-    def unique_points(self) -> list[Point]:
+    def unique_points(self) -> list[ParameterPoint]:
         """Return every point once, in order."""
         points_by_value = {tuple(point.values()): point for point in self.points}
         return list(points_by_value.values())
 
 
-def _sample_latin_hypercube(factors: int, count: int, seed: int) -> Shares:
+def _sample_latin_hypercube(factors: int, count: int, seed: int) -> RangeShares:
     """Return a Latin hypercube: shares of `count` points. M. D. McKay, R. J. Beckman, W. J. Conover: A comparison of three
     methods for selecting values of input variables in the analysis of output from a computer code, Technometrics 21 (1979)."""
     from scipy.stats import qmc
@@ -70,7 +70,7 @@ def _sample_latin_hypercube(factors: int, count: int, seed: int) -> Shares:
     return np.asarray(qmc.LatinHypercube(factors, seed=np.random.default_rng(seed)).random(count))
 
 
-def _sample_sobol(factors: int, count: int, seed: int) -> Shares:
+def _sample_sobol(factors: int, count: int, seed: int) -> RangeShares:
     """Return `count` points of a scrambled Sobol sequence, as shares. I. M. Sobol': On the distribution of points in a cube, USSR
     Comp. Math. Math. Phys. 7 (1967), scrambled after A. B. Owen: Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14
     (1998)."""
@@ -79,17 +79,19 @@ def _sample_sobol(factors: int, count: int, seed: int) -> Shares:
     return np.asarray(qmc.Sobol(factors, scramble=True, seed=np.random.default_rng(seed)).random(count))
 
 
-GRID_DESIGN = Design("grid", "every combination of the values")
+GRID_DESIGN = SamplingDesign("grid", "every combination of the values")
 DESIGNS = (
     GRID_DESIGN,
-    Design(
+    SamplingDesign(
         "latin",
         "a Latin hypercube: each factor's range is cut into as many parts as points, with one point in each",
         "points",
         _sample_latin_hypercube,
     ),
-    Design("sobol", "points of a Sobol sequence, which fill the space evenly", "points", _sample_sobol, needs_power_of_two=True),
-    Design(
+    SamplingDesign(
+        "sobol", "points of a Sobol sequence, which fill the space evenly", "points", _sample_sobol, needs_power_of_two=True
+    ),
+    SamplingDesign(
         "saltelli",
         "Saltelli's sample, for Sobol indices: the share of the variance due to each factor",
         "points of the sequence behind it",
@@ -98,7 +100,7 @@ DESIGNS = (
         needs_power_of_two=True,
         analysis=sensitivity.SOBOL_INDICES,
     ),
-    Design(
+    SamplingDesign(
         "morris",
         "Morris' trajectories, for elementary effects: which factors have any influence",
         "trajectories",
@@ -129,7 +131,7 @@ def choose_design(name: str, factors: Sequence[Factor], point_count: int | None,
     return ChosenPoints(design, tuple(factors), points, shares), report
 
 
-def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: int | None, report: Report) -> None:
+def _check_design_fit(design: SamplingDesign, factors: Sequence[Factor], point_count: int | None, report: Report) -> None:
     """Report a number of points or factors that do not suit a design."""
     ranges = [factor for factor in factors if not factor.levels]
     flag = f"`--design {design.name}`"
@@ -182,5 +184,5 @@ def _check_design_fit(design: Design, factors: Sequence[Factor], point_count: in
             f"more than the limit of {limits.MAX_SWEEP_POINTS:,}"
         )
         report.error("too-large", words, None, "write a smaller `--points`")
-    if design.analysis is not None and not sensitivity.is_available():
+    if design.analysis is not None and not sensitivity.is_salib_available():
         report.error("missing-extra", f"{flag} needs SALib", None, sensitivity.INSTALL_HINT)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 PACKAGE_NAME = "matplotlib"
 
 
-def is_available() -> bool:
+def is_matplotlib_available() -> bool:
     """Return whether matplotlib is installed, without importing anything."""
     return find_spec(PACKAGE_NAME) is not None
 

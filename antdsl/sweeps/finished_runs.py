@@ -16,23 +16,23 @@ from antdsl.sweeps.jobs import SweepJob
 _MAX_RUN_FILE_BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # maximum size of the stored data of one run
 
 
-class NotASweepFolder(Exception):
+class NotASweepFolderError(Exception):
     """Error for a folder that contains files that do not belong to a sweep."""
 
 
-class RunStore:
+class FinishedRunStore:
     """The folder of a sweep: `runs/` has a file for each finished run."""
 
     def __init__(self, folder: Path) -> None:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / "runs").is_dir():
-            raise NotASweepFolder(f"`{folder}` has other files")
+            raise NotASweepFolderError(f"`{folder}` has other files")
         if is_link(folder / "runs"):
-            raise NotASweepFolder(f"`{folder / 'runs'}` is a link")
+            raise NotASweepFolderError(f"`{folder / 'runs'}` is a link")
         self.folder = folder
         self.runs = folder / "runs"
         create_folder_durably(self.runs)
 
-    def path(self, job: SweepJob) -> Path:
+    def get_run_path(self, job: SweepJob) -> Path:
         """Return the path of a run's file."""
         return self.runs / f"{job.key}.json"
 
@@ -40,7 +40,7 @@ class RunStore:
         """Return the measures of an earlier finished run. Return None if there is none or its file is damaged. Files of older
         versions, which have no hash, are accepted."""
         try:
-            document = json.loads(read_size_limited(self.path(job), _MAX_RUN_FILE_BYTES))
+            document = json.loads(read_size_limited(self.get_run_path(job), _MAX_RUN_FILE_BYTES))
         except (OSError, ValueError, RecursionError):
             return None
         fits = isinstance(document, dict) and document.get("key") == job.key and isinstance(document.get("measures"), dict)
@@ -57,7 +57,7 @@ class RunStore:
         """Write a run's measures atomically."""
         document = describe_job(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
         document["hash"] = _hash_document(document)
-        write_atomically(self.path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
+        write_atomically(self.get_run_path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
 
 
 def _hash_document(document: Mapping[str, Any]) -> str:

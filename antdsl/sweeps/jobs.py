@@ -24,7 +24,7 @@ from antdsl.source_hash import hash_sources
 
 
 @dataclass(frozen=True, slots=True)
-class Variation:
+class SceneVariation:
     """A scene with specific values, which is one line of the table. `params`: the values by name. `label`: its display name."""
 
     scene: Path
@@ -57,13 +57,13 @@ class SweepJob:
         """Return the display name of the run: its label and seed."""
         return f"{self.label}, seed {self.seed}"
 
-    def document(self) -> dict[str, Any]:
+    def make_document(self) -> dict[str, Any]:
         """Return the job as JSON values for another process."""
         return asdict(self)
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> SweepJob:
-        """Return the job from JSON values; the inverse of `SweepJob.document`."""
+        """Return the job from JSON values; the inverse of `SweepJob.make_document`."""
         return _JOB_ADAPTER.validate_python(document)
 
     def make_choices(self) -> RunChoices:
@@ -75,7 +75,7 @@ class SweepJob:
 _JOB_ADAPTER = TypeAdapter(SweepJob)
 
 
-def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[Variation]:
+def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[SceneVariation]:
     """Return every scene with the values of every point."""
     scenes, points = list(scenes), list(points)
     stems = [scene.stem for scene in scenes]
@@ -87,12 +87,12 @@ def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]])
             ends = [name.rpartition(".")[2] for name in params]
             short_names = [end if ends.count(end) == 1 else name for end, name in zip(ends, params, strict=True)]
             words = [f"{name} {value}" for name, value in zip(short_names, params.values(), strict=True)]
-            combinations.append(Variation(scene, params, ", ".join(head + words)))
+            combinations.append(SceneVariation(scene, params, ", ".join(head + words)))
     return combinations
 
 
 def build_jobs(
-    variations: Iterable[Variation],
+    variations: Iterable[SceneVariation],
     seeds: Iterable[int],
     *,
     frames: FrameRange | None,
@@ -102,7 +102,7 @@ def build_jobs(
     """Return all runs, ordered by seed, so that a stopped sweep has results of every variation. Each problem with a scene or a
     value is in the report once."""
     report = Report()
-    shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
+    shots: list[tuple[SceneVariation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = SharedParsedFiles()
     for variation in variations:
         choices = RunChoices(grants, frames, None, variation.params, until=until)

@@ -45,7 +45,7 @@ def run_jobs(
     `report_frame`: is called from time to time with the progress of a run.
     `report_note`: is called with messages about deviations from the request, one sentence for each run and cause.
     """
-    tasks = (Task(job.key, measure_job, job.document()) for job in jobs)
+    tasks = (Task(job.key, measure_job, job.make_document()) for job in jobs)
     for outcome in run_tasks(
         tasks, engine, lambda task, frame: report_frame(SweepJob.from_document(task.document), frame), report_note
     ):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl.sweeps.factors import Factor
 from antdsl.sweeps.figures import open_figure
-from antdsl.sweeps.sensitivity import Analysis, Effect
-from antdsl.sweeps.study import Study
+from antdsl.sweeps.sensitivity import FactorEffect, SensitivityAnalysis
+from antdsl.sweeps.study import SweepStudy
 from antdsl.sweeps.table import RunResult, compute_quantile
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def _draw_panel(panel: Axes, results: Sequence[RunResult], labels: Sequence[str]
 
 
 def draw_factors(
-    study: Study, results: Sequence[RunResult], measures: Sequence[str], effects: Sequence[Effect], path: Path
+    study: SweepStudy, results: Sequence[RunResult], measures: Sequence[str], effects: Sequence[FactorEffect], path: Path
 ) -> None:
     """Write one PNG with a row per measure and a column per range. If the design provides the importance of factors, add a column
     for it.
@@ -132,7 +132,7 @@ def _draw_trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float
     panel.plot(middles, middle, "-", color=colour, linewidth=1.5)
 
 
-def _draw_bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes: Sequence[str]) -> None:
+def _draw_bars(panel: Any, analysis: SensitivityAnalysis, effects: Sequence[FactorEffect], scenes: Sequence[str]) -> None:
     """Draw the importance of each factor as a bar with its 95 % interval."""
     factors = list(dict.fromkeys(effect.factor for effect in effects))
     high = 0.8 / max(len(scenes), 1)

@@ -26,7 +26,7 @@ EffectColumns = Mapping[str, Numbers]
 
 
 @dataclass(frozen=True, slots=True)
-class Analysis:
+class SensitivityAnalysis:
     """A method to compute the importance of each factor.
 
     `title`: the title of its table.
@@ -41,7 +41,7 @@ class Analysis:
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class FactorEffect:
     """The effect of one factor on one measure of one scene. `columns`: the numbers of the analysis, by name."""
 
     scene: str
@@ -50,7 +50,7 @@ class Effect:
     columns: Mapping[str, float]
 
 
-def is_available() -> bool:
+def is_salib_available() -> bool:
     """Return whether SALib is installed, without importing it."""
     return find_spec("SALib") is not None
 
@@ -98,8 +98,10 @@ def _compute_elementary_effects(shares: Numbers, values: Numbers) -> EffectColum
     return {column: np.asarray(results[salib_name], np.float64) for column, salib_name in salib_names.items()}
 
 
-SOBOL_INDICES = Analysis("Sobol indices: the share of the variance due to a factor", "total", "total_95", _compute_sobol_indices)
-ELEMENTARY_EFFECTS = Analysis(
+SOBOL_INDICES = SensitivityAnalysis(
+    "Sobol indices: the share of the variance due to a factor", "total", "total_95", _compute_sobol_indices
+)
+ELEMENTARY_EFFECTS = SensitivityAnalysis(
     "Elementary effects: the change of a measure over a factor's whole range",
     "mu_star",
     "mu_star_95",
@@ -113,20 +115,20 @@ def _make_salib_problem(factors: int) -> dict[str, Any]:
 
 
 def find_effects(
-    analysis: Analysis,
+    analysis: SensitivityAnalysis,
     names: Sequence[str],
     shares: Numbers,
     scenes: Mapping[str, Sequence[str]],
     medians: Mapping[tuple[str, str], float],
     measures: Sequence[str],
-) -> tuple[list[Effect], list[str]]:
+) -> tuple[list[FactorEffect], list[str]]:
     """Return the effect of each factor on each measure, and the reasons why some measures have none.
 
     `names`: the names of the factors.
     `shares`: the shares (points, factors) of the design.
     `scenes`: the labels of the design's points in order, by the name of the scene.
     `medians`: the median of a measure over seeds, by label and measure."""
-    effect_list: list[Effect] = []
+    effect_list: list[FactorEffect] = []
     notes: list[str] = []
     for scene, labels in scenes.items():
         where = f" of {scene}" if len(scenes) > 1 else ""
@@ -143,13 +145,13 @@ def find_effects(
             else:
                 columns = analysis.compute_columns(shares, values)
                 effect_list += [
-                    Effect(scene, measure, name, {column: float(numbers[k]) for column, numbers in columns.items()})
+                    FactorEffect(scene, measure, name, {column: float(numbers[k]) for column, numbers in columns.items()})
                     for k, name in enumerate(names)
                 ]
     return effect_list, notes
 
 
-def format_effects(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
+def format_effects(analysis: SensitivityAnalysis, effect_list: Sequence[FactorEffect]) -> str:
     """Return a block of lines per scene and measure, with the most important factor first."""
     lines: list[str] = [analysis.title]
     width = max(len(effect.factor) for effect in effect_list)
@@ -166,7 +168,7 @@ def format_effects(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
-def as_csv(effect_list: Sequence[Effect]) -> str:
+def format_effects_csv(effect_list: Sequence[FactorEffect]) -> str:
     """Return CSV with one line per effect."""
     head = ["scene", "measure", "factor", *effect_list[0].columns]
     lines = (

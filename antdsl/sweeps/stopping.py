@@ -98,7 +98,7 @@ class WidthGoal:
 
 
 @dataclass(frozen=True, slots=True)
-class KnownMedian:
+class MedianEstimate:
     """A median of one measure of one variation, known after `runs` runs to lie between `low` and `high`. `median`: its estimate.
     `met`: whether the interval is as narrow as requested."""
 
@@ -112,7 +112,7 @@ class KnownMedian:
 
 
 @dataclass(slots=True)
-class JobChooser:
+class SweepJobChooser:
     """A chooser of the jobs that a sweep still needs.
 
     `jobs`: all jobs that may run, ordered by seed. `width_goals`: the requested widths of intervals; without them, all jobs are
@@ -131,7 +131,7 @@ class JobChooser:
         if self.width_goals and self._jobs_by_label:
             self._schedule = plan_checks(max(map(len, self._jobs_by_label.values())))
 
-    def needed_jobs(self) -> Iterator[SweepJob]:
+    def iterate_needed_jobs(self) -> Iterator[SweepJob]:
         """Yield the next needed job, as long as there is one. Request the next job only when a process is free."""
         for job in self.jobs:
             if job.key not in self._measures and job.label not in self._final_counts:
@@ -158,7 +158,7 @@ class JobChooser:
         }
         return [job for job in self.jobs if job.key in counted_keys and self._measures.get(job.key) is not None]
 
-    def list_known_medians(self) -> list[KnownMedian]:
+    def list_known_medians(self) -> list[MedianEstimate]:
         """Return the final intervals of all measures with a requested width."""
         if self._schedule is None:
             return []
@@ -181,15 +181,15 @@ class JobChooser:
         """Return the names of all reported measures, as the keys of a mapping."""
         return {name: None for measures in self._measures.values() if measures is not None for name in measures}
 
-    def _find_medians_after(self, label: str, run_count: int) -> list[KnownMedian]:
+    def _find_medians_after(self, label: str, run_count: int) -> list[MedianEstimate]:
         """Return the intervals of a variation's medians after its first `run_count` runs."""
         assert self._schedule is not None
         ended = [each for job in self._jobs_by_label[label][:run_count] if (each := self._measures.get(job.key)) is not None]
-        entries: list[KnownMedian] = []
+        entries: list[MedianEstimate] = []
         for width in self.width_goals:
             names = dict.fromkeys(name for measures in ended for name in measures if name.startswith(width.measure))
             if not names:
-                entries.append(KnownMedian(label, width.measure, len(ended), math.nan, math.nan, math.nan, False))
+                entries.append(MedianEstimate(label, width.measure, len(ended), math.nan, math.nan, math.nan, False))
             for name in names:
                 numbers = [measures.get(name, 0.0) for measures in ended]
                 if not all(value is None or isinstance(value, int | float) for value in numbers):
@@ -198,5 +198,5 @@ class JobChooser:
                 median, interval = compute_quantile(values, 0.5), find_interval(values, self._schedule.error_probability)
                 low, high = interval or (-math.inf, math.inf)
                 is_reached = interval is not None and width.is_reached(interval, median)
-                entries.append(KnownMedian(label, name, len(values), median, low, high, is_reached))
+                entries.append(MedianEstimate(label, name, len(values), median, low, high, is_reached))
         return entries

@@ -16,21 +16,21 @@ from antdsl.atomic_write import write_atomically
 from antdsl.safe_read import read_size_limited
 from antdsl.sweeps.designs import DESIGNS, ChosenPoints
 from antdsl.sweeps.factors import Factor
-from antdsl.sweeps.jobs import Variation
-from antdsl.sweeps.sensitivity import Effect, find_effects
-from antdsl.sweeps.table import Row
+from antdsl.sweeps.jobs import SceneVariation
+from antdsl.sweeps.sensitivity import FactorEffect, find_effects
+from antdsl.sweeps.table import MeasureStatistics
 
 REQUEST_FILE_NAME = "asked.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Study:
+class SweepStudy:
     """A sweep to run: its points, its scenes, and its variations. A variation is a scene with the values of a point, each
     once."""
 
     chosen_points: ChosenPoints
     scenes: tuple[Path, ...]
-    variations: tuple[Variation, ...]
+    variations: tuple[SceneVariation, ...]
 
     @property
     def range_factors(self) -> tuple[Factor, ...]:
@@ -42,7 +42,7 @@ class Study:
         """Return the units of the ranges, by the names of their factors."""
         return {factor.name: factor.unit for factor in self.range_factors}
 
-    def find_effects(self, table: Sequence[Row], measures: Sequence[str]) -> tuple[list[Effect], list[str]]:
+    def find_effects(self, table: Sequence[MeasureStatistics], measures: Sequence[str]) -> tuple[list[FactorEffect], list[str]]:
         """Return the effect of each factor on each measure, and notes on measures without a known effect. Both are empty if the
         design has no analysis."""
         design, shares = self.chosen_points.design, self.chosen_points.shares
@@ -54,7 +54,7 @@ class Study:
         return find_effects(design.analysis, [f.name for f in self.chosen_points.factors], shares, scenes, medians, measures)
 
 
-class NoStoredSweep(Exception):
+class NoStoredSweepError(Exception):
     """Error for a folder without a sweep that can continue. The message is the reason."""
 
 
@@ -89,7 +89,7 @@ class SweepRequest(BaseModel):
             raise ValueError("a path cannot contain a null character")
         return words
 
-    def write(self, folder: Path) -> None:
+    def write_request(self, folder: Path) -> None:
         """Write the request into a folder, with paths relative to the folder, so that everything can be moved together."""
         portable_request = self.model_copy(
             update={
@@ -106,14 +106,14 @@ class SweepRequest(BaseModel):
 
 
 def read_request(folder: Path) -> SweepRequest:
-    """Return the request stored in a folder, with paths relative to the working directory. Raises NoStoredSweep if there is
+    """Return the request stored in a folder, with paths relative to the working directory. Raises NoStoredSweepError if there is
     none."""
     try:
         request = SweepRequest.model_validate_json(read_size_limited(folder / REQUEST_FILE_NAME, limits.MIB))
     except OSError:
-        raise NoStoredSweep(f"`{folder}` has no sweep to continue") from None
+        raise NoStoredSweepError(f"`{folder}` has no sweep to continue") from None
     except ValidationError:
-        raise NoStoredSweep(f"`{folder / REQUEST_FILE_NAME}` is damaged") from None
+        raise NoStoredSweepError(f"`{folder / REQUEST_FILE_NAME}` is damaged") from None
     roots = [f"{name}={_resolve_path(path, folder)}" for name, _, path in (word.partition("=") for word in request.root)]
     changed: dict[str, Any] = {"scenes": [_resolve_path(path, folder) for path in request.scenes], "root": roots}
     return request.model_copy(update=changed)

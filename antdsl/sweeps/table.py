@@ -15,8 +15,8 @@ from antdsl.sweeps.jobs import SweepJob
 from antdsl.sweeps.series import collect_series, without_series
 
 if TYPE_CHECKING:
-    from antdsl.sweeps.sensitivity import Effect
-    from antdsl.sweeps.stopping import KnownMedian
+    from antdsl.sweeps.sensitivity import FactorEffect
+    from antdsl.sweeps.stopping import MedianEstimate
 
 RunResult = tuple[SweepJob, Mapping[str, Any]]
 _DECLARED_PREFIX = "measures."  # of the measures of the program
@@ -24,7 +24,7 @@ MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # they depend on the machine
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class MeasureStatistics:
     """The distribution of one measure over the runs of one variation. Its fields are the columns of files.
 
     `runs`: the number of runs. `happened`: the runs in which the measured event happened; otherwise the value is infinite, so
@@ -51,7 +51,7 @@ def compute_quantile(values: Sequence[float], share: float) -> float:
     return math.inf if math.isinf(values[high]) else values[low] + (place - low) * (values[high] - values[low])
 
 
-def build_rows(results: Iterable[RunResult]) -> list[Row]:
+def build_rows(results: Iterable[RunResult]) -> list[MeasureStatistics]:
     """Return rows of all measures that are numbers, in the order in which the runs report them."""
     values_by_key: dict[tuple[str, str], list[float]] = {}
     counts: dict[str, int] = {}
@@ -63,15 +63,15 @@ def build_rows(results: Iterable[RunResult]) -> list[Row]:
     return [_make_row(label, name, values, counts[label]) for (label, name), values in values_by_key.items()]
 
 
-def _make_row(label: str, name: str, values: list[float], runs: int) -> Row:
+def _make_row(label: str, name: str, values: list[float], runs: int) -> MeasureStatistics:
     """Return the row of a measure. A run without this measure counts as 0, such as a run without a certain transition."""
     # a missing count, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
     median, lower, upper = (compute_quantile(values, share) for share in (0.5, 0.25, 0.75))
-    return Row(label, name, runs, sum(map(math.isfinite, values)), median, lower, upper, values[0], values[-1])
+    return MeasureStatistics(label, name, runs, sum(map(math.isfinite, values)), median, lower, upper, values[0], values[-1])
 
 
-def choose_measures(table: Sequence[Row], prefixes: Sequence[str]) -> list[str]:
+def choose_measures(table: Sequence[MeasureStatistics], prefixes: Sequence[str]) -> list[str]:
     """Return the measures to display: those with names that begin with a word in `prefixes`. By default, return the measures of
     the program, or the frames at which amounts ran out, or else the motion measures."""
     names = list(dict.fromkeys(row.measure for row in table))
@@ -82,7 +82,7 @@ def choose_measures(table: Sequence[Row], prefixes: Sequence[str]) -> list[str]:
     return [name for name in names if any(name.startswith(start) for start in prefixes)]
 
 
-def format_table(table: Sequence[Row], measures: Sequence[str]) -> str:
+def format_table(table: Sequence[MeasureStatistics], measures: Sequence[str]) -> str:
     """Return a text with variations as lines and measures as columns: median (lower quartile – upper quartile)."""
     rows_by_key = {(row.label, row.measure): row for row in table}
     labels = list(dict.fromkeys(row.label for row in table))
@@ -103,7 +103,7 @@ def _make_heading(measure: str) -> str:
     return measure.removeprefix(_DECLARED_PREFIX)
 
 
-def _format_cell(row: Row | None) -> str:
+def _format_cell(row: MeasureStatistics | None) -> str:
     if row is None:
         return "–"
     words = f"{_format_number(row.median)} ({_format_number(row.lower_quartile)} – {_format_number(row.upper_quartile)})"
@@ -114,9 +114,9 @@ def _format_number(value: float) -> str:
     return "never" if math.isinf(value) else f"{value:.6g}"
 
 
-def as_csv(table: Sequence[Row]) -> str:
+def format_csv_table(table: Sequence[MeasureStatistics]) -> str:
     """Return one CSV line per variation and measure. Values of events that never happened are empty."""
-    lines: list[list[object]] = [[column.name for column in fields(Row)]]
+    lines: list[list[object]] = [[column.name for column in fields(MeasureStatistics)]]
     for row in table:
         lines.append(["" if v is None else f"{v:.9g}" if isinstance(v, float) else v for v in _make_finite_entry(row).values()])
     return format_csv(lines)
@@ -164,7 +164,7 @@ def format_columns(columns: Mapping[str, Sequence[Any]]) -> str:
     return format_csv([list(columns), *(["" if cell is None else cell for cell in row] for row in rows)])
 
 
-def format_known_medians(medians: Sequence[KnownMedian]) -> str:
+def format_known_medians(medians: Sequence[MedianEstimate]) -> str:
     """Return one line per median: the interval in which it lies, and whether the interval is as narrow as requested."""
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in medians), strict=True))
@@ -179,8 +179,11 @@ def format_known_medians(medians: Sequence[KnownMedian]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def as_json(
-    results: Sequence[RunResult], table: Sequence[Row], medians: Sequence[KnownMedian] = (), effects: Sequence[Effect] = ()
+def format_json_table(
+    results: Sequence[RunResult],
+    table: Sequence[MeasureStatistics],
+    medians: Sequence[MedianEstimate] = (),
+    effects: Sequence[FactorEffect] = (),
 ) -> str:
     """Return all runs, the table, and known medians and effects as one JSON document."""
     document: dict[str, Any] = {
@@ -194,6 +197,6 @@ def as_json(
     return json.dumps(document, indent=1) + "\n"
 
 
-def _make_finite_entry(record: Row | KnownMedian) -> dict[str, Any]:
+def _make_finite_entry(record: MeasureStatistics | MedianEstimate) -> dict[str, Any]:
     """Return the fields of a record by name, for JSON. Numbers that are infinite or unknown become None."""
     return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(record).items()}

@@ -1,18 +1,19 @@
-"""Text → tree: `read` opens a file safely, `parse` makes a `File` of its text. `format` writes a text in the one layout, `write`
-replaces the file.
+"""Text → tree: `read_program_file` opens a file safely, `parse` makes a `File` of its text. `format` writes a text in the one
+layout, `write_program_file` replaces the file.
 
-`scan` makes tokens, `brackets` pairs them, `blocks` cuts the text into lines and blocks. Then lark's tables (`parse_tables`, made
-by `grammar`) parse each line separately and `builder` makes the `nodes`, so that an error affects only its line. Messages about
-mistakes are in `mistakes`; the layout is in `formatting`. `incremental_parser` parses only what changed for an editor."""
+`scan_tokens` makes tokens, `brackets` pairs them, `blocks` cuts the text into lines and blocks. Then lark's tables
+(`parse_tables`, made by `grammar`) parse each line separately and `builder` makes the `nodes`, so that an error affects only its
+line. Messages about mistakes are in `mistakes`; the layout is in `formatting`. `incremental_parser` parses only what changed for
+an editor."""
 
 from pathlib import Path
 
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source
 from antdsl.syntax.parser import parse
-from antdsl.syntax.text_files import read, read_bytes
+from antdsl.syntax.text_files import decode_program, read_program_file
 
-__all__ = ["format", "parse", "read", "read_bytes", "write"]
+__all__ = ["decode_program", "format", "parse", "read_program_file", "write"]
 
 # Most callers only parse, so formatting and writing are imported when called.
 
@@ -28,4 +29,4 @@ def write(path: Path, text: str) -> None:
     """Replace the file `path` with a text by an atomic write; see `text_files.write`."""
     from antdsl.syntax import text_files
 
-    text_files.write(path, text)
+    text_files.write_program_file(path, text)

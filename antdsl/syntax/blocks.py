@@ -56,7 +56,7 @@ class MappedText:
         _, offset, length = self.parts[part]
         return offset + min(position - self.part_starts[part], length)
 
-    def span(self, start: int, end: int) -> Span:
+    def make_source_span(self, start: int, end: int) -> Span:
         """Return the source span of the text between the positions `start` and `end`."""
         first = self.find_source_offset(start)
         if end <= start:
@@ -76,7 +76,7 @@ class MappedText:
 
     def replace_range(self, start: int, end: int, text: str) -> MappedText:
         """Return a copy with `text` in place of the positions from `start` to `end`."""
-        span = self.span(start, end)
+        span = self.make_source_span(start, end)
         previous_parts, next_parts = self._cut_pieces(0, start), self._cut_pieces(end, len(self.text))
         return MappedText(self.source, [*previous_parts, (text, span.start, span.end - span.start), *next_parts])
 
@@ -139,7 +139,7 @@ def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
                         "brace-on-own-line", "`{` on a separate line", Span(scan.source, token.start, token.end),
                         "put it at the end of the line above", fix=_make_brace_fix(scan, line_end, token),
                     )  # fmt: skip
-                    scan.blank_out(line_end, token.start)
+                    scan.replace_by_blanks(line_end, token.start)
             chooses = bool(line.tokens) and get_token_text(scan, line.tokens[-1]) == "choose"
             line.tokens.append(token)
             stack.append((lines, token, chooses))

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from antdsl import limits
-from antdsl.syntax.mistakes.continued_lines import join_lines
+from antdsl.syntax.mistakes.continued_lines import join_continued_lines
 from antdsl.syntax.scan import ScannedToken, TokenScan
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS_BY_RULE
 
@@ -26,7 +26,7 @@ def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
             message = f"brackets nested more than {limits.MAX_BRACKET_DEPTH} deep"
             scan.report_error("nesting-too-deep", message, token.start, token.end, "name inner parts with `let`")
             return None
-    scan.tokens = join_lines(scan)
+    scan.tokens = join_continued_lines(scan)
     return _BracePairer(scan, _ParenthesisPairer(scan).pair_tokens()).pair_tokens()
 
 
@@ -60,7 +60,7 @@ class _ParenthesisPairer:
             index += 1
         for token in self.out:
             if token.kind == "soft":
-                self.scan.replace(token.start, " ")
+                self.scan.replace_characters(token.start, " ")
         return [token for token in self.out if token.kind != "soft"]
 
     def is_line_start(self, index: int, text: str) -> bool:
@@ -77,7 +77,7 @@ class _ParenthesisPairer:
             first = get_token_text(self.scan, tokens[self.find_line_start(index)])
             message = f"`{first}` has `{text}` instead of `{{`"
             self.scan.report_error("missing-brace", message, token.start, token.end, "write `{`", "{")
-            self.scan.replace(token.start, "{")
+            self.scan.replace_characters(token.start, "{")
         elif text in ("(", "["):
             self.open.append(len(self.out))
         elif text in (")", "]"):
@@ -91,7 +91,7 @@ class _ParenthesisPairer:
                     "delete it, or add the opening one",
                     "",
                 )
-                self.scan.blank_out(token.start, token.end)
+                self.scan.replace_by_blanks(token.start, token.end)
                 return
             if not self.close_bracket(index, token, text):
                 return
@@ -136,13 +136,13 @@ class _ParenthesisPairer:
                     "delete it, or add the opening one",
                     "",
                 )
-                self.scan.blank_out(token.start, token.end)
+                self.scan.replace_by_blanks(token.start, token.end)
                 return False
             message = f"`{text}` where `{expected_signs[-1]}` was expected"
             self.scan.report_error(
                 "unopened-bracket", message, token.start, token.end, f"write `{expected_signs[-1]}`", expected_signs[-1]
             )
-            self.scan.replace(token.start, expected_signs[-1])
+            self.scan.replace_characters(token.start, expected_signs[-1])
         else:
             while expected_signs.pop() != text:
                 inner = self.out[self.open.pop()]
@@ -297,7 +297,7 @@ class _BracePairer:
         self.scan.report_error(
             "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
         )
-        self.scan.blank_out(token.start, token.end)
+        self.scan.replace_by_blanks(token.start, token.end)
         return False
 
     def repair_opening(self, token: ScannedToken) -> bool:

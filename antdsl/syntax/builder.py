@@ -25,7 +25,7 @@ class Token(Protocol):
 class SpanMaker(Protocol):
     """Converts positions in the parsed text to spans in the source."""
 
-    def span(self, start: int, end: int) -> Span: ...
+    def make_source_span(self, start: int, end: int) -> Span: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Builder:
 
     def get_span(self, part: Any) -> Span:
         """Return the span of a token, or of a node that is already built."""
-        span: Span = self.span_maker.span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
+        span: Span = self.span_maker.make_source_span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
         return span
 
     def join_spans(self, parts: Sequence[Any]) -> Span:
@@ -360,7 +360,7 @@ class Builder:
         match = QUANTITY_PATTERN.match(token.value)
         assert match is not None
         digits, unit = match[1], match[2] or ""
-        unit_span = self.span_maker.span(token.end_pos - len(unit), token.end_pos)
+        unit_span = self.span_maker.make_source_span(token.end_pos - len(unit), token.end_pos)
         return n.Quantity(float(digits), unit, unit_span, self.get_span(token))
 
     def name(self, parts: list[Any]) -> n.NameRef:

@@ -13,21 +13,21 @@ from antdsl.syntax.blocks import SourceLine
 from antdsl.syntax.brackets import get_token_text
 from antdsl.syntax.scan import ScannedToken, TokenScan
 
-FileSizes = tuple[int, int, int]
-NO_SIZES: FileSizes = (0, 0, 0)
+FileElementCounts = tuple[int, int, int]
+ZERO_FILE_SIZES: FileElementCounts = (0, 0, 0)
 
 
-def count_sizes(scan: TokenScan, lines: list[SourceLine]) -> FileSizes:
+def count_sizes(scan: TokenScan, lines: list[SourceLine]) -> FileElementCounts:
     """Return the numbers of words, statements and species of a text, in this order."""
     return len(scan.tokens), sum(1 for _ in _iterate_lines(lines)), len(_find_species_words(scan, lines))
 
 
-def add_sizes(first: FileSizes, second: FileSizes) -> FileSizes:
+def add_sizes(first: FileElementCounts, second: FileElementCounts) -> FileElementCounts:
     """Return the sum of two file sizes."""
     return first[0] + second[0], first[1] + second[1], first[2] + second[2]
 
 
-def is_within_limits(sizes: FileSizes) -> bool:
+def is_within_limits(sizes: FileElementCounts) -> bool:
     """Return whether the sizes are within the limits of one file."""
     words, statements, species = sizes
     return words <= limits.MAX_FILE_TOKENS and statements <= limits.MAX_FILE_STATEMENTS and species <= limits.MAX_FILE_SPECIES

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from antdsl.diagnostics.model import Diagnostic, Fix, Label, Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.file_limits import NO_SIZES, add_sizes, is_within_limits
+from antdsl.syntax.file_limits import ZERO_FILE_SIZES, add_sizes, is_within_limits
 from antdsl.syntax.parser import ParsedPart, parse, parse_part
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS_BY_RULE
 
@@ -129,7 +129,7 @@ class IncrementalParser:
         head_count, tail_count = self._count_unchanged(cut_list, texts)
         last = len(cut_list) - tail_count
         new_blocks: list[tuple[TextBlock, str, ParsedPart]] = []
-        sizes = NO_SIZES
+        sizes = ZERO_FILE_SIZES
         for number, (cut, text) in enumerate(zip(cut_list, texts, strict=True)):
             part = (
                 self._cached_blocks[number][2] if number < head_count

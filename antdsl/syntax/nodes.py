@@ -11,22 +11,22 @@ from typing import TypeVar, dataclass_transform
 from antdsl.source import Source, Span
 from antdsl.syntax.editions import EDITIONS, NEWEST_EDITION
 
-NodeT = TypeVar("NodeT")
+NodeType = TypeVar("NodeType")
 
 
 @dataclass_transform(frozen_default=True, eq_default=False)
-def node_class(cls: type[NodeT]) -> type[NodeT]:
+def make_node_class(cls: type[NodeType]) -> type[NodeType]:
     """Make a class of nodes a frozen dataclass with slots. Its objects compare by identity."""
     return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
-@node_class
+@make_node_class
 class Name:
     text: str
     span: Span
 
 
-@node_class
+@make_node_class
 class Text:
     """A string in quotes; `text` is without them."""
 
@@ -34,7 +34,7 @@ class Text:
     span: Span
 
 
-@node_class
+@make_node_class
 class Comment:
     """A comment from `#` to the end of its line, with the `#`."""
 
@@ -45,13 +45,13 @@ class Comment:
 # --- expressions -----------------------------------------------------------------------------------------------------
 
 
-@node_class
+@make_node_class
 class Number:
     value: float
     span: Span
 
 
-@node_class
+@make_node_class
 class Quantity:
     """A number with a unit: `30 mm/s` is value 30 and unit `mm/s`; `unit_span` covers the unit alone."""
 
@@ -61,7 +61,7 @@ class Quantity:
     span: Span
 
 
-@node_class
+@make_node_class
 class NameRef:
     """A bare name used as a value, also `state`, `self`, `up`, `previous`."""
 
@@ -69,7 +69,7 @@ class NameRef:
     span: Span
 
 
-@node_class
+@make_node_class
 class Member:
     """`food.load`, `mine.wander`."""
 
@@ -78,7 +78,7 @@ class Member:
     span: Span
 
 
-@node_class
+@make_node_class
 class Index:
     """`likes[other]`."""
 
@@ -87,7 +87,7 @@ class Index:
     span: Span
 
 
-@node_class
+@make_node_class
 class IndexAll:
     """`likes[n in SET]`: the values about all members of the set `over`, on the left of an assignment."""
 
@@ -97,7 +97,7 @@ class IndexAll:
     span: Span
 
 
-@node_class
+@make_node_class
 class Argument:
     """One argument. `name` is set in the form `reach: 3`; the value may be a `RangeExpr`."""
 
@@ -106,7 +106,7 @@ class Argument:
     span: Span
 
 
-@node_class
+@make_node_class
 class Comprehension:
     """`n in SET: EXPR`, only as the single argument of a call such as `sum(…)`. `over`: the set. `body`: the expression."""
 
@@ -116,7 +116,7 @@ class Comprehension:
     span: Span
 
 
-@node_class
+@make_node_class
 class Call:
     """`function(arguments)`; `function` is a NameRef or a Member."""
 
@@ -125,7 +125,7 @@ class Call:
     span: Span
 
 
-@node_class
+@make_node_class
 class Unary:
     """`-x`, `not x`, `no x` (x is none, or a set is empty), `chance x`: `op` is that word or sign."""
 
@@ -135,7 +135,7 @@ class Unary:
     span: Span
 
 
-@node_class
+@make_node_class
 class Binary:
     """`+ - * / ^ < <= > >= == != and or`; `op` is the word or sign."""
 
@@ -146,7 +146,7 @@ class Binary:
     span: Span
 
 
-@node_class
+@make_node_class
 class IsNone:
     """`x is none`, `x is not none`."""
 
@@ -155,7 +155,7 @@ class IsNone:
     span: Span
 
 
-@node_class
+@make_node_class
 class ClipTest:
     """A test of the clip of the agent's state: `clip done` (`name` is `done`), or `clip at MARK` with `at` true."""
 
@@ -164,7 +164,7 @@ class ClipTest:
     span: Span
 
 
-@node_class
+@make_node_class
 class IfElse:
     condition: Expr
     then: Expr
@@ -172,7 +172,7 @@ class IfElse:
     span: Span
 
 
-@node_class
+@make_node_class
 class RangeExpr:
     """`0 mm .. 200 mm`; only as an argument, after `in`, or in `seeds`."""
 
@@ -181,7 +181,7 @@ class RangeExpr:
     span: Span
 
 
-@node_class
+@make_node_class
 class PairOf:
     """`friend to foe`, reserved."""
 
@@ -190,7 +190,7 @@ class PairOf:
     span: Span
 
 
-@node_class
+@make_node_class
 class NoneOf:
     """`none` or `none of food`."""
 
@@ -198,7 +198,7 @@ class NoneOf:
     span: Span
 
 
-@node_class
+@make_node_class
 class BadExpr:
     """Replaces an expression that could not be read; the error is already reported."""
 
@@ -227,7 +227,7 @@ Expr = (
 # --- types as written ------------------------------------------------------------------------------------------------
 
 
-@node_class
+@make_node_class
 class TypeName:
     """`length`, `push`, `item of food` (`of`); `field to …` is reserved."""
 
@@ -239,13 +239,13 @@ class TypeName:
 # --- statements ------------------------------------------------------------------------------------------------------
 
 
-@node_class
+@make_node_class
 class Steer:
     push: Expr
     span: Span
 
 
-@node_class
+@make_node_class
 class Face:
     """`face e`: turn the body towards `e`."""
 
@@ -253,7 +253,7 @@ class Face:
     span: Span
 
 
-@node_class
+@make_node_class
 class Assign:
     """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member, Index or IndexAll."""
 
@@ -263,7 +263,7 @@ class Assign:
     span: Span
 
 
-@node_class
+@make_node_class
 class VerbLine:
     """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`).
     Others are `deposit trail 2 /s` and `channel jaw = load` (`amount`), `emit hit to other` (`to`), `wear load when load > 0`
@@ -278,7 +278,7 @@ class VerbLine:
     when: Expr | None = None
 
 
-@node_class
+@make_node_class
 class Give:
     """`give 1 load to nest`, `give all load to nest` (`amount` None means all)."""
 
@@ -291,7 +291,7 @@ class Give:
 Action = Assign | VerbLine | Give
 
 
-@node_class
+@make_node_class
 class Take:
     """A line that takes from an item or a field. An `amount` of None means all. Without an `attribute`, the item is removed."""
 
@@ -301,7 +301,7 @@ class Take:
     span: Span
 
 
-@node_class
+@make_node_class
 class Weight:
     """A line of `choose { … }`: a state and the weight with which it is chosen."""
 
@@ -310,7 +310,7 @@ class Weight:
     span: Span
 
 
-@node_class
+@make_node_class
 class Target:
     """The state that a transition leads to: a named state, `previous`, or one of the `choices` of `choose { … }`."""
 
@@ -320,7 +320,7 @@ class Target:
     span: Span
 
 
-@node_class
+@make_node_class
 class Change:
     """A transition.
 
@@ -342,7 +342,7 @@ class Change:
     span: Span
 
 
-@node_class
+@make_node_class
 class Let:
     name: Name
     value: Expr
@@ -350,12 +350,12 @@ class Let:
     span: Span
 
 
-@node_class
+@make_node_class
 class Measure(Let):
     """A number or a condition about the complete run, which each run reports."""
 
 
-@node_class
+@make_node_class
 class State:
     """`state NAME "label" colour { … }`. `at_least`: the time for which an agent stays at least."""
 
@@ -372,7 +372,7 @@ class State:
 # --- members of a species --------------------------------------------------------------------------------------------
 
 
-@node_class
+@make_node_class
 class Relax:
     """`relax to V over T`, in the declaration of an attribute."""
 
@@ -381,7 +381,7 @@ class Relax:
     span: Span
 
 
-@node_class
+@make_node_class
 class ForEach:
     """`for each S, strongest N`: declares a pair value about agents of the species S, for at most N of them."""
 
@@ -390,7 +390,7 @@ class ForEach:
     span: Span
 
 
-@node_class
+@make_node_class
 class Declaration:
     """`NAME: TYPE = V in LOW .. HIGH relax to V over T for each S, strongest N "help"`, also as an item's attribute."""
 
@@ -404,13 +404,13 @@ class Declaration:
     span: Span
 
 
-@node_class
+@make_node_class
 class ParamDecl:
     declaration: Declaration
     span: Span
 
 
-@node_class
+@make_node_class
 class AnimalProperty:
     """`size 4 mm`: a given property of the animal, set without `=`."""
 
@@ -420,7 +420,7 @@ class AnimalProperty:
     span: Span
 
 
-@node_class
+@make_node_class
 class Latch:
     """`latch NAME = ON until UNTIL`: a bool that is on from one condition until another."""
 
@@ -431,14 +431,14 @@ class Latch:
     help: Text | None = None
 
 
-@node_class
+@make_node_class
 class Rule:
     condition: Expr
     value: Expr
     span: Span
 
 
-@node_class
+@make_node_class
 class Fuzzy:
     name: Name
     rules: tuple[Rule, ...]
@@ -446,13 +446,13 @@ class Fuzzy:
     help: Text | None = None
 
 
-@node_class
+@make_node_class
 class Start:
     state: Name
     span: Span
 
 
-@node_class
+@make_node_class
 class On:
     """`on EVENT { … }`, `on collision(other) { … }`, `on collision(other: SPECIES) { … }`."""
 
@@ -463,7 +463,7 @@ class On:
     span: Span
 
 
-@node_class
+@make_node_class
 class Layer:
     """A line of `layers`. `is_face_line`: whether it begins with `face`, so that it only turns the body."""
 
@@ -473,7 +473,7 @@ class Layer:
     is_face_line: bool = False  # `face e`
 
 
-@node_class
+@make_node_class
 class Layers:
     """`layers { … }`. `mode`: the word that says how the layers are combined; None for the default."""
 
@@ -482,7 +482,7 @@ class Layers:
     span: Span
 
 
-@node_class
+@make_node_class
 class Machine:
     name: Name
     members: tuple[State | Start | Change | Let | Latch, ...]
@@ -496,7 +496,7 @@ SpeciesMember = ParamDecl | Declaration | AnimalProperty | Let | Latch | Fuzzy |
 # --- the top of a file -----------------------------------------------------------------------------------------------
 
 
-@node_class
+@make_node_class
 class Use:
     """`use steering` (`library`), `use "./mine.ant" as mine` (`path`, `alias`)."""
 
@@ -506,7 +506,7 @@ class Use:
     span: Span
 
 
-@node_class
+@make_node_class
 class WorldItem:
     """`surface ground "help"`, `items food { load = 0 }`: `kind` is the first word."""
 
@@ -517,13 +517,13 @@ class WorldItem:
     span: Span
 
 
-@node_class
+@make_node_class
 class World:
     items: tuple[WorldItem, ...]
     span: Span
 
 
-@node_class
+@make_node_class
 class Setting:
     """A line of a field: `cell 4 mm`."""
 
@@ -532,7 +532,7 @@ class Setting:
     span: Span
 
 
-@node_class
+@make_node_class
 class FieldDecl:
     name: Name
     surfaces: tuple[Name, ...]
@@ -541,7 +541,7 @@ class FieldDecl:
     help: Text | None = None
 
 
-@node_class
+@make_node_class
 class Species:
     name: Name
     members: tuple[SpeciesMember, ...]
@@ -549,7 +549,7 @@ class Species:
     span: Span
 
 
-@node_class
+@make_node_class
 class BehaviourArgument:
     name: Name
     type: TypeName
@@ -557,7 +557,7 @@ class BehaviourArgument:
     span: Span
 
 
-@node_class
+@make_node_class
 class Keep:
     """`keep x: T = FIRST then NEXT`."""
 
@@ -568,7 +568,7 @@ class Keep:
     span: Span
 
 
-@node_class
+@make_node_class
 class Behaviour:
     name: Name
     arguments: tuple[BehaviourArgument, ...]
@@ -579,7 +579,7 @@ class Behaviour:
     span: Span
 
 
-@node_class
+@make_node_class
 class SpecLine:
     """A line of a spec.
 
@@ -601,7 +601,7 @@ class SpecLine:
     since: Expr | None = None
 
 
-@node_class
+@make_node_class
 class Spec:
     name: Text
     scene: Text | None
@@ -612,7 +612,7 @@ class Spec:
 TopItem = Use | World | FieldDecl | Species | Behaviour | Spec | Measure
 
 
-@node_class
+@make_node_class
 class File:
     """One parsed file.
 

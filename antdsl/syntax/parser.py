@@ -20,7 +20,14 @@ from antdsl.syntax.blocks import BraceGroup, MappedText, SourceLine, cut_lines, 
 from antdsl.syntax.brackets import get_token_text, pair_brackets
 from antdsl.syntax.builder import Builder, FileHeader, ResultLine
 from antdsl.syntax.editions import EDITIONS, FIRST_LINE, FIRST_LINE_ADVICE, UNKNOWN_EDITION_ADVICE
-from antdsl.syntax.file_limits import NO_SIZES, FileSizes, count_sizes, find_too_deep_nodes, is_within_limits, report_too_many
+from antdsl.syntax.file_limits import (
+    ZERO_FILE_SIZES,
+    FileElementCounts,
+    count_sizes,
+    find_too_deep_nodes,
+    is_within_limits,
+    report_too_many,
+)
 from antdsl.syntax.mistakes.unexpected_tokens import (
     UnexpectedToken,
     has_doubled_sign,
@@ -32,14 +39,14 @@ from antdsl.syntax.mistakes.unexpected_tokens import (
     suggest_first_word,
 )
 from antdsl.syntax.parse_tables import load_parser
-from antdsl.syntax.scan import UNREADABLE_CHARACTER, TokenScan, scan
+from antdsl.syntax.scan import UNREADABLE_CHARACTER, TokenScan, scan_tokens
 from antdsl.syntax.words import BODY_RULE_BY_LINE, LINE_CONTEXT_BY_WORD, LINE_WORDS_BY_RULE
 
 if TYPE_CHECKING:
     from lark import Lark
 
 _MAX_REPAIRED_LINES = 100  # after this many errors in a file, lines with errors are dropped instead of repaired
-_builder_lock = Lock()  # the builder stores the location of the current line
+_BUILDER_LOCK = Lock()  # the builder stores the location of the current line
 
 # Errors after which the meaning of a line is uncertain. After other errors it was corrected or removed.
 _UNCERTAIN_CODES = frozenset((
@@ -70,7 +77,7 @@ def parse(source: Source) -> tuple[n.File, Report]:
         advice = f"a `.ant` file begins with `{FIRST_LINE}`"
         report.error("not-an-ant-file", f"text looks like {other}", Span(source, 0, 1), advice)
         return n.File(source, None, None, (), has_errors=True), report
-    scanned = scan(source, report)
+    scanned = scan_tokens(source, report)
     if all(token.kind == "end" for token in scanned.tokens):
         if report.ok:
             advice = f"begin with `{FIRST_LINE}`, then write a `species`"
@@ -80,10 +87,10 @@ def parse(source: Source) -> tuple[n.File, Report]:
     if tokens is None:
         return n.File(source, None, None, (), tuple(scanned.comments), has_errors=True), report
     lines = cut_lines(scanned, tokens)
-    scanned.faults.sort()
+    scanned.fault_offsets.sort()
     if report_too_many(scanned, lines):
         return n.File(source, None, None, (), tuple(scanned.comments), has_errors=True), report
-    with _builder_lock:
+    with _BUILDER_LOCK:
         return _FileParser(scanned).parse_file(lines), report
 
 
@@ -101,7 +108,7 @@ class ParsedPart:
     skipped_spans: tuple[Span, ...]
     edition: n.Number | None = None
     help: n.Text | None = None
-    sizes: FileSizes = NO_SIZES
+    sizes: FileElementCounts = ZERO_FILE_SIZES
 
 
 def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> ParsedPart:
@@ -110,16 +117,16 @@ def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> Par
     Its braces must be paired. A part that exceeds the limits of a file is not read. `is_file_start`: it is the beginning of the
     file. Never raises."""
     report = Report()
-    scanned = scan(source, report)
+    scanned = scan_tokens(source, report)
     tokens = pair_brackets(scanned)
     if tokens is None:
         return ParsedPart(source, (), report, tuple(scanned.comments), ())
     lines = cut_lines(scanned, tokens)
-    scanned.faults.sort()
+    scanned.fault_offsets.sort()
     sizes = count_sizes(scanned, lines)
     if not is_within_limits(sizes):
         return ParsedPart(source, (), report, tuple(scanned.comments), (), sizes=sizes)
-    with _builder_lock:
+    with _BUILDER_LOCK:
         reading = _FileParser(scanned)
         edition, help, lines = reading.parse_beginning(lines) if is_file_start else (None, None, lines)
         nodes = reading.parse_lines(lines, rule)
@@ -213,7 +220,7 @@ class _FileParser:
             unexpected = self.make_unexpected(error, line, text, rule, at_error_limit)
             if not self.has_diagnostic(line, text):
                 self.report.add(make_plain_diagnostic(unexpected) if at_error_limit else make_diagnostic(unexpected))
-                insort(self.scan.faults, unexpected.span.start)
+                insort(self.scan.fault_offsets, unexpected.span.start)
             return [] if at_error_limit else self.recover_line(line, text, rule, unexpected)
 
     def suppress_block_errors(self, group: BraceGroup) -> None:
@@ -221,7 +228,7 @@ class _FileParser:
         if group.closing_brace.inserted_text and group.lines:
             one_line = "\n" not in self.source.text[group.opening.start : group.closing_brace.end]
             for line in group.lines if one_line else group.lines[-1:]:
-                insort(self.scan.faults, line.start)
+                insort(self.scan.fault_offsets, line.start)
 
     def has_reached_error_limit(self) -> bool:
         """Return whether the number of errors has reached the limit, beyond which more errors do not help."""

@@ -23,10 +23,10 @@ from antdsl.syntax.mistakes.stray_text import (
     DOUBLE_QUOTES,
     SINGLE_QUOTES,
     WRONG_SIGN_HELP,
-    blank_text,
     check_stray_text,
     find_ascii_lookalike,
     make_replacement_word,
+    replace_text_by_blanks,
 )
 from antdsl.syntax.nodes import Comment
 from antdsl.syntax.words import NUMBER_REGEX, UNIT_REGEX, UNIT_SLIP_HELP, UNITS_REGEX
@@ -55,7 +55,7 @@ class TokenScan:
     clean_characters: list[str]
     tokens: list[ScannedToken] = field(default_factory=list)
     comments: list[Comment] = field(default_factory=list)
-    faults: list[int] = field(default_factory=list)  # offsets of errors, which suppress parse errors there
+    fault_offsets: list[int] = field(default_factory=list)  # offsets of errors, which suppress parse errors there
 
     def report_error(
         self,
@@ -71,18 +71,18 @@ class TokenScan:
         span = Span(self.source, start, end)
         place = span if insert_offset is None else Span(self.source, insert_offset, insert_offset)
         self.report.error(code, message, span, help, fix=None if fix is None else Fix(place, fix))
-        self.faults.append(start)
+        self.fault_offsets.append(start)
 
-    def blank_out(self, start: int, end: int) -> None:
+    def replace_by_blanks(self, start: int, end: int) -> None:
         self.clean_characters[start:end] = " " * (end - start)
 
-    def replace(self, start: int, text: str) -> None:
+    def replace_characters(self, start: int, text: str) -> None:
         self.clean_characters[start : start + len(text)] = text
 
     def has_fault(self, start: int, end: int) -> bool:
-        """Return whether an error was reported between two offsets; `faults` must be sorted."""
-        index = bisect_left(self.faults, start)
-        return index < len(self.faults) and self.faults[index] <= end
+        """Return whether an error was reported between two offsets; `fault_offsets` must be sorted."""
+        index = bisect_left(self.fault_offsets, start)
+        return index < len(self.fault_offsets) and self.fault_offsets[index] <= end
 
 
 _TOKEN_PATTERN = re.compile(
@@ -114,12 +114,12 @@ _PER_UNIT_PATTERN = re.compile(rf"(?:[/*]{UNIT_REGEX})+")
 _NON_NUMBER_WORDS = ("nan", "inf", "infinity")
 
 
-def scan(source: Source, report: Report) -> TokenScan:
+def scan_tokens(source: Source, report: Report) -> TokenScan:
     """Return the tokens of a text. Errors go to `report`; no text raises an exception."""
     text_scan = TokenScan(source, report, list(source.text))
     check_stray_text(text_scan)
-    _Scanner(text_scan).run()
-    text_scan.faults.sort()
+    _Scanner(text_scan).scan_all()
+    text_scan.fault_offsets.sort()
     return text_scan
 
 
@@ -134,7 +134,7 @@ class _Scanner:
         self.last_end = -1  # offset where the last token ended
         self.open_bracket_count = 0  # open ( and [ that may contain comma-separated values
 
-    def run(self) -> None:
+    def scan_all(self) -> None:
         position = 0
         while position < len(self.characters):
             match = _TOKEN_PATTERN.match(self.characters, position)
@@ -150,14 +150,14 @@ class _Scanner:
     def blank(self, start: int, end: int, piece: str) -> int:  # also for corrected blanks
         if self.indent >= 0:
             self.indent += sum(4 if character == "\t" else 1 for character in piece if character != "\r")
-        self.token_scan.blank_out(start, end)
+        self.token_scan.replace_by_blanks(start, end)
         return end
 
     def comment(self, start: int, end: int, piece: str) -> int:
         self.token_scan.comments.append(
             Comment(piece.rstrip("\r"), Span(self.token_scan.source, start, end - piece.endswith("\r")))
         )
-        self.token_scan.blank_out(start, end)
+        self.token_scan.replace_by_blanks(start, end)
         return end
 
     def end(self, start: int, end: int, piece: str) -> int:
@@ -170,7 +170,7 @@ class _Scanner:
                 stop = digits.end()
                 message = f"number `{digits.group()}` begins with a dot"
                 self.token_scan.report_error("bad-number", message, start, stop, f"write `0{digits.group()}`")
-                self.token_scan.replace(start, "1" + " " * (stop - start - 1))
+                self.token_scan.replace_characters(start, "1" + " " * (stop - start - 1))
                 return self.add_token("number", start, self.find_quantity_end(stop))
         return self.add_token("sign", start, end)
 
@@ -207,7 +207,7 @@ class _Scanner:
                 message = f"name `{piece[:80]}` {wrong}"
                 help = f"write `{suggestion[:80]}`; names are small letters, digits and `_`, and begin with a letter"
                 self.token_scan.report_error("bad-name", message, start, end, help, suggestion)
-            self.token_scan.replace(start, re.sub("^_+", lambda match: "x" * len(match.group()), piece.lower()))
+            self.token_scan.replace_characters(start, re.sub("^_+", lambda match: "x" * len(match.group()), piece.lower()))
         return self.add_token("word", start, end)
 
     def repair_hyphens(self, start: int, end: int, piece: str) -> int:
@@ -217,7 +217,7 @@ class _Scanner:
             self.reported_texts.add(piece)
             help = f"write `{suggestion[:80]}`; names are small letters, digits and `_`, and begin with a letter"
             self.token_scan.report_error("bad-name", f"name `{piece[:80]}` has a `-` in it", start, end, help, suggestion)
-        self.token_scan.replace(start, suggestion)
+        self.token_scan.replace_characters(start, suggestion)
         return self.add_token("word", start, end)
 
     def repair_foreign_word(self, start: int) -> int:
@@ -228,7 +228,7 @@ class _Scanner:
         plain = "".join(find_ascii_lookalike(character) or "x" for character in piece)
         if re.fullmatch(r"[µμ]N", piece):
             self.token_scan.report_error("look-alike", f"unit `{piece}` has a Greek letter", start, end, "write `uN`", "uN")
-            self.token_scan.replace(start, "uN")
+            self.token_scan.replace_characters(start, "uN")
             return self.add_token("word", start, end)
         if piece not in self.reported_texts:
             self.reported_texts.add(piece)
@@ -241,11 +241,11 @@ class _Scanner:
                 message = f"name `{piece[:80]}` has a {name} in it"
                 self.token_scan.report_error("bad-name", message, start, end, "names are small letters a to z, digits and `_`")
         plain = plain.lower()
-        self.token_scan.replace(start, plain)
+        self.token_scan.replace_characters(start, plain)
         if plain[0].isdigit():
             digits = len(plain) - len(plain.lstrip("0123456789"))
             return self.number(start, start + digits, plain[:digits])
-        self.token_scan.replace(start, "x" * (len(plain) - len(plain.lstrip("_"))))
+        self.token_scan.replace_characters(start, "x" * (len(plain) - len(plain.lstrip("_"))))
         return self.add_token("word", start, end)
 
     def find_quantity_end(self, end: int) -> int:
@@ -260,7 +260,7 @@ class _Scanner:
         if problem is not None:
             message, stop, help = problem
             self.token_scan.report_error("bad-number", message, start, stop, help)
-            self.token_scan.replace(start, "1" + " " * (stop - start - 1))
+            self.token_scan.replace_characters(start, "1" + " " * (stop - start - 1))
             end = stop
         tail = _UNIT_BEHIND_PATTERN.match(self.characters, end)
         if tail is not None:
@@ -280,16 +280,16 @@ class _Scanner:
         """Report a number with a comma where no comma can separate two numbers; read a decimal comma as a dot."""
         diagnostic = make_comma_diagnostic(Span(self.token_scan.source, start, end))
         self.token_scan.report.add(diagnostic)
-        self.token_scan.faults.append(start)
+        self.token_scan.fault_offsets.append(start)
         if diagnostic.fix is None or len(diagnostic.fix.text) < end - start:
             return self.mark_unreadable(start, self.find_quantity_end(end))
-        self.token_scan.replace(start, diagnostic.fix.text)
+        self.token_scan.replace_characters(start, diagnostic.fix.text)
         return self.add_token("number", start, self.find_quantity_end(end))
 
     def mark_unreadable(self, start: int, end: int) -> int:
         """Add a token for a number with an unknown unit; unit checks skip it."""
-        self.token_scan.blank_out(start, end)
-        self.token_scan.replace(start, UNREADABLE_CHARACTER)
+        self.token_scan.replace_by_blanks(start, end)
+        self.token_scan.replace_characters(start, UNREADABLE_CHARACTER)
         return self.add_token("number", start, end)
 
     # --- what does not belong ---
@@ -303,14 +303,14 @@ class _Scanner:
                 stop = self.characters.find("\n", end)
                 stop = len(self.characters) if stop < 0 else stop
             self.token_scan.report_error("unknown-sign", f"`{piece}` does not begin a comment", start, end, help)
-            blank_text(self.token_scan, start, stop)
+            replace_text_by_blanks(self.token_scan, start, stop)
             return stop
         fix = make_replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
         self.token_scan.report_error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
         if repair is None:
-            self.token_scan.blank_out(start, end)
+            self.token_scan.replace_by_blanks(start, end)
             return end
-        self.token_scan.replace(start, repair)
+        self.token_scan.replace_characters(start, repair)
         return self.add_token("sign", start, end)
 
     def odd(self, start: int, end: int, piece: str) -> int:
@@ -330,14 +330,14 @@ class _Scanner:
             self.token_scan.report_error("unknown-sign", f"`{piece}` is not a unit", start, end, "write `deg`")
             rest = _PER_UNIT_PATTERN.match(self.characters, end)
             end = rest.end() if rest is not None else end
-            self.token_scan.blank_out(start, end)
+            self.token_scan.replace_by_blanks(start, end)
             return max(end, self.mark_unreadable(number.start, number.end))
         help, repair = WRONG_SIGN_HELP.get(piece, ("delete it", None))
         fix = make_replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
         self.token_scan.report_error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
         if repair is not None and len(repair) > 1:
             return self.repair_wide_sign(start, end, repair)
-        self.token_scan.replace(start, repair or " ")
+        self.token_scan.replace_characters(start, repair or " ")
         return self.add_token("sign", start, end) if repair else end
 
     def repair_wide_sign(self, start: int, end: int, repair: str) -> int:
@@ -347,9 +347,9 @@ class _Scanner:
         elif start > 0 and self.token_scan.clean_characters[start - 1] == " ":
             start -= 1
         else:
-            self.token_scan.blank_out(start, end)
+            self.token_scan.replace_by_blanks(start, end)
             return end
-        self.token_scan.replace(start, repair)
+        self.token_scan.replace_characters(start, repair)
         return self.add_token("sign", start, end)
 
     def repair_quotes(self, start: int, piece: str) -> int:
@@ -360,7 +360,7 @@ class _Scanner:
         if stop < 0:
             message = f"`{piece}` is not a sign of the language"
             self.token_scan.report_error("unknown-sign", message, start, start + 1, 'put text in `"` quotes')
-            self.token_scan.blank_out(start, start + 1)
+            self.token_scan.replace_by_blanks(start, start + 1)
             return start + 1
         self.token_scan.report_error(
             "wrong-quotes",
@@ -370,7 +370,7 @@ class _Scanner:
             f'write `"{self.characters[start + 1 : stop][:60]}"`',
             '"' + self.characters[start + 1 : stop].replace('"', "'") + '"',
         )
-        self.token_scan.replace(start, '"' + self.characters[start + 1 : stop].replace('"', " ") + '"')
+        self.token_scan.replace_characters(start, '"' + self.characters[start + 1 : stop].replace('"', " ") + '"')
         return self.add_token("text", start, stop + 1)
 
     def text(self, start: int, end: int, piece: str) -> int:
@@ -380,7 +380,7 @@ class _Scanner:
         if smart > 0:
             message = f"text ends in a `{self.characters[smart]}` quote"
             self.token_scan.report_error("wrong-quotes", message, smart, smart + 1, 'write `"`', '"')
-            self.token_scan.replace(smart, '"')
+            self.token_scan.replace_characters(smart, '"')
             return self.add_token("text", start, smart + 1)
         stop = start + len(_SWALLOWED_TAIL_PATTERN.sub("", piece))
         message = "text without a closing quote"
@@ -388,9 +388,9 @@ class _Scanner:
             "unclosed-text", message, start, start + 1, 'end the text with `"` on the same line', '"', stop
         )
         if stop - start < 2:
-            self.token_scan.blank_out(start, start + 1)
+            self.token_scan.replace_by_blanks(start, start + 1)
             return start + 1
-        self.token_scan.replace(stop - 1, '"')
+        self.token_scan.replace_characters(stop - 1, '"')
         return self.add_token("text", start, stop)
 
 

@@ -38,7 +38,7 @@ _OTHER_FILE_SIGNATURES = (
 )
 
 
-def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Source | None, Report]:
+def read_program_file(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Source | None, Report]:
     """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF). `handle`: the file
     if it is already open; it is closed.
 
@@ -48,11 +48,11 @@ def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Sourc
     data = _read_file(name, handle, report)
     if data is None:
         return None, report
-    return read_bytes(name, data)
+    return decode_program(name, data)
 
 
-def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
-    """Read bytes from another source as `read` reads a file. `name`: the name in messages."""
+def decode_program(name: str, data: bytes) -> tuple[Source | None, Report]:
+    """Read bytes from another source as `read_program_file` reads a file. `name`: the name in messages."""
     report = Report()
     if len(data) > limits.MAX_PROGRAM_BYTES:
         _report_too_large(name, report)
@@ -105,7 +105,7 @@ def _decode_text(name: str, data: bytes, report: Report) -> str | None:
         return None
 
 
-def write(path: Path, text: str) -> None:
+def write_program_file(path: Path, text: str) -> None:
     """Replace an existing file with a text by an atomic write: readers, also after a crash, see the old text or the new one.
     Raises OSError if that fails; the old file is then unchanged."""
     place = path.resolve(strict=True)

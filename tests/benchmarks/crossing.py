@@ -64,7 +64,7 @@ def world_of(text: str, positions: Floats, surface: tuple[Floats, NDArray[np.int
     crowd = CrowdData("person", len(positions), PlacementData(points=positions))
     surfaces = {} if surface is None else {"floor": MeshData(*surface)}
     setting = WorldSetting(crowds=(crowd,), surfaces=surfaces, fps=FPS)  # type: ignore[arg-type]
-    return bind(passes.optimise(plan.lower(program)[0]), setting, Options(threads=1))
+    return bind(passes.optimise_plan(plan.lower(program)[0]), setting, Options(threads=1))
 
 
 def circle(agents: int, seconds: float, within: float = 6.0) -> Crossed:

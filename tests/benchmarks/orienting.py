@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import meshes  # lie beside the tests
 from plan_text import plan_of
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.plan import ir
 from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, WorldSetting, bind, step
 
@@ -126,7 +126,7 @@ def main() -> None:
     parser.add_argument("--agents", type=int, default=2000)
     parser.add_argument("--steps", type=int, default=120)
     options = parser.parse_args()
-    plan = optimise(plan_of(WANDERING, "ant 1\nworld { surface s }\n"))
+    plan = optimise_plan(plan_of(WANDERING, "ant 1\nworld { surface s }\n"))
     print("| shape | `orient` | off the shape, deg: median | 99 % | tilt a frame, deg: 99 % | CPU ms a step |")
     print("|---|---|---|---|---|---|")
     for name, shape in SHAPES.items():

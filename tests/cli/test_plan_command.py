@@ -12,7 +12,7 @@ from compilers import need_llvmlite
 
 from antdsl.machine_code import llvm_compiler
 from antdsl.pipeline import open_scene
-from antdsl.plan import show
+from antdsl.plan import format_plan
 from antdsl.runtime.backends.native import program_listing
 from antdsl.runtime.backends.native.programs import WorldFacts
 
@@ -28,9 +28,11 @@ def plan(*words: str, cwd: Path = EXAMPLES) -> str:
 def test_a_scene_has_the_plan_that_runs() -> None:
     shot, _ = open_scene(EXAMPLES / "minimal" / "scene.yaml")
     assert shot is not None
-    assert plan("minimal/scene.yaml") == show(shot.plan) + "\n"
+    assert plan("minimal/scene.yaml") == format_plan(shot.plan) + "\n"
     raw, _ = open_scene(EXAMPLES / "minimal" / "scene.yaml", raw=True)
-    assert raw is not None and plan("minimal/scene.yaml", "--raw") == show(raw.plan) + "\n" != show(shot.plan) + "\n"
+    assert (
+        raw is not None and plan("minimal/scene.yaml", "--raw") == format_plan(raw.plan) + "\n" != format_plan(shot.plan) + "\n"
+    )
 
 
 def test_listed_machine_code_is_that_of_the_scene(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from explained import cached
 
 from antdsl.explain import CacheHistory, StepReplay, explain_agents, format_explanation, open_shot
 from antdsl.outputs.cache.cache_reader import Cache
-from antdsl.plan.registers import name_slot_registers
+from antdsl.plan.registers import list_slot_register_names
 from antdsl.runtime import Options, bind, step
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,7 +65,7 @@ def test_frames_hold_values_per_pair_in_scene_units(cache: Cache) -> None:
     for _ in range(7):
         step(world)
     bugs, expected = world.populations["bug"], {}
-    for who, value in name_slot_registers("near", 3):
+    for who, value in list_slot_register_names("near", 3):
         held = zip(bugs.ids.tolist(), bugs.now[who].tolist(), bugs.now[value].tolist(), strict=True)
         expected |= {(agent, other): mm / 10 for agent, other, mm in held if other >= 0}
     assert now == pytest.approx(expected, rel=1e-6) and len(now) > 12

@@ -51,7 +51,7 @@ def compiled(steer: str = "along(drift, weight: pull)", radius: str = "size / 2"
     assert report.ok, complaints(report)
     lowered, report = plan.lower(program)
     assert complaints(report) == []
-    return passes.optimise(lowered)
+    return passes.optimise_plan(lowered)
 
 
 def world(

@@ -63,7 +63,7 @@ def compiled(text: str = PROGRAM) -> plan.ir.Plan:
     assert report.ok, complaints(report)
     lowered, report = plan.lower(program)
     assert complaints(report) == []
-    return passes.optimise(lowered)
+    return passes.optimise_plan(lowered)
 
 
 def world(

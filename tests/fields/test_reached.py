@@ -13,7 +13,7 @@ from antdsl.fields.pheromone import PheromoneField
 from antdsl.fields.threshold_cells import CellsNearThreshold
 from antdsl.machine_code import llvm_compiler
 from antdsl.numerics import parallel
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends.native.native_backend import NativeBackend
 
@@ -85,7 +85,7 @@ def program(asks: str) -> str:
     ],
 )
 def test_comparisons_give_equal_agents(asks: str, bounded: int) -> None:
-    plan = optimise(plan_of(program(asks), WORLD))
+    plan = optimise_plan(plan_of(program(asks), WORLD))
     crowd = CrowdData("a", 24, PlacementData(disc_centre=(0.0, 0.0, 0.0), radius=12.0))
     setting = WorldSetting(crowds=(crowd,), surfaces={"ground": MeshData(*meshes.grid(60.0, 3))}, seed=4)
     hashes = []

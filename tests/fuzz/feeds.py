@@ -52,8 +52,8 @@ def feed_text(folder: Path) -> Feed:
             lowered, findings = plan.lower(program)
             text += "\nplan " + report_text(findings)
             if findings.ok:
-                text += f" {len(passes.optimise(lowered).nodes)} nodes" if hasattr(lowered, "nodes") else ""
-        source, _ = syntax.read(path)
+                text += f" {len(passes.optimise_plan(lowered).nodes)} nodes" if hasattr(lowered, "nodes") else ""
+        source, _ = syntax.read_program_file(path)
         if source is not None:
             text += _layout(path, source, report, check=also == 0)
         return text

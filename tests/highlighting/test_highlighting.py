@@ -21,7 +21,7 @@ from antdsl.source import Source
 from antdsl.syntax.blocks import SourceLine, cut_lines, map_text
 from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.parser import _load_parser_and_builder
-from antdsl.syntax.scan import TokenScan, scan
+from antdsl.syntax.scan import TokenScan, scan_tokens
 from antdsl.syntax.words import BODY_RULE_BY_LINE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,7 +44,7 @@ SEEN_AS = {
 @cache
 def real(path: Path) -> Cut:
     """The tokens as the parser's own lexer has them, keywords distinguished from names by what may be at the position."""
-    scanned = scan(Source(path.name, path.read_text(encoding="utf-8")), Report())
+    scanned = scan_tokens(Source(path.name, path.read_text(encoding="utf-8")), Report())
     tokens = pair_brackets(scanned)
     assert tokens is not None
     kinds = {"text": "string", "number": "number", "sign": "operator", "open": "operator", "close": "operator", "word": "name"}

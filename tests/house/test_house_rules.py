@@ -332,7 +332,7 @@ def test_shipped_programs_have_no_findings(path: Path) -> None:
 def test_shipped_programs_are_formatted(path: Path) -> None:
     from antdsl import syntax
 
-    source, report = syntax.read(path)
+    source, report = syntax.read_program_file(path)
     assert source is not None, report.diagnostics
     text, _ = syntax.format(source)
     assert text == path.read_bytes().decode(), f"run `antdsl fmt {path.relative_to(ROOT)}`"

@@ -267,9 +267,9 @@ def _without_signs(text: str) -> list[str]:
     """The text token by token as the real scanner cuts it, less brackets, commas and the like."""
     from antdsl.diagnostics import Report
     from antdsl.source import Source
-    from antdsl.syntax.scan import scan
+    from antdsl.syntax.scan import scan_tokens
 
-    scanned = scan(Source("x.ant", text), Report())
+    scanned = scan_tokens(Source("x.ant", text), Report())
     pieces = [(t.start, text[t.start : t.end]) for t in scanned.tokens if t.kind not in ("open", "close", "end")]
     pieces += [(c.span.start, c.text) for c in scanned.comments]
     return [piece for _, piece in sorted(pieces) if piece not in (",", ":", ".")]

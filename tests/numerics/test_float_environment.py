@@ -19,7 +19,7 @@ from antdsl.machine_code.entry_functions import write_inner_function
 from antdsl.machine_code.llvm_module import LlvmModule
 from antdsl.numerics import parallel
 from antdsl.numerics.processor.float_environment import has_standard_floats, set_standard_floats, standard_floats
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.plan import ir
 from antdsl.runtime import Options, WorldSetting, bind, state_hash, step
 
@@ -177,5 +177,5 @@ def run(plan: ir.Plan, backend: str, threads: int, steps: int = 6) -> list[str]:
     ],
 )
 def test_a_host_changes_no_state(backend: str, threads: int, bits: int) -> None:
-    plan = optimise(plan_of(SMALL))
+    plan = optimise_plan(plan_of(SMALL))
     assert hosted(bits, lambda: run(plan, backend, threads)) == run(plan, "numpy", 1)

@@ -11,7 +11,7 @@ import pytest
 from commands import run
 
 from antdsl.atomic_write import find_first_link
-from antdsl.sweeps.finished_runs import NotASweepFolder, RunStore
+from antdsl.sweeps.finished_runs import FinishedRunStore, NotASweepFolderError
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need a right there")
@@ -115,8 +115,8 @@ def test_what_is_no_folder_is_no_place_for_results(project: Path, kind: str) -> 
 def test_runs_of_a_sweep_follow_no_link(project: Path) -> None:
     (project / "out" / "sweep").mkdir(parents=True)
     (project / "out" / "sweep" / "runs").symlink_to(project.parent / "victim")
-    with pytest.raises(NotASweepFolder, match="is a link"):
-        RunStore(project / "out" / "sweep")
+    with pytest.raises(NotASweepFolderError, match="is a link"):
+        FinishedRunStore(project / "out" / "sweep")
 
 
 def test_only_links_below_the_base_count(project: Path, tmp_path: Path) -> None:

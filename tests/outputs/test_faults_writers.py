@@ -21,7 +21,7 @@ from sampling import sampled
 
 from antdsl.cli import _run_without_warnings
 from antdsl.outputs.pictures import write_film
-from antdsl.sweeps.finished_runs import RunStore
+from antdsl.sweeps.finished_runs import FinishedRunStore
 
 SAMPLE = ("csv", "geo", "edit", "golden", "fmt")
 
@@ -196,7 +196,7 @@ def test_a_film_on_a_full_disk_is_not_written(tmp_path: Path) -> None:
 def test_a_finished_run_of_a_sweep_that_was_damaged_is_run_again(unbroken: Path, tmp_path: Path) -> None:
     folder = copied(unbroken, tmp_path / "p")
     assert written(folder, "sweep")[0] == 0
-    run_store = RunStore(folder / OUTPUT_FOLDER / "sweep")
+    run_store = FinishedRunStore(folder / OUTPUT_FOLDER / "sweep")
     (path, *_) = sorted(run_store.runs.glob("*.json"))
     data, document = path.read_bytes(), json.loads(path.read_bytes())
     job: Any = SimpleNamespace(key=document["key"])

@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 from plan_text import plan_of
 
-from antdsl.passes import PASSES, optimise
-from antdsl.passes.drop_unused import drop_unused
+from antdsl.passes import PASSES, optimise_plan
+from antdsl.passes.drop_unused import drop_unused_stores
 from antdsl.passes.fold import fold_regions
 from antdsl.passes.hoist import hoist_factors
 from antdsl.passes.memoise_senses import memoise_senses
 from antdsl.passes.merge_regions import merge_regions
 from antdsl.passes.split_conditions import split_conditions
 from antdsl.pipeline import compile_files
-from antdsl.plan import lower, show, verify
+from antdsl.plan import format_plan, lower, verify_plan
 from antdsl.plan.ir import SENSE_OPERATIONS, If, Store, UpdateRate
 from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_operands, list_root_nodes
 
@@ -36,7 +36,7 @@ def all_of(plan, kind: type, phase: str | None = None) -> list:
 def test_fold_removes_empty_regions_and_opens_those_of_all_agents():
     plan = plan_of("species a { start s\nstate s { steer heading\nwhen 1 > 2 -> t }\nstate t { when true -> s } }")
     folded = fold_regions(plan)
-    verify(folded)
+    verify_plan(folded)
     assert not [s for s in all_of(folded, Store, "decide") if s.register == "~main.pending" and "#1" in str(s.value)]
     assert len(all_of(folded, If)) <= len(all_of(plan, If))
     assert len(folded.nodes) <= len(plan.nodes)
@@ -48,8 +48,8 @@ def test_drop_unused_leaves_the_state_of_the_world_and_takes_the_rest():
         "species a { n = 0\nstart s\nstate s { n += 1 /s\nsteer heading * 0.5\nwhen n > 1 -> t }\n"
         "state t { when n > 2 -> s }\nlayers { up * 1; state when 1 > 2 } }"
     )
-    new_plan = drop_unused(fold_regions(plan))
-    verify(new_plan)
+    new_plan = drop_unused_stores(fold_regions(plan))
+    verify_plan(new_plan)
     registers = new_plan.species["a"].registers
     assert {"n", "main.time_in_state", "push.x"} <= set(registers)
     assert "~steer.x" in plan.species["a"].registers and "~steer.x" not in registers
@@ -64,7 +64,7 @@ def test_merge_joins_neighbours_with_one_condition_unless_the_first_changes_it()
     )
     plan = plan_of(text.format("2"))
     merged = merge_regions(plan)
-    verify(merged)
+    verify_plan(merged)
     events = [s for s in all_of(plan, If, "decide") if s.condition.op == "event"]
     joined = [s for s in all_of(merged, If, "decide") if s.condition.op == "event"]
     assert (len(events), len(joined)) == (2, 1)
@@ -77,7 +77,7 @@ def test_hoist_takes_what_all_pairs_share_out_of_them():
         "state s { steer sum(n in neighbours(2 * size): direction(n, to: self) * (distance(n) / size) * mass / 1 g * 0.5) } }"
     )
     new_plan = hoist_factors(plan)
-    verify(new_plan)
+    verify_plan(new_plan)
 
     def pairs(p) -> int:
         return sum(n.rate is UpdateRate.PAIR and n.op in ("mul", "div") for n in collect_required_nodes(list_root_nodes(p)))
@@ -96,7 +96,7 @@ def test_hoist_shares_among_components_what_is_the_same_for_all():
         "direction(n, to: self) * (1 - distance(n) / size)) } }"
     )
     new_plan = hoist_factors(plan)
-    verify(new_plan)
+    verify_plan(new_plan)
 
     def products(p) -> int:
         return sum(
@@ -116,7 +116,7 @@ def test_narrow_asks_the_cheap_half_first():
         "layers { up * 0.5 when nearest(food, within: 9 mm) is not none and n > 3; state } }"
     )
     new_plan = split_conditions(plan)
-    verify(new_plan)
+    verify_plan(new_plan)
     outer = next(s for s in new_plan.species["a"].blend.statements if isinstance(s, If))
     inner = outer.body.statements[0]
     assert isinstance(inner, If)
@@ -137,8 +137,8 @@ def test_keep_notes_senses_that_several_regions_ask_for():
 
 def test_passes_are_idempotent_together():
     for case in CASES:
-        first_result = optimise(plan_of(case.read_text(), world=""))
-        assert show(optimise(first_result)) == show(first_result), case.name
+        first_result = optimise_plan(plan_of(case.read_text(), world=""))
+        assert format_plan(optimise_plan(first_result)) == format_plan(first_result), case.name
 
 
 def test_every_pass_says_what_it_does_and_stands_in_the_docs_in_order():
@@ -150,7 +150,7 @@ def test_every_pass_says_what_it_does_and_stands_in_the_docs_in_order():
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.stem)
 def test_printed_plans(case, request):
     """`pytest --update` writes them again; read the difference."""
-    text = show(optimise(plan_of(case.read_text(), world="")))
+    text = format_plan(optimise_plan(plan_of(case.read_text(), world="")))
     golden = case.with_suffix(".plan")
     if request.config.getoption("--update", default=False):
         golden.write_text(text)
@@ -169,6 +169,6 @@ def test_in_a_hurry_the_same_plan_comes_out(path):
     assert program is not None and report.ok
     lowered, report = lower(program)
     assert report.ok
-    slow, quick = optimise(lowered), optimise(lower(program)[0], thorough=False)
-    assert show(slow) == show(quick)
+    slow, quick = optimise_plan(lowered), optimise_plan(lower(program)[0], thorough=False)
+    assert format_plan(slow) == format_plan(quick)
     assert nodes(slow) == nodes(quick)

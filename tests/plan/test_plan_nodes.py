@@ -1,4 +1,4 @@
-"""The builder: one node for one operation, constants to the bit of float32, safe algebra; and what `verify` refuses."""
+"""The builder: one node for one operation, constants to the bit of float32, safe algebra; and what `verify_plan` refuses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plan_text import plan_of
 
-from antdsl.plan import PlanError, verify
+from antdsl.plan import PlanError, verify_plan
 from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import Block, If, Store, UpdateRate, ValueKind
 from antdsl.plan.simplify import round_to_f32
@@ -98,41 +98,41 @@ def changed(plan, **phases):
 
 
 def test_a_plan_as_lowered_is_legal(plan):
-    verify(plan)
+    verify_plan(plan)
 
 
 def test_verify_sees_a_store_to_nowhere_and_of_the_wrong_kind(plan):
     node = plan.nodes[0]
     with pytest.raises(PlanError, match="does not exist"):
-        verify(changed(plan, act=Block((Store("nowhere", node, None),))))
+        verify_plan(changed(plan, act=Block((Store("nowhere", node, None),))))
     with pytest.raises(PlanError, match="a f32"):
-        verify(changed(plan, act=Block((Store("n", node, None),))))
+        verify_plan(changed(plan, act=Block((Store("n", node, None),))))
 
 
 def test_verify_sees_a_condition_that_is_none(plan):
     number = next(n for n in plan.nodes if n.kind is ValueKind.F32)
     with pytest.raises(PlanError, match="the condition of If is"):
-        verify(changed(plan, act=Block((If(number, Block(()), None),))))
+        verify_plan(changed(plan, act=Block((If(number, Block(()), None),))))
 
 
 def test_verify_sees_loads_in_the_wrong_order(plan):
     load = next(n for n in plan.nodes if n.op == "load" and n.attrs[0] == "n")
     store = Store("n", load, None)
     with pytest.raises(PlanError, match="before and after a store"):
-        verify(changed(plan, act=Block((store, store)), blend=Block(())))
+        verify_plan(changed(plan, act=Block((store, store)), blend=Block(())))
 
 
 def test_verify_sees_nodes_out_of_place(plan):
     with pytest.raises(PlanError, match="has the number"):
-        verify(replace(plan, nodes=(*plan.nodes[1:], plan.nodes[0])))
+        verify_plan(replace(plan, nodes=(*plan.nodes[1:], plan.nodes[0])))
     with pytest.raises(PlanError, match="not in the plan's list"):
-        verify(replace(plan, nodes=plan.nodes[:-1]))
+        verify_plan(replace(plan, nodes=plan.nodes[:-1]))
     wrong = replace(plan.nodes[-1], rate=UpdateRate.CONST)
     with pytest.raises(PlanError, match="is declared to change"):
-        verify(replace(plan, nodes=(*plan.nodes[:-1], wrong)))
+        verify_plan(replace(plan, nodes=(*plan.nodes[:-1], wrong)))
 
 
 def test_verify_sees_a_missing_register(plan):
     registers = {name: r for name, r in plan.species["a"].registers.items() if name != "n"}
     with pytest.raises(PlanError, match="no register n"):
-        verify(changed(plan, registers=registers))
+        verify_plan(changed(plan, registers=registers))

@@ -8,7 +8,7 @@ import pytest
 from plan_agent import Agent
 from plan_text import plan_of
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 
 
 @pytest.fixture(params=["as lowered", "optimised"])
@@ -17,7 +17,7 @@ def agent(request):
 
     def make(members: str, preamble: str = "", **senses) -> Agent:
         plan = plan_of(f"{preamble}\nspecies a {{\n{members}\n}}\n")
-        return Agent(plan if request.param == "as lowered" else optimise(plan), "a", **senses)
+        return Agent(plan if request.param == "as lowered" else optimise_plan(plan), "a", **senses)
 
     return make
 

@@ -11,18 +11,18 @@ import plans
 import pytest
 from plan_text import plan_of
 
-from antdsl.plan import ir, verify
+from antdsl.plan import ir, verify_plan
 from antdsl.plan.builder import PlanError
 from antdsl.plan.lowering.actions import OPERAND_LOWERERS
 from antdsl.plan.lowering.rules import OPERATION_RULES
-from antdsl.plan.show import show
+from antdsl.plan.show import format_plan
 from antdsl.plan.traverse import iterate_statements
 from antdsl.plan.verify import collect_names_by_kind
 from antdsl.program.declarations.effect_requests import find_argument_type
 from antdsl.program.model import TypeKind
 from antdsl.program.names.scope import parse_type_words
 from antdsl.program.tables import effects
-from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, EffectRow
 from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
 from antdsl.program.tables.senses import GENERIC_WORDS, SENSE_BY_OPERATION, find_words
 from antdsl.program.tables.set_senses import SET_SENSE_BY_OPERATION
@@ -139,7 +139,7 @@ def marked(world: World) -> None:
 
 def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that only this test has is shown, verified, recorded and settled on both backends."""
-    row = Effect(
+    row = EffectRow(
         "mark",
         "",
         (ArgumentRow("amount", "number"),),
@@ -157,8 +157,8 @@ def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> N
     amount = t("sub", t("number", t("id")), 2.0)
     plan = plans.bare(plans.block(ir.Request("mark", "", (amount,), None, register="marks")), "marks")
     plan = replace(plan, nodes=tuple(t.b.nodes))
-    verify(plan)
-    assert "mark number(id) - 2" in show(plan)
+    verify_plan(plan)
+    assert "mark number(id) - 2" in format_plan(plan)
     for backend in ("reference", "numpy"):
         world = bind(plan, plans.crowd(6), Options(backend=backend))
         step(world)
@@ -180,7 +180,7 @@ def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> N
 )
 def test_a_request_that_is_not_as_its_row_says_is_refused(request_: ir.Request, words: str) -> None:
     with pytest.raises(PlanError, match=words):
-        verify(plans.bare(plans.block(request_)))
+        verify_plan(plans.bare(plans.block(request_)))
 
 
 def test_every_kind_of_thing_has_its_word_its_kind_and_its_list() -> None:

@@ -31,7 +31,7 @@ def arena(*crowds: CrowdData, fps: int = 24, per_second: bool = False, still: bo
     rim = np.stack([200 * np.cos(angle), np.zeros(65), 200 * np.sin(angle)], axis=1)
     ground = {"ground": MeshData(*meshes.grid(600.0, 4))}
     setting = WorldSetting(fps=Fraction(fps), surfaces=ground, curves={"arena": rim}, seed=4, crowds=crowds)
-    world = bind(passes.optimise(plan.lower(program)[0]), setting, Options(threads=1))
+    world = bind(passes.optimise_plan(plan.lower(program)[0]), setting, Options(threads=1))
     if still:
         for population in world.populations.values():
             for axis in "xyz":

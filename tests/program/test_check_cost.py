@@ -41,13 +41,13 @@ def find_costs(tmp_path: Path, text: str) -> dict[str, StateCost]:
 )
 def test_what_a_state_asks_for(tmp_path: Path, push: str, words: list[str]) -> None:
     part = find_costs(tmp_path, f"species walker {{ state stroll {{ steer {push} }} }}\n")["stroll"]
-    assert [use.description for use in part.uses] == words
-    assert part.weight == part.operation_count + sum(use.weight for use in part.uses)
+    assert [use.description for use in part.cost_entries] == words
+    assert part.weight == part.operation_count + sum(use.weight for use in part.cost_entries)
 
 
 def test_fields_are_smelled_and_laid(tmp_path: Path) -> None:
     text = "species walker { state s { steer climb(trail, nearest: 9); deposit trail 1 /s; when trail > 3 -> s } }\n"
-    words = {use.description for use in find_costs(tmp_path, FIELD + text)["s"].uses}
+    words = {use.description for use in find_costs(tmp_path, FIELD + text)["s"].cost_entries}
     assert words == {"9 cells of trail", "lays trail", "trail"}
 
 
@@ -63,7 +63,7 @@ def test_more_rays_and_sums_inside_sets_weigh_more(tmp_path: Path) -> None:
 def test_what_is_done_in_every_state_stands_last(tmp_path: Path) -> None:
     parts = find_costs(tmp_path, "species walker { state s { steer heading }; layers { avoid(stones); state } }\n")
     assert list(parts) == ["s", "every state"]
-    assert [use.description for use in parts["every state"].uses] == ["3 rays on stones"]
+    assert [use.description for use in parts["every state"].cost_entries] == ["3 rays on stones"]
 
 
 def test_memory_counts_what_the_plan_keeps(tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_memory_counts_what_the_plan_keeps(tmp_path: Path) -> None:
         path.write_text(f"ant 1\nspecies walker {{ {members}; state s {{ steer heading; when after 1 s -> s }} }}\n")
         program, _ = compile_files([path])
         assert program is not None
-        return count_bytes_by_purpose(passes.optimise(plan.lower(program)[0]).species["walker"])
+        return count_bytes_by_purpose(passes.optimise_plan(plan.lower(program)[0]).species["walker"])
 
     none = bytes_of("size 4 mm")
     one = bytes_of("hunger = 0")

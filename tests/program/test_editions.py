@@ -21,7 +21,7 @@ from antdsl.program.checker import check
 from antdsl.program.model import Program
 from antdsl.program.tables.editions import EDITION_DEFAULTS, SWITCH_HELP
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME
-from antdsl.program.upgrade import upgrade
+from antdsl.program.upgrade import upgrade_source
 from antdsl.runtime import Options, WorldSetting, bind
 from antdsl.source import Source
 from antdsl.syntax.editions import EDITIONS
@@ -43,7 +43,7 @@ def species(members: str, edition: int = 2) -> str:
 
 
 def upgraded(text: str) -> str:
-    source, report = upgrade(Source("a.ant", text), 2)
+    source, report = upgrade_source(Source("a.ant", text), 2)
     assert source is not None, str(report)
     result, report = syntax.format(source)
     assert result is not None, str(report)
@@ -92,7 +92,7 @@ def test_upgrades_of_short_species_are_valid(text: str) -> None:
 
 
 def test_an_upgrade_reports_names_that_become_built_in() -> None:
-    source, report = upgrade(Source("a.ant", species("body_clearance = 1", 1)), 2)
+    source, report = upgrade_source(Source("a.ant", species("body_clearance = 1", 1)), 2)
     assert source is None
     assert [(d.code, d.span and d.span.text) for d in report.diagnostics] == [("reserved-name", "body_clearance")]
 

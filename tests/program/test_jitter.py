@@ -31,7 +31,7 @@ def walk(turn: str, fps: int, agents: int = 1500) -> float:
     floor = np.array([(x, 0.0, z) for x in (-HALF, HALF) for z in (-HALF, HALF)]), np.array([[0, 1, 3], [0, 3, 2]])
     crowd = CrowdData("a", agents, PlacementData(points=np.zeros((agents, 3))))
     setting = WorldSetting(fps=Fraction(fps), seed=3, surfaces={"ground": MeshData(*floor)}, crowds=(crowd,))
-    world = bind(passes.optimise(plan.lower(program)[0]), setting, Options())
+    world = bind(passes.optimise_plan(plan.lower(program)[0]), setting, Options())
     start = world.populations["a"].position.copy()
     for _ in range(4 * fps):
         step(world)

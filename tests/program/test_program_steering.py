@@ -49,7 +49,7 @@ def scene(
     assert complaints(report) == []
     ground, rock = meshes.grid(400.0, 20), meshes.ball(8.0, (40.0, 0.0, 0.0))
     return bind(
-        passes.optimise(lowered),
+        passes.optimise_plan(lowered),
         WorldSetting(
             fps=Fraction(fps),
             surfaces={"ground": MeshData(*ground)},

@@ -14,7 +14,7 @@ from meshes import grid
 from sampling import sampled
 
 from antdsl.pipeline import Shot, open_scene
-from antdsl.plan.registers import name_slot_registers
+from antdsl.plan.registers import list_slot_register_names
 from antdsl.reload import Migration, describe_migration, migrate_world
 from antdsl.runtime import BindError, BindingCache, World, bind, state_hash, step
 
@@ -282,7 +282,9 @@ def likings(world: World, count: int) -> dict[int, list[tuple[int, float]]]:
     """What each ant stores about which other, the strongest first."""
     ants, pairs_by_agent = world.populations["ant"], {}
     for row, agent in enumerate(ants.ids.tolist()):
-        pairs = [(int(ants.now[who][row]), float(ants.now[value][row])) for who, value in name_slot_registers("likes", count)]
+        pairs = [
+            (int(ants.now[who][row]), float(ants.now[value][row])) for who, value in list_slot_register_names("likes", count)
+        ]
         pairs_by_agent[agent] = sorted((pair for pair in pairs if pair[0] >= 0), key=lambda pair: (-abs(pair[1]), pair[0]))
     return pairs_by_agent
 

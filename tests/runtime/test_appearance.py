@@ -7,8 +7,8 @@ import pytest
 from meaning import OPTION_SETS, RunHistory, crowd, item, play
 from plan_text import plan_of
 
-from antdsl.passes import optimise
-from antdsl.plan import show
+from antdsl.passes import optimise_plan
+from antdsl.plan import format_plan
 from antdsl.runtime import Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene.setting import WorldSetting
 
@@ -85,8 +85,10 @@ def test_who_looks_at_nothing_looks_ahead() -> None:
 
 def test_it_is_in_checkpoints_and_plans() -> None:
     text = f"{HEAD}start one\nstate one {{ wear hat when chance 30 %/s; channel jaw = uniform(0, 1); steer wander() }} }}"
-    plan = optimise(plan_of(text, f"use steering\n{WORLD}"))
-    assert "wear#hat" in show(plan) and plan.species["a"].worn_layers == ("hat",) and plan.species["a"].channels == ("jaw",)
+    plan = optimise_plan(plan_of(text, f"use steering\n{WORLD}"))
+    assert (
+        "wear#hat" in format_plan(plan) and plan.species["a"].worn_layers == ("hat",) and plan.species["a"].channels == ("jaw",)
+    )
     setting = WorldSetting(crowds=(crowd(20, radius=40.0),), seed=2)
     original, again = (bind(plan, setting, Options(backend=name)) for name in ("numpy", "reference"))
     for _ in range(10):

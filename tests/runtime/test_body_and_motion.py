@@ -11,7 +11,7 @@ from meaning import OPTION_SETS, RunHistory, crowd, item, play
 from plan_text import WORLD, plan_of
 
 from antdsl.bench.cases import find_case
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.runtime import MeshData, Options, WorldSetting, bind, step
 from antdsl.runtime.moving.clearance.head_clearance import find_heads_inside
 
@@ -174,7 +174,7 @@ def test_bodies_back_up_walls_without_a_jerk_and_with_their_heads_out() -> None:
     text = crab(
         BACK.replace("-> aside", "-> go"), attributes="size 6 mm; max_speed 20 mm/s; max_turn 180 deg/s; min_speed 2 mm/s"
     )
-    plan = optimise(plan_of(text, WORLD))
+    plan = optimise_plan(plan_of(text, WORLD))
     setting = WorldSetting(fps=Fraction(24), crowds=(crowd(30, radius=25),), surfaces={"ground": box_room(30, 60)}, seed=4)
     world = bind(plan, setting, Options(backend="native"))
     population, inside, most = world.populations["a"], 0, 0.0

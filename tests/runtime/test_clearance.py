@@ -21,7 +21,7 @@ from antdsl.machine_code.kernels import kernel
 from antdsl.machine_code.kernels.types import F64, I64, Array1
 from antdsl.outputs.cache.agent_arrays import AgentArrayBuilder
 from antdsl.outputs.recording import begin_recording, record_frames
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.pipeline import open_scene
 from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.body_positions import LIFT_REGISTERS, compute_body_positions
@@ -77,7 +77,7 @@ def walking(mesh: MeshData, count: int, clears: bool = True, options: Options | 
     things = "".join(f"\n  obstacle {name}" for name in fields.get("obstacles", ()))
     text = WALKER.replace("SWITCH", "" if clears else "body_clearance false").replace("ground }", f"ground{things}\n}}")
     setting = WorldSetting(fps=Fraction(24), crowds=(crowd(count, radius=25),), surfaces={"ground": mesh}, seed=4, **fields)
-    return bind(optimise(plan_of(text, "")), setting, options or Options(backend="numpy"))
+    return bind(optimise_plan(plan_of(text, "")), setting, options or Options(backend="numpy"))
 
 
 @kernel

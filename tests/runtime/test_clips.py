@@ -7,7 +7,7 @@ import pytest
 from meaning import OPTION_SETS, RunHistory, crowd, play
 from plan_text import plan_of
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.reload import migrate_world
 from antdsl.runtime import Options, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene.setting import ClipData, WorldSetting
@@ -123,7 +123,7 @@ def test_a_checkpoint_goes_on_where_clips_are() -> None:
     text = f"{HEAD}start one\nstate one {{ play walk; steer {GOES}; when chance 50 %/s -> two over 0.5 s }}"
     text += f"\nstate two {{ play wave; steer {GOES}; when clip done -> one }} }}"
     setting = WorldSetting(crowds=(crowd(30, radius=40.0),), seed=2, clips=CLIPS)
-    original, again = (bind(optimise(plan_of(text)), setting, Options(backend=name)) for name in ("numpy", "reference"))
+    original, again = (bind(optimise_plan(plan_of(text)), setting, Options(backend=name)) for name in ("numpy", "reference"))
     for _ in range(20):
         step(original)
     restore_checkpoint(again, take_checkpoint(original))
@@ -149,11 +149,11 @@ def test_an_edit_that_renumbers_clips_lets_them_go_on() -> None:
     rest = f"state two {{ play breathe; steer {GOES} }}\n}}"
     first = f"state nul {{ play breathe; steer {GOES}; when after 1 s -> one }}\n"
     setting = WorldSetting(crowds=(crowd(2, radius=20.0),), seed=2, clips={"a": {"wave": ClipData(5.0, 0.0, False)}})
-    world = bind(optimise(plan_of(begin + wave + rest)), setting, Options(backend="numpy"))
+    world = bind(optimise_plan(plan_of(begin + wave + rest)), setting, Options(backend="numpy"))
     for _ in range(20):
         step(world)
     turns = world.populations["a"].now["main.clip_turns"].copy()
-    edited, _ = migrate_world(world, optimise(plan_of(begin + first + wave + rest)), setting)
+    edited, _ = migrate_world(world, optimise_plan(plan_of(begin + first + wave + rest)), setting)
     ants = edited.populations["a"]
     assert [ants.plan.clips[k].name for k in ants.now["main.clip"]] == ["wave", "wave"]
     step(edited)

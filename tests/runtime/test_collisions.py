@@ -7,7 +7,7 @@ import pytest
 from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of, program_of
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.runtime import Options, World, bind, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene.setting import WorldSetting
 
@@ -101,7 +101,9 @@ def test_kinds_are_distinguished_and_the_dead_are_forgotten() -> None:
 
 def crowded(options: Options) -> World:
     text = MEETING.replace("steer match(way * 20 mm/s)", "steer match(rotate(way, about: up, by: id * 77 deg) * 20 mm/s)")
-    return bind(optimise(plan_of(text)), WorldSetting(crowds=(crowd(60, "prey", radius=45.0),), seed=3, contacts="hard"), options)
+    return bind(
+        optimise_plan(plan_of(text)), WorldSetting(crowds=(crowd(60, "prey", radius=45.0),), seed=3, contacts="hard"), options
+    )
 
 
 def test_a_checkpoint_goes_on_with_the_contacts_that_it_has() -> None:

@@ -39,7 +39,7 @@ WALKING = RESTING.replace("state rest { steer 0 * heading }", "state rest { stee
 def plan_of(text: str) -> plan.ir.Plan:
     program, report = checked(text)
     assert report.ok, complaints(report)
-    return passes.optimise(plan.lower(program)[0])
+    return passes.optimise_plan(plan.lower(program)[0])
 
 
 def points(*coordinates: tuple[float, float]) -> PlacementData:

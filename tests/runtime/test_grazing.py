@@ -38,7 +38,7 @@ def pasture(sheep: int, tufts: int = 0, growth: float = 0.0, seed: int = 1) -> t
         field_start={"grass": FieldStartData(3.0, None, None)},
         params={"tuft.growth": growth},
     )
-    return passes.optimise(lowered), setting
+    return passes.optimise_plan(lowered), setting
 
 
 def units(values: np.ndarray) -> int:
@@ -102,7 +102,7 @@ def test_all_backends_graze_alike() -> None:
 def play(lines: str, at: list[tuple[float, float]], steps: int, start: float, declared: str = "load = 0") -> World:
     """Agents with those changes at places, on cells that hold `start`, the same in every way."""
     text = f"species a {{ {declared}\nstart p\nstate p {{ {lines} }}\nstate q {{ when false -> p }} }}"
-    optimised_plan = passes.optimise(plan_of(text, WORLD))
+    optimised_plan = passes.optimise_plan(plan_of(text, WORLD))
     ground = {"ground": MeshData(*meshes.grid(60.0, 4))}
     setting = WorldSetting(seed=7, surfaces=ground, crowds=(crowd(at=at),),
                       field_start={"grass": FieldStartData(start, None, None)}, items={"food": ()})  # fmt: skip
@@ -163,7 +163,7 @@ def test_all_that_an_item_has_can_be_taken_too() -> None:
 
     text = "species a { load = 0\nstart p\nstate p { when true take all load from nearest(food) -> q }\n"
     text += "state q { when false -> p } }"
-    optimised_plan = passes.optimise(plan_of(text, WORLD))
+    optimised_plan = passes.optimise_plan(plan_of(text, WORLD))
     setting = WorldSetting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 3),),
                       items={"food": (item("f", 0, 0, load=6.5),)})  # fmt: skip
     for options in OPTION_SETS:
@@ -192,7 +192,7 @@ def test_what_cannot_be_taken_is_reported(line: str, code: str) -> None:
 def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
     """As `explain` does: the reference takes one agent through the step, with what the world has settled."""
     text = "species a { load = 0.1; seen = 0\nstart p\nstate p { when true take all load from grass -> q { seen = load } }\n"
-    optimised_plan = passes.optimise(plan_of(text + "state q { when false -> p } }", WORLD))
+    optimised_plan = passes.optimise_plan(plan_of(text + "state q { when false -> p } }", WORLD))
     setting = WorldSetting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 2),),
                       field_start={"grass": FieldStartData(1.3, None, None)}, items={"food": ()})  # fmt: skip
     world, again = bind(optimised_plan, setting), []

@@ -9,8 +9,8 @@ import pytest
 from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of
 
-from antdsl.passes import optimise
-from antdsl.plan.registers import name_slot_registers
+from antdsl.passes import optimise_plan
+from antdsl.plan.registers import list_slot_register_names
 from antdsl.runtime import FaultStop, Options, World, WorldSetting, bind, restore_checkpoint, state_hash, step, take_checkpoint
 
 NATIVE = Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5)
@@ -22,7 +22,7 @@ def read_pairs(world: World, name: str = "likes", species: str = "a", count: int
     """What each agent stores about which other, by id."""
     population = world.populations[species]
     pairs_by_agent: dict[int, dict[int, float]] = {int(agent): {} for agent in population.ids}
-    for who, value in name_slot_registers(name, count):
+    for who, value in list_slot_register_names(name, count):
         for agent, other, held in zip(population.ids, population.now[who], population.now[value], strict=True):
             if other >= 0:
                 assert int(other) not in pairs_by_agent[int(agent)], "two slots about one"
@@ -154,7 +154,7 @@ def test_what_is_no_number_is_refused_by_its_name() -> None:
 
 
 def test_a_checkpoint_goes_on_to_the_same_values() -> None:
-    plan = optimise(plan_of(CROWD))
+    plan = optimise_plan(plan_of(CROWD))
     setting = WorldSetting(fps=Fraction(10), crowds=(crowd(at=TEN.tolist()),))
     world, hashes = bind(plan, setting, Options(backend="numpy")), []
     for number in range(14):

@@ -11,7 +11,7 @@ import pytest
 from meaning import FAST, OPTION_SETS, crowd, item, played
 
 from antdsl import plan
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.pipeline import compile_files
 from antdsl.plan import ir
 from antdsl.runtime import MeshData, World, WorldSetting
@@ -24,7 +24,7 @@ def planned(*names: str) -> ir.Plan:
     assert program is not None and report.ok
     lowered, report = plan.lower(program)
     assert report.ok, report.errors
-    return optimise(lowered)
+    return optimise_plan(lowered)
 
 
 def ring(radius: float) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of, program_of
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.plan import lower
 from antdsl.reload import migrate_world
 from antdsl.runtime import Options, World, bind, restore_checkpoint, state_hash, step, take_checkpoint
@@ -101,7 +101,7 @@ def pressed(options: Options, text: str = RESTING) -> World:
     text = text.replace(
         "steer 0 * heading", "steer rotate(heading, about: up, by: id * 77 deg) * (if far > 1 mm then 0.2 else 1)"
     )
-    return bind(optimise(plan_of(text)), setting, options)
+    return bind(optimise_plan(plan_of(text)), setting, options)
 
 
 def test_a_checkpoint_and_a_reload_know_it() -> None:
@@ -121,7 +121,7 @@ def test_a_checkpoint_and_a_reload_know_it() -> None:
             step(world)
             hashes[-1].append(state_hash(world))
     assert hashes[0] == hashes[1]
-    edited = optimise(plan_of(RESTING.replace("far + moved", "far + 2 * moved")))
+    edited = optimise_plan(plan_of(RESTING.replace("far + moved", "far + 2 * moved")))
     reloaded, _ = migrate_world(original, edited, original.setting)
     assert np.array_equal(np.sort(reloaded.populations["prey"].now["moved"]), np.sort(original.populations["prey"].now["moved"]))
 

@@ -7,7 +7,7 @@ import pytest
 from meaning import OPTION_SETS, crowd, play
 from plan_text import plan_of
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.runtime import Options, World, bind, step
 from antdsl.runtime.sensing import nearest_pairs, pairs
 from antdsl.runtime.sensing.nearest_pairs import find_nearest_agents
@@ -22,7 +22,7 @@ def standing(positions: np.ndarray, seed: int = 3) -> tuple[World, Population]:
     """A world with agents in these places (n, 3), rows and ids in no order."""
     text = f"species a {{ {STILL}\nstart s\nstate s {{ steer heading }} }}"
     world = bind(
-        optimise(plan_of(text)), WorldSetting(crowds=(crowd(len(positions), "a", radius=50.0),)), Options(shuffle_rows=seed)
+        optimise_plan(plan_of(text)), WorldSetting(crowds=(crowd(len(positions), "a", radius=50.0),)), Options(shuffle_rows=seed)
     )
     population = world.populations["a"]
     for axis, column in zip(AXES, positions.T, strict=True):
@@ -129,11 +129,11 @@ def test_no_full_pairs_are_built_where_only_the_nearest_is_needed(monkeypatch: p
     )
     again = WorldSetting(crowds=(crowd(300, "a", radius=200.0), crowd(20, "b", radius=200.0, group=1)))
     for backend in ("numpy", "native"):
-        world = bind(optimise(plan_of(NEAREST)), again, Options(backend=backend, wait_for_code=True, chunk=64))
+        world = bind(optimise_plan(plan_of(NEAREST)), again, Options(backend=backend, wait_for_code=True, chunk=64))
         for _ in range(3):
             step(world)
         assert not measured
     sum_program = NEAREST.replace("far = min(distance(nearest(b)), 99 mm)", "far = sum(n in all(a): distance(n))")
-    world = bind(optimise(plan_of(sum_program)), again, Options(backend="numpy"))
+    world = bind(optimise_plan(plan_of(sum_program)), again, Options(backend="numpy"))
     step(world)
     assert sum(measured) == 300, "who asks more than who is nearest measures all"

@@ -43,7 +43,7 @@ def world(*crowds: CrowdData, text: str = PROGRAM, options: Options | None = Non
     if text not in _PLANS:
         program, report = checked(text)
         assert report.ok, complaints(report)
-        _PLANS[text] = passes.optimise(plan.lower(program)[0])
+        _PLANS[text] = passes.optimise_plan(plan.lower(program)[0])
     hills = meshes.terrain(400.0, 24)
     default_setting: dict = dict(
         surfaces={"hill": MeshData(*hills), "plate": MeshData(*meshes.box((-40, 40, -40), (40, 44, 40)))},

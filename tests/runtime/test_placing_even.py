@@ -11,12 +11,12 @@ from meaning import crowd
 from plan_text import plan_of
 from scipy.spatial import cKDTree
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, World, WorldSetting, bind
 
 TEXT = """species hunter { size 4 mm }
 species prey { size 2 mm }"""
-PLAN = optimise(plan_of(TEXT))
+PLAN = optimise_plan(plan_of(TEXT))
 FLOOR = {"ground": MeshData(*meshes.grid(200.0, 8))}
 
 

@@ -10,7 +10,7 @@ from meaning import OPTION_SETS
 from plan_text import plan_of
 
 from antdsl.machine_code import llvm_compiler
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends.native.programs import WorldFacts
 from antdsl.runtime.moving import moving_geometry
@@ -49,7 +49,7 @@ def smelled(
     """What agents that stand there smell after some steps, and the world, in which cells hold their number from 1; the same in
     every way."""
     on = next(iter((*setting.surfaces, *setting.solids)))
-    plan = optimise(plan_of(program(ahead, turn), world_of(on)))
+    plan = optimise_plan(plan_of(program(ahead, turn), world_of(on)))
     smells, hashes = [], set()
     for options in option_sets:
         world = bind(plan, setting, options)

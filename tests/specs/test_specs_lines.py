@@ -111,7 +111,7 @@ def test_a_share_of_the_seeds_is_enough(folder: Path) -> None:  # noqa: F811
     for share, holds in ((passed / 8, True), ((passed + 0.5) / 8, False)):
         cases = judged(folder, spec(f"{line}; pass {share * 100} %"), program)
         (verdict,) = resolve_verdicts(cases)
-        assert (verdict.passed_count, verdict.case_count, verdict.holds) == (passed, 8, holds)
+        assert (verdict.passed_count, verdict.case_count, verdict.has_passed) == (passed, 8, holds)
         outcomes = {case.outcome for case in cases}
         assert outcomes == ({"passed", "allowed"} if holds else {"passed", "failed"})
 

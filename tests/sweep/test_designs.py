@@ -13,10 +13,10 @@ from antdsl import limits
 from antdsl.sweeps.designs import DESIGNS, ChosenPoints, choose_design
 from antdsl.sweeps.factors import Factor, build_end_points, parse_factors
 from antdsl.sweeps.jobs import SweepJob
-from antdsl.sweeps.sensitivity import find_effects, is_available
+from antdsl.sweeps.sensitivity import find_effects, is_salib_available
 from antdsl.sweeps.stopping import (
     CONFIDENCE_LEVEL,
-    JobChooser,
+    SweepJobChooser,
     WidthGoal,
     compute_interval_rank,
     find_interval,
@@ -134,7 +134,7 @@ def test_options_that_do_not_fit_together_are_reported_with_a_correction() -> No
 
 def test_without_salib_its_designs_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("antdsl.sweeps.sensitivity.find_spec", lambda name: None)
-    assert not is_available()
+    assert not is_salib_available()
     for word in ("saltelli", "morris"):
         assert "pip install 'antdsl[sensitivity]'" in refused(word, SMELL, points=8)
 
@@ -231,8 +231,8 @@ def test_runs_stop_once_the_median_is_known_in_any_order() -> None:
     worth = {"a": lambda seed: 10 + seed % 2 / 10, "b": lambda seed: seed * 7919 % 100}
     ends = []
     for at_once in (1, 3, 7):
-        chooser, running = JobChooser(make_jobs("ab", 40), [WidthGoal("y", 5.0)]), []
-        job_queue, ran = chooser.needed_jobs(), 0
+        chooser, running = SweepJobChooser(make_jobs("ab", 40), [WidthGoal("y", 5.0)]), []
+        job_queue, ran = chooser.iterate_needed_jobs(), 0
         while True:
             while len(running) < at_once and (job := next(job_queue, None)) is not None:
                 running.append(job)
@@ -253,8 +253,8 @@ def test_widths_may_be_shares_and_what_never_happens_is_known_too() -> None:
     assert WidthGoal("y", 0.1, is_relative=True).is_reached((95, 104), 100) and not WidthGoal(
         "y", 0.1, is_relative=True
     ).is_reached((90, 104), 100)
-    chooser = JobChooser(make_jobs("a", 40), [WidthGoal("y", 1.0)])
-    for job in chooser.needed_jobs():
+    chooser = SweepJobChooser(make_jobs("a", 40), [WidthGoal("y", 1.0)])
+    for job in chooser.iterate_needed_jobs():
         chooser.record_result(job, None if job.seed == 2 else {"y": None})
     (known,) = chooser.list_known_medians()
     assert known.met and known.median == math.inf and known.runs == len(chooser.counted_jobs) < 20
@@ -262,11 +262,11 @@ def test_widths_may_be_shares_and_what_never_happens_is_known_too() -> None:
 
 
 def test_without_widths_all_runs_are_requested_and_a_measure_that_no_run_reports_is_noticed() -> None:
-    chooser = JobChooser(make_jobs("ab", 2))
-    for job in chooser.needed_jobs():
+    chooser = SweepJobChooser(make_jobs("ab", 2))
+    for job in chooser.iterate_needed_jobs():
         chooser.record_result(job, {"y": 1})
     assert chooser.counted_jobs == list(chooser.jobs) and not chooser.list_missing_measures()
-    chooser = JobChooser(make_jobs("a", 9), [WidthGoal("nothing", 1.0), WidthGoal("y", 1.0)])
+    chooser = SweepJobChooser(make_jobs("a", 9), [WidthGoal("nothing", 1.0), WidthGoal("y", 1.0)])
     assert chooser.list_missing_measures() == []
     chooser.record_result(chooser.jobs[0], {"y": 1})
     assert chooser.list_missing_measures() == ["nothing"]

@@ -18,13 +18,13 @@ import pytest
 from antdsl.cli import _run_without_warnings as run_in_process
 from antdsl.executors import ProcessEngine, WorkerContext
 from antdsl.pipeline import open_scene
-from antdsl.sweeps import RunStore, SweepJob, Variation, build_jobs, build_rows, make_variations, run_jobs
+from antdsl.sweeps import FinishedRunStore, SceneVariation, SweepJob, build_jobs, build_rows, make_variations, run_jobs
 from antdsl.sweeps.designs import choose_design
 from antdsl.sweeps.factors import Factor
-from antdsl.sweeps.finished_runs import NotASweepFolder
+from antdsl.sweeps.finished_runs import NotASweepFolderError
 from antdsl.sweeps.jobs import compute_job_key, find_start_hashes
 from antdsl.sweeps.measuring import measure_job
-from antdsl.sweeps.table import MACHINE_DEPENDENT_MEASURES, as_csv, choose_measures, compute_quantile, format_table
+from antdsl.sweeps.table import MACHINE_DEPENDENT_MEASURES, choose_measures, compute_quantile, format_csv_table, format_table
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """ant 1
@@ -78,7 +78,7 @@ def same(measures: dict[str, object] | None) -> dict[str, object]:
 def test_every_combination_with_every_seed_seed_by_seed() -> None:
     chosen = make_variations([Path("a.yaml"), Path("b.yaml")], grid(p=("1", "2"), q=("3",)))
     assert [v.label for v in chosen] == ["a, p 1, q 3", "a, p 2, q 3", "b, p 1, q 3", "b, p 2, q 3"]
-    assert make_variations([Path("a.yaml")], grid()) == [Variation(Path("a.yaml"), {}, "a")]
+    assert make_variations([Path("a.yaml")], grid()) == [SceneVariation(Path("a.yaml"), {}, "a")]
 
 
 def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
@@ -112,7 +112,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
     outcomes = {outcome.job.key: outcome for outcome in run_jobs([missing_job, *good], ProcessEngine(2, 1))}
     assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
     for job in good:
-        assert same(outcomes[job.key].measures) == same(measure_job(job.document(), WorkerContext(3)))
+        assert same(outcomes[job.key].measures) == same(measure_job(job.make_document(), WorkerContext(3)))
     measures = outcomes[good[0].key].measures
     assert measures is not None and measures["frames"] == measures["empty.food.apple.load"] < 30, "ended once it was empty"
     assert measures["empty.food.far.load"] is None and measures["left.food.far.load"] == 3
@@ -121,7 +121,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
 
 def test_a_job_goes_to_another_process_as_json(folder: Path) -> None:
     for job in make_jobs(folder, smell=("30mm",), until="total(food.load) == 0"):
-        assert SweepJob.from_document(json.loads(json.dumps(job.document()))) == job
+        assert SweepJob.from_document(json.loads(json.dumps(job.make_document()))) == job
 
 
 @pytest.mark.slow
@@ -154,20 +154,20 @@ def test_events_that_never_happened_sort_last() -> None:
     assert table[0].least == 5 and table[0].median == inf and table[1].least == 0, "what a run does not tell is 0"
     words = format_table(table, choose_measures(table, ()))
     assert "never (6.5 – never), 2 of 4" in words and "food.apple.load 0 at" in words and "x.y" not in words
-    lines = list(csv.DictReader(as_csv(table).splitlines()))
+    lines = list(csv.DictReader(format_csv_table(table).splitlines()))
     assert lines[0]["median"] == "" and lines[0]["least"] == "5" and lines[1]["median"] == "2"
 
 
 def test_only_complete_results_of_this_very_run_are_stored(folder: Path) -> None:
     job = make_jobs(folder)[0]
-    run_store = RunStore(folder / "out")
+    run_store = FinishedRunStore(folder / "out")
     assert run_store.read_measures(job) is None
     run_store.write_measures(job, {"frames": 3})
-    assert run_store.read_measures(job) == {"frames": 3} and RunStore(folder / "out").read_measures(job) == {"frames": 3}
-    run_store.path(job).write_text(run_store.path(job).read_text()[:-30])
+    assert run_store.read_measures(job) == {"frames": 3} and FinishedRunStore(folder / "out").read_measures(job) == {"frames": 3}
+    run_store.get_run_path(job).write_text(run_store.get_run_path(job).read_text()[:-30])
     assert run_store.read_measures(job) is None
-    with pytest.raises(NotASweepFolder):
-        RunStore(folder)
+    with pytest.raises(NotASweepFolderError):
+        FinishedRunStore(folder)
 
 
 def test_the_command_continues_a_stopped_sweep(
@@ -185,7 +185,7 @@ def test_the_command_continues_a_stopped_sweep(
     monkeypatch.undo()
     out = folder / "out" / "sweep"
     (job, _) = make_jobs(folder)
-    RunStore(out).write_measures(job, {"frames": 30, "empty.food.apple.load": 11})
+    FinishedRunStore(out).write_measures(job, {"frames": 30, "empty.food.apple.load": 11})
     code, output, _ = sweep("--seeds", "2", "--jobs", "1", "--no-plots")
     assert code == 0 and "1 of 2 runs were finished before" in output and "1 of 1: scene, seed 2, 30 frames" in output
     document = json.loads((out / "sweep.json").read_text())

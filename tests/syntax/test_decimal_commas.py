@@ -15,7 +15,7 @@ from antdsl.scene.load import load_text
 from antdsl.scene.paths import Roots
 from antdsl.source import Source
 from antdsl.syntax import parse
-from antdsl.syntax.scan import scan
+from antdsl.syntax.scan import scan_tokens
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "examples").rglob("*.ant"))
@@ -33,7 +33,7 @@ def find_errors(text: str) -> list[Diagnostic]:
 def numbers(path: Path) -> Iterator[tuple[int, int]]:
     """Places of the numbers of a file without their units, less the edition and seeds, which are whole."""
     text = path.read_text(encoding="utf-8")
-    for token in scan(Source(path.name, text), Report()).tokens:
+    for token in scan_tokens(Source(path.name, text), Report()).tokens:
         line = text[text.rfind("\n", 0, token.start) + 1 : token.start]
         if token.kind == "number" and not re.match(r"ant\b|\s*seeds\b", line):
             digits = re.match(r"[0-9.]+(?![0-9.eE])", text[token.start :])

@@ -12,7 +12,7 @@ from test_docs import Block, of_kind
 from antdsl.source import Source
 from antdsl.syntax import format, parse
 from antdsl.syntax import nodes as n
-from antdsl.syntax.formatting.layout import LayoutError, find_first_difference, flatten_tree
+from antdsl.syntax.formatting.layout import LayoutError, find_first_difference, iterate_tree_texts
 from antdsl.syntax.formatting.lines import MAX_LINE_CHARACTERS
 
 
@@ -25,7 +25,7 @@ def formatted(text: str) -> str:
 def meaning(text: str) -> list[str]:
     file, report = parse(Source("t.ant", text))
     assert report.ok, [(d.code, d.message, str(d.span)) for d in report.diagnostics]
-    return list(flatten_tree((file.edition, file.help, file.items)))
+    return list(iterate_tree_texts((file.edition, file.help, file.items)))
 
 
 def holds(seed: int) -> bool:

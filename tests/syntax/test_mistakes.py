@@ -15,7 +15,7 @@ from antdsl.loading import find_library
 from antdsl.program import check
 from antdsl.source import Source
 from antdsl.syntax import parse
-from antdsl.syntax.scan import scan
+from antdsl.syntax.scan import scan_tokens
 
 ROOT = Path(__file__).resolve().parents[2]
 ROWS: list[dict[str, Any]] = yaml.safe_load((ROOT / "tests/cases/mistakes/foraging.yaml").read_text(encoding="utf-8"))
@@ -69,7 +69,7 @@ def without_a_token(path: Path, every: int) -> Iterator[tuple[int, int]]:
     """For each of every so many tokens of a file, where it stands and how many errors the file has without it. None of them is
     about a value that was complained about already."""
     text = path.read_text(encoding="utf-8")
-    tokens = [token for token in scan(Source(path.name, text), Report()).tokens if token.end > token.start]
+    tokens = [token for token in scan_tokens(Source(path.name, text), Report()).tokens if token.end > token.start]
     for token in tokens[::every]:
         report = diagnose(text[: token.start] + text[token.end :])
         assert not [each.message for each in report.diagnostics if "is a bad" in each.message], (path, token.start)

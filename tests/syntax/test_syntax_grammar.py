@@ -22,7 +22,7 @@ from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.builder import Builder
 from antdsl.syntax.grammar import build_parser, number_tokens
 from antdsl.syntax.parse_tables import START_RULES, TABLES_FILE, compute_grammar_hash, load_parser
-from antdsl.syntax.scan import scan
+from antdsl.syntax.scan import scan_tokens
 from antdsl.syntax.words import BODY_RULE_BY_LINE, EXAMPLE_LINES, LINE_CONTEXT_BY_WORD, LINE_WORDS_BY_RULE
 
 
@@ -146,7 +146,7 @@ class Straight:
     def __init__(self, source: Source) -> None:
         self.source = source
 
-    def span(self, start: int, end: int) -> Span:
+    def make_source_span(self, start: int, end: int) -> Span:
         return Span(self.source, start, end)
 
 
@@ -160,7 +160,7 @@ def single_pass_parser() -> tuple[Lark, SinglePassBuilder]:
 def test_parsing_by_lines_equals_complete_parsing(path: Path, single_pass_parser: tuple[Lark, SinglePassBuilder]) -> None:
     parser, builder = single_pass_parser
     source = Source(path.name, path.read_text(encoding="utf-8"))
-    scanned = scan(source, Report())
+    scanned = scan_tokens(source, Report())
     assert pair_brackets(scanned) is not None  # this blanks the line ends inside parentheses
     builder.span_maker = Straight(source)
     items = parser.parse("".join(scanned.clean_characters), start="file")

@@ -9,11 +9,11 @@ import pytest
 
 from antdsl import limits
 from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
-from antdsl.syntax import parse, read
+from antdsl.syntax import parse, read_program_file
 
 
 def refused(path: Path | str) -> tuple[str, str]:
-    source, report = read(path)
+    source, report = read_program_file(path)
     assert source is None and len(report.errors) == 1
     (error,) = report.errors
     assert error.code in CODE_DESCRIPTIONS and error.help
@@ -23,7 +23,7 @@ def refused(path: Path | str) -> tuple[str, str]:
 def test_a_file_is_read_with_its_name(tmp_path: Path) -> None:
     path = tmp_path / "a.ant"
     path.write_bytes("\ufeffant 1\r\nspecies a { load = 0 }\rspecies b { load = 0 } # é".encode())
-    source, report = read(path)
+    source, report = read_program_file(path)
     assert source is not None and report.ok
     assert source.path == str(path) and source.text == "ant 1\nspecies a { load = 0 }\nspecies b { load = 0 } # é"
     file, report = parse(source)
@@ -54,14 +54,14 @@ def test_the_location_of_an_invalid_byte_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.ant"
     path.write_bytes("ant 1\n# é\nx \xff".encode("latin-1"))
     path.write_bytes(b"ant 1\n# \xc3\xa9\nx \xff")
-    _, report = read(path)
+    _, report = read_program_file(path)
     assert str(report.errors[0].span) == f"{path}:3:3"
 
 
 def test_largest_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.ant"
     path.write_bytes(b"#" * limits.MAX_PROGRAM_BYTES)
-    assert read(path)[0] is not None
+    assert read_program_file(path)[0] is not None
 
 
 def test_no_file_folder_and_pipe(tmp_path: Path) -> None:

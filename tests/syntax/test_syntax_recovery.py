@@ -18,7 +18,7 @@ from antdsl.diagnostics.render import FORMATTERS, render
 from antdsl.source import Source
 from antdsl.syntax import nodes as n
 from antdsl.syntax import parse
-from antdsl.syntax.scan import scan
+from antdsl.syntax.scan import scan_tokens
 
 ROOT = Path(__file__).parents[2]
 
@@ -45,7 +45,7 @@ def check(text: str) -> Report:
 @pytest.mark.parametrize("times", [40, pytest.param(400, marks=pytest.mark.slow)])
 def test_deleting_any_token_gives_few_errors(times: int) -> None:
     text = CARD.read_text(encoding="utf-8")
-    tokens = scan(Source("t.ant", text), Report()).tokens
+    tokens = scan_tokens(Source("t.ant", text), Report()).tokens
     counts: Counter[int] = Counter()
     for token in random.Random(4).sample(tokens, times):
         counts[len(check(text[: token.start] + text[token.end :]).errors)] += 1
@@ -57,7 +57,7 @@ def test_deleting_any_token_gives_few_errors(times: int) -> None:
 @pytest.mark.parametrize("times", [15, pytest.param(150, marks=pytest.mark.slow)])
 def test_swapping_and_doubling_tokens_never_fails(times: int) -> None:
     text = CARD.read_text(encoding="utf-8")
-    tokens = scan(Source("t.ant", text), Report()).tokens
+    tokens = scan_tokens(Source("t.ant", text), Report()).tokens
     draw = random.Random(7)
     for _ in range(times):
         one, other = sorted(draw.sample(tokens, 2), key=lambda token: token.start)

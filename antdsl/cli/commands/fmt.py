@@ -99,7 +99,7 @@ class _FormatCommand:
         from antdsl.safe_read import read_size_limited
 
         try:
-            text = self.format_source(*syntax.read(path))
+            text = self.format_source(*syntax.read_program_file(path))
             data = b"" if text is None else read_size_limited(path, limits.MAX_PROGRAM_BYTES)
             if text is None:
                 self.skipped_count += 1
@@ -119,7 +119,7 @@ class _FormatCommand:
         from antdsl import syntax
 
         data = read_standard_input()
-        text = self.format_source(*syntax.read_bytes("<stdin>", data))
+        text = self.format_source(*syntax.decode_program("<stdin>", data))
         if text is None:
             return
         if not (self.is_check_only or self.prints_diff):
@@ -140,9 +140,9 @@ class _FormatCommand:
         if not isinstance(source, Source):
             return None
         if self.edition is not None:
-            from antdsl.program.upgrade import upgrade
+            from antdsl.program.upgrade import upgrade_source
 
-            upgraded, findings = upgrade(source, self.edition)
+            upgraded, findings = upgrade_source(source, self.edition)
             if upgraded is None:
                 self.report.extend(d for d in findings.diagnostics if d.severity == "error")
                 return None

@@ -35,7 +35,7 @@ def run_plan_command(
         if program is not None and report.ok:
             lowered, findings = planning.lower(program)
             report.extend(findings)
-            final_plan = lowered if raw else passes.optimise(lowered)
+            final_plan = lowered if raw else passes.optimise_plan(lowered)
     else:
         shot, report = pipeline.open_scene(file, raw=raw)
         if shot is not None:
@@ -43,7 +43,7 @@ def run_plan_command(
     exit_on_errors(report)
     if final_plan is None:
         raise CommandError(ExitCode.FINDINGS)
-    print_result(_list_machine_code(final_plan, setting, code) if native or code else planning.show(final_plan))
+    print_result(_list_machine_code(final_plan, setting, code) if native or code else planning.format_plan(final_plan))
 
 
 def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_code: bool) -> str:

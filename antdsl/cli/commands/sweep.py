@@ -27,8 +27,8 @@ from antdsl.cli.scheduler import (
 )
 
 if TYPE_CHECKING:
-    from antdsl.sweeps import JobChooser, JobOutcome, RunStore, SweepJob
-    from antdsl.sweeps.study import Study
+    from antdsl.sweeps import FinishedRunStore, JobOutcome, SweepJob, SweepJobChooser
+    from antdsl.sweeps.study import SweepStudy
     from antdsl.sweeps.table import RunResult
 
 RESULT_FILE_NAMES = (
@@ -115,8 +115,8 @@ def run_sweep_command(
     from antdsl.executors import WorkersLost
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.scene.paths import record_requested_paths
-    from antdsl.sweeps import JobChooser, RunStore, run_jobs
-    from antdsl.sweeps.finished_runs import NotASweepFolder
+    from antdsl.sweeps import FinishedRunStore, SweepJobChooser, run_jobs
+    from antdsl.sweeps.finished_runs import NotASweepFolderError
     from antdsl.sweeps.study import SweepRequest
 
     require_scheduler(scheduler, tls, no_tls)
@@ -148,13 +148,13 @@ def run_sweep_command(
         study, runs, report = build_study(request)
     exit_on_errors(report)
     try:
-        run_store = RunStore(folder)
-    except NotASweepFolder as error:
+        run_store = FinishedRunStore(folder)
+    except NotASweepFolderError as error:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "name another folder with `--out`") from None
     show = show or request.show
-    request.model_copy(update={"show": show}).write(folder)
+    request.model_copy(update={"show": show}).write_request(folder)
 
-    chooser = JobChooser(runs, widths)
+    chooser = SweepJobChooser(runs, widths)
     finished_measures: dict[str, Any] = {}
     if not again:
         finished_measures = {
@@ -180,7 +180,7 @@ def run_sweep_command(
     where = open_engine((scheduler, tls, no_tls), processes, threads, files)
     try:
         with raise_on_sigterm(), where as engine, _show_progress(todo, quiet, bool(request.until_known)) as watch:
-            for outcome in run_jobs(chooser.needed_jobs(), engine, watch.show_frame, watch.show_note):
+            for outcome in run_jobs(chooser.iterate_needed_jobs(), engine, watch.show_frame, watch.show_note):
                 watch.show_finished(outcome)
                 if outcome.measures is None:
                     failed_outcomes.append(outcome)
@@ -208,7 +208,7 @@ def run_sweep_command(
         )
 
 
-def _require_measures(chooser: JobChooser) -> None:
+def _require_measures(chooser: SweepJobChooser) -> None:
     """Raise CommandError if no run has reported a measure that a width goal names."""
     unheard = chooser.list_missing_measures()
     if unheard:
@@ -220,7 +220,12 @@ def _require_measures(chooser: JobChooser) -> None:
 
 
 def _write_tables(
-    run_store: RunStore, study: Study, chooser: JobChooser, finished_measures: Mapping[str, Any], show: Sequence[str], plots: bool
+    run_store: FinishedRunStore,
+    study: SweepStudy,
+    chooser: SweepJobChooser,
+    finished_measures: Mapping[str, Any],
+    show: Sequence[str],
+    plots: bool,
 ) -> None:
     """Write the table in all formats, and print it.
 
@@ -228,17 +233,17 @@ def _write_tables(
     measures."""
     from antdsl.outputs.parquet_table import encode_parquet
     from antdsl.sweeps import build_rows
-    from antdsl.sweeps.figures import is_available
+    from antdsl.sweeps.figures import is_matplotlib_available
     from antdsl.sweeps.plots import INSTALL_HINT, draw_factors, draw_measures
-    from antdsl.sweeps.sensitivity import as_csv as effects_csv
     from antdsl.sweeps.sensitivity import format_effects as effects_text
+    from antdsl.sweeps.sensitivity import format_effects_csv as effects_csv
     from antdsl.sweeps.table import (
-        as_csv,
-        as_json,
         choose_measures,
         collect_run_series,
         collect_runs,
         format_columns,
+        format_csv_table,
+        format_json_table,
         format_known_medians,
         format_table,
     )
@@ -259,9 +264,9 @@ def _write_tables(
     tables = {"runs": collect_runs(results, study.unit_by_factor), "series": collect_run_series(results, study.unit_by_factor)}
     texts = {
         "table.txt": lines + words,
-        "table.csv": as_csv(table),
+        "table.csv": format_csv_table(table),
         "runs.csv": format_columns(tables["runs"]),
-        "sweep.json": as_json(results, table, known_medians, effects),
+        "sweep.json": format_json_table(results, table, known_medians, effects),
     }
     if effects:
         texts["sensitivity.csv"] = effects_csv(effects)
@@ -277,7 +282,7 @@ def _write_tables(
     for remark in remarks:
         print_note(f"note: {remark}", to_stderr=True)
     picture_names = []
-    if plots and is_available() and len(measures) <= MAX_PLOT_PANELS:
+    if plots and is_matplotlib_available() and len(measures) <= MAX_PLOT_PANELS:
         if study.range_factors:
             draw_factors(study, results, measures, effects, run_store.folder / "factors.png")
             picture_names.append("factors.png")
@@ -285,7 +290,7 @@ def _write_tables(
             draw_measures(results, measures, run_store.folder / "table.png")
             picture_names.append("table.png")
     print_note(f"in {run_store.folder}: {', '.join([*files, *picture_names])}")
-    if plots and not is_available():
+    if plots and not is_matplotlib_available():
         print_note(INSTALL_HINT)
 
 

@@ -66,7 +66,7 @@ def run_test_command(
     from antdsl.specs.failure_cache import FailureSaver
     from antdsl.specs.golden.golden_comparison import GoldenComparison
     from antdsl.specs.golden.golden_runs import find_golden_path
-    from antdsl.specs.reports import as_json, as_junit
+    from antdsl.specs.reports import format_json_report, format_junit_report
     from antdsl.specs.text_report import (
         describe_counts,
         describe_coverage,
@@ -136,8 +136,8 @@ def run_test_command(
             else []
         )
         print_note("\n".join(line for line in lines if line))
-        write_result(junit, as_junit(all_cases, report, goldens.results).encode(), output)
-        write_result(json, as_json(all_cases, coverage, report, goldens.results).encode(), output)
+        write_result(junit, format_junit_report(all_cases, report, goldens.results).encode(), output)
+        write_result(json, format_json_report(all_cases, coverage, report, goldens.results).encode(), output)
     if is_stopped:
         raise CommandError(ExitCode.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")
     differ = any(result.outcome == "differs" for result in goldens.results)

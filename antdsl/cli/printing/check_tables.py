@@ -10,7 +10,7 @@ from antdsl.diagnostics.text_positions import escape_text
 from antdsl.program.cost import StateCost, estimate_costs
 from antdsl.program.kinds import TypeKind
 from antdsl.program.model import Constant, Param, Program, Species
-from antdsl.program.tables.editions import STANDING_SETTING, find_setting_defaults
+from antdsl.program.tables.editions import STANDING_SIZE_SETTING, find_setting_defaults
 from antdsl.program.tables.units import find_unit_measure
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -65,7 +65,7 @@ def _make_setting_rows(source: nodes.File, program: Program, listed_spans: set[S
             continue
         listed_spans.add(species.span)
         lines = {each.name.text: each for each in species.members if isinstance(each, nodes.AnimalProperty)}
-        for name, default in find_setting_defaults(edition, STANDING_SETTING in lines).items():
+        for name, default in find_setting_defaults(edition, STANDING_SIZE_SETTING in lines).items():
             line = lines.get(name)
             value = default if line is None else " ".join(line.value.span.text.split())
             origin = f"edition {edition}" if line is None else f"line {source.source.find_line_column(line.span.start)[0]}"
@@ -118,7 +118,7 @@ def _make_state_rows(program: Program, species: Species) -> Iterator[tuple[str, 
 def _list_counted_operations(part: StateCost) -> Iterator[str]:
     """Yield, for each kind of query that a state has, the kind and its queries."""
     for kind in ("senses", "fields", "draws"):
-        words = [use.description for use in part.uses if use.kind == kind]
+        words = [use.description for use in part.cost_entries if use.kind == kind]
         if words:
             yield f"{kind}: {', '.join(words)}"
 
@@ -135,7 +135,7 @@ def _describe_memory(program: Program) -> dict[str, str]:
     if not report.ok:
         return {}
     memory_words = {}
-    for name, species in passes.optimise(lowered).species.items():
+    for name, species in passes.optimise_plan(lowered).species.items():
         size = count_bytes_by_purpose(species)
         role_sizes = [f"{size[role]} {words}" for role, words in _ROLE_PHRASES.items() if size[role] or role != "pair"]
         of_all = sum(size[role] for role in _ROLE_PHRASES)

@@ -25,7 +25,7 @@ from antdsl.program.tables.colours import COLOUR_BY_NAME
 from antdsl.program.tables.editions import SWITCH_EDITION, SWITCH_HELP, find_setting_defaults
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, list_replacements
-from antdsl.program.tables.vocabulary import TYPE_BY_WORD, builtin_attributes
+from antdsl.program.tables.vocabulary import TYPE_BY_WORD, get_builtin_attributes
 from antdsl.syntax import nodes
 from antdsl.syntax.words import EXAMPLE_LINES, FIXED_FIELD_SETTINGS, LINE_WORDS_BY_RULE, UNIT_NAMES
 
@@ -85,7 +85,7 @@ def _propose_line_start(request: CompletionRequest, rule: str) -> Iterator[Compl
             yield CompletionItem(word, "property", "setting of a field", setting.help)
     elif rule == "member":
         defaults = find_setting_defaults(request.edition, False)
-        for word, row in builtin_attributes(request.edition).items():
+        for word, row in get_builtin_attributes(request.edition).items():
             default = defaults.get(word, row.default)
             if row.is_settable:
                 yield CompletionItem(word, "property", row.type, row.help + (f"; default {default}" if default else ""))

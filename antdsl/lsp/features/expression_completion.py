@@ -168,7 +168,7 @@ def propose_members(request: CompletionRequest) -> Iterator[CompletionItem]:
             node = find_declaring_node(member)
             yield CompletionItem(own, "property", f"of {owner_name}", find_help_text(node))
         if owner.kind is TypeKind.AGENT:
-            for member_name, row in vocabulary.builtin_attributes(request.edition).items():
+            for member_name, row in vocabulary.get_builtin_attributes(request.edition).items():
                 yield CompletionItem(member_name, "property", row.type, row.help)
 
 
@@ -275,7 +275,7 @@ def propose_values(request: CompletionRequest) -> Iterator[CompletionItem]:
     yield from make_thing_proposer()(request)
     yield from propose_fields(request)
     yield from propose_species(request)
-    for name, row in vocabulary.builtin_attributes(request.edition).items():
+    for name, row in vocabulary.get_builtin_attributes(request.edition).items():
         yield CompletionItem(name, "variable", row.type, row.help)
     for name, type in (*vocabulary.RUN_VALUE_TYPES.items(), *vocabulary.SENSE_TYPE_BY_NAME.items()):
         yield CompletionItem(name, "variable", type, VALUE_HELP[name].help if name in VALUE_HELP else "")

@@ -13,7 +13,7 @@ from antdsl.plan.lowering.expressions import convert_to_node, lower_expression, 
 from antdsl.plan.lowering.values import EntityRef, NamedThing, OwnPosition, VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
-from antdsl.program.tables.vocabulary import is_limit
+from antdsl.program.tables.vocabulary import is_limit_attribute
 from antdsl.source import Span
 
 OperandTuple = tuple[PlanNode | None, ...]
@@ -41,7 +41,7 @@ def report_unsupported(w: PlanWriter, construct: UnsupportedConstruct) -> None:
 
 def _scale_by_step(w: PlanWriter, amount: PlanNode, is_rate: bool) -> PlanNode:
     """Return the amount that is added in one step: the value, times `dt` if it is per second."""
-    return w.b("mul", amount, w.run("dt")) if is_rate else amount
+    return w.b("mul", amount, w.read_run_value("dt")) if is_rate else amount
 
 
 def _lower_steer(w: PlanWriter, s: model.Steer, site: str) -> None:
@@ -49,7 +49,7 @@ def _lower_steer(w: PlanWriter, s: model.Steer, site: str) -> None:
         w.declare_register(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
     push = lower_vector(w, s.push)
     w.note_steering(s, site, push)
-    w.store_vector(STEER_TEMP, values.add(w.b, w.read_vector(STEER_TEMP), push), s.span)
+    w.store_vector(STEER_TEMP, values.add_vectors(w.b, w.read_vector(STEER_TEMP), push), s.span)
 
 
 def _lower_face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
@@ -64,12 +64,14 @@ def store_face_direction(w: PlanWriter, register: str, direction: VectorNodes, s
         w.declare_register(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
     w.store_vector(
-        register, values.choose_vector(w.b, w.b("gt", values.length(w.b, previous), w.b.add_number(0)), previous, direction), span
+        register,
+        values.choose_vector(w.b, w.b("gt", values.compute_length(w.b, previous), w.b.add_number(0)), previous, direction),
+        span,
     )
 
 
 def _lower_assign(w: PlanWriter, s: model.Assign, site: str) -> None:
-    pair_attribute = pair_values.find_declaration(w, s.attribute)
+    pair_attribute = pair_values.find_pair_attribute(w, s.attribute)
     if pair_attribute is not None:
         pair_values.write_assignment(w, s, pair_attribute)
         return
@@ -78,18 +80,21 @@ def _lower_assign(w: PlanWriter, s: model.Assign, site: str) -> None:
     if s.op != "=":
         old = read_own_attribute(w, s.attribute, s.value.type)
         if isinstance(value, VectorNodes) and isinstance(old, VectorNodes):
-            change = values.scale(b, value, w.run("dt")) if s.per_second else value
-            value = values.add(b, old, change) if s.op == "+=" else values.sub(b, old, change)
+            change = values.scale_vector(b, value, w.read_run_value("dt")) if s.per_second else value
+            value = values.add_vectors(b, old, change) if s.op == "+=" else values.subtract_vectors(b, old, change)
         else:
             if not isinstance(value, PlanNode) or not isinstance(old, PlanNode):
                 raise PlanError(f"`{s.op}` on a value that is not a number: {s.span.text!r}")
             value = b("add" if s.op == "+=" else "sub", old, _scale_by_step(w, value, s.per_second))
     if s.attribute == "heading" and isinstance(value, VectorNodes):
-        size = values.length(b, value)
+        size = values.compute_length(b, value)
         value = values.choose_vector(
-            b, b("gt", size, b.add_number(values.MIN_VECTOR_LENGTH)), values.divide(b, value, size), w.read_vector("heading")
+            b,
+            b("gt", size, b.add_number(values.MIN_VECTOR_LENGTH)),
+            values.divide_vector(b, value, size),
+            w.read_vector("heading"),
         )
-    w.store_value(s.attribute, value, s.span, allows_infinity=is_limit(s.attribute))
+    w.store_value(s.attribute, value, s.span, allows_infinity=is_limit_attribute(s.attribute))
 
 
 def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
@@ -136,13 +141,13 @@ def _compute_carve_ball(w: PlanWriter, radius_expr: model.Expr | None, direction
     b = w.b
     radius = lower_scalar(w, radius_expr)
     heading = w.read_vector("heading")
-    ahead = heading if direction_expr is None else values.normalise(b, lower_vector(w, direction_expr))
+    ahead = heading if direction_expr is None else values.normalise_vector(b, lower_vector(w, direction_expr))
     if direction_expr is not None:
-        size = values.length(b, ahead)
+        size = values.compute_length(b, ahead)
         ahead = values.choose_vector(b, b("gt", size, b.add_number(0.5)), ahead, heading)
-    reach = b("mul", b("add", w.read("size"), radius), b.add_number(0.5))
-    middle = values.add(b, w.read_vector("position"), values.scale(b, w.read_vector("up"), radius))
-    middle = values.add(b, middle, values.scale(b, ahead, reach))
+    reach = b("mul", b("add", w.read_at_step_start("size"), radius), b.add_number(0.5))
+    middle = values.add_vectors(b, w.read_vector("position"), values.scale_vector(b, w.read_vector("up"), radius))
+    middle = values.add_vectors(b, middle, values.scale_vector(b, ahead, reach))
     return radius, middle.x, middle.y, middle.z
 
 

@@ -72,31 +72,33 @@ def apply_appearance(w: PlanWriter) -> None:
     for group in list_look_groups(w.species):
         name = f"look#{group}"
         now, wish = w.read_vector(name), w.read_vector(f"~{name}")
-        least = b("max", w.read(f"~{name}.over"), w.run("dt"))
-        share = b("sub", b.add_number(1), b("exp", b("neg", b("div", w.run("dt"), least))))
-        turned = values.normalise(b, values.add(b, now, values.scale(b, values.sub(b, wish, now), share)))
-        has_direction = b("gt", values.dot(b, turned, turned), b.add_number(0.5))
+        least = b("max", w.read_at_step_start(f"~{name}.over"), w.read_run_value("dt"))
+        share = b("sub", b.add_number(1), b("exp", b("neg", b("div", w.read_run_value("dt"), least))))
+        turned = values.normalise_vector(
+            b, values.add_vectors(b, now, values.scale_vector(b, values.subtract_vectors(b, wish, now), share))
+        )
+        has_direction = b("gt", values.compute_dot_product(b, turned, turned), b.add_number(0.5))
         w.store_vector(name, values.choose_vector(b, has_direction, turned, now), None)
 
 
 def store_layers_and_channels(w: PlanWriter) -> None:
     """Store the layers and channels that states have requested in this step, from the temps to their registers."""
     for layer in list_worn_layers(w.species):
-        w.store(f"wear#{layer}", w.read(f"~wear#{layer}"), None)
+        w.add_store(f"wear#{layer}", w.read_at_step_start(f"~wear#{layer}"), None)
     for name in list_channels(w.species):
         for register in (f"channel#{name}", f"channel#{name}.said"):
-            w.store(register, w.read(f"~{register}"), None)
+            w.add_store(register, w.read_at_step_start(f"~{register}"), None)
 
 
 def _lower_wear(w: PlanWriter, line: model.Wear, site: str) -> None:
     register = f"~wear#{line.layer}"
     worn = w.b.true if line.condition is None else lower_condition(w, line.condition)
-    w.store(register, w.b("or", w.read(register), worn), line.span)
+    w.add_store(register, w.b("or", w.read_at_step_start(register), worn), line.span)
 
 
 def _lower_channel(w: PlanWriter, line: model.Channel, site: str) -> None:
-    w.store(f"~channel#{line.channel}", lower_scalar(w, line.value), line.span)
-    w.store(f"~channel#{line.channel}.said", w.b.true, line.span)
+    w.add_store(f"~channel#{line.channel}", lower_scalar(w, line.value), line.span)
+    w.add_store(f"~channel#{line.channel}.said", w.b.true, line.span)
 
 
 def _lower_look(w: PlanWriter, line: model.Look, site: str) -> None:
@@ -104,20 +106,24 @@ def _lower_look(w: PlanWriter, line: model.Look, site: str) -> None:
     it is straight ahead."""
     b, register = w.b, f"~look#{line.group}"
     is_present, offset = compute_offset(w, lower_expression(w, line.at), line.at)
-    direction = values.normalise(b, values.select_or_zero(b, is_present, offset))
+    direction = values.normalise_vector(b, values.select_or_zero(b, is_present, offset))
     heading, up = w.read_vector("heading"), w.read_vector("up")
-    side = values.cross(b, heading, up)
-    local_direction = VectorNodes(values.dot(b, direction, heading), values.dot(b, direction, up), values.dot(b, direction, side))
+    side = values.compute_cross_product(b, heading, up)
+    local_direction = VectorNodes(
+        values.compute_dot_product(b, direction, heading),
+        values.compute_dot_product(b, direction, up),
+        values.compute_dot_product(b, direction, side),
+    )
     limit = b.add_number(DEFAULT_LOOK_ANGLE) if line.max_angle is None else lower_scalar(w, line.max_angle)
     least, widest = b("cos", limit), b("sin", limit)
-    aside = values.length(b, VectorNodes(b.add_number(0), local_direction.y, local_direction.z))
+    aside = values.compute_length(b, VectorNodes(b.add_number(0), local_direction.y, local_direction.z))
     far = b("div", widest, b("max", aside, b.add_number(1e-6)))
     held = VectorNodes(least, b("mul", local_direction.y, far), b("mul", local_direction.z, far))
     wish = values.choose_vector(b, b("lt", local_direction.x, least), held, local_direction)
     ahead = VectorNodes(*(b.add_number(part) for part in _LOOK_AHEAD))
     known = b("and", is_present, b("gt", aside, b.add_number(1e-6)))  # for a point straight behind, neither side is nearer
     w.store_vector(register, values.choose_vector(b, known, wish, ahead), line.span)
-    w.store(
+    w.add_store(
         f"{register}.over",
         b.add_number(DEFAULT_LOOK_SECONDS) if line.time_constant is None else lower_scalar(w, line.time_constant),
         line.span,

@@ -7,7 +7,7 @@ from graphlib import TopologicalSorter
 from math import inf
 
 from antdsl.plan.builder import PlanBuilder
-from antdsl.plan.ir import PlanNode, ValueKind, name_birth_register
+from antdsl.plan.ir import PlanNode, ValueKind, format_birth_register_name
 from antdsl.plan.lowering import appearance, clips, pair_values
 from antdsl.plan.lowering.actions import report_unsupported, write_statements
 from antdsl.plan.lowering.expressions import convert_to_condition, lower_expression, needs_register
@@ -17,13 +17,13 @@ from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 from antdsl.program.tables.columns import REGISTER_COLUMN_BY_NAME
 from antdsl.program.tables.editions import (
-    CRAWLING_SETTING,
+    CRAWLING_SIZE_SETTING,
     DEFAULT_BY_SETTING,
     OPTIONAL_ATTRIBUTES,
     STANDING_DEFAULTS,
-    STANDING_SETTING,
+    STANDING_SIZE_SETTING,
 )
-from antdsl.program.tables.vocabulary import builtin_attributes, is_limit
+from antdsl.program.tables.vocabulary import get_builtin_attributes, is_limit_attribute
 from antdsl.program.traverse import iterate_expressions
 
 VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTER_COLUMN_BY_NAME.items() if column.shape)
@@ -70,22 +70,22 @@ def compute_builtin_default(w: PlanWriter, name: str) -> PlanNode:
     """Return the default of a built-in attribute that the author does not set. `docs/card.md` lists these attributes as
     "given"."""
     b: PlanBuilder = w.b
-    if name == CRAWLING_SETTING and is_standing(w.species):
-        return b("mul", w.read(STANDING_SETTING), b.add_number(w.proportions.size_per_height))
+    if name == CRAWLING_SIZE_SETTING and is_standing(w.species):
+        return b("mul", w.read_at_step_start(STANDING_SIZE_SETTING), b.add_number(w.proportions.size_per_height))
     if name == "radius" and is_standing(w.species):
-        return b("mul", w.read("size"), b.add_number(w.proportions.radius_per_size))
+        return b("mul", w.read_at_step_start("size"), b.add_number(w.proportions.radius_per_size))
     if name in OPTIONAL_ATTRIBUTES:
         return b.add_number(OPTIONAL_ATTRIBUTES[name])
     if name in _PLAIN_DEFAULTS:
         return b.add_number(_PLAIN_DEFAULTS[name])
     if name == "radius":
-        return b("mul", w.read("size"), b.add_number(0.5))
+        return b("mul", w.read_at_step_start("size"), b.add_number(0.5))
     # `max_force` reaches full speed within `response`. A kinematic agent (response of at most one step) may reverse at once,
     # which needs twice the force.
-    dt = w.run("dt")
-    time = b("max", w.read("response"), dt)
-    strength = b("div", b("mul", w.read("mass"), w.read("max_speed")), time)
-    is_instant = b("le", w.read("response"), b("mul", dt, b.add_number(1.0001)))
+    dt = w.read_run_value("dt")
+    time = b("max", w.read_at_step_start("response"), dt)
+    strength = b("div", b("mul", w.read_at_step_start("mass"), w.read_at_step_start("max_speed")), time)
+    is_instant = b("le", w.read_at_step_start("response"), b("mul", dt, b.add_number(1.0001)))
     return b("mul", strength, b("where", is_instant, b.add_number(2), b.add_number(1)))
 
 
@@ -96,19 +96,19 @@ _PLAIN_DEFAULTS = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0
 
 def _order_birth_attributes(species: model.Species) -> list[str]:
     """Return the built-in attributes, each after the attributes that its default reads."""
-    known = builtin_attributes(species.edition)
+    known = get_builtin_attributes(species.edition)
     names = [name for name in BIRTH_ATTRIBUTES if name in known and needs_register(species, name)]
-    return [name for name in names if name != STANDING_SETTING or is_standing(species)]
+    return [name for name in names if name != STANDING_SIZE_SETTING or is_standing(species)]
 
 
 def list_newer_attributes(species: model.Species) -> tuple[str, ...]:
     """Return the built-in attributes of a species that edition 1 does not have."""
-    return tuple(name for name in _order_birth_attributes(species) if name not in builtin_attributes(1))
+    return tuple(name for name in _order_birth_attributes(species) if name not in get_builtin_attributes(1))
 
 
 def is_standing(species: model.Species) -> bool:
     """Return whether a species has standing bodies, because it sets their height."""
-    return any(attribute.is_builtin and attribute.name == STANDING_SETTING for attribute in species.attributes)
+    return any(attribute.is_builtin and attribute.name == STANDING_SIZE_SETTING for attribute in species.attributes)
 
 
 def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
@@ -129,12 +129,12 @@ def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
     clips.store_start_heading(w)
 
 
-def _prefer_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> LoweredValue:
+def _choose_scene_value_or_default(w: PlanWriter, name: str, default: LoweredValue) -> LoweredValue:
     """Return the scene's value of an attribute if there is one, else the default. Attributes computed later use this value."""
     if name not in w.scene_attributes or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
         return default
-    w.declare_register(name_birth_register(name), ValueKind.F32, "temp", inf)
-    b, scene_value = w.b, w.read(name_birth_register(name))
+    w.declare_register(format_birth_register_name(name), ValueKind.F32, "temp", inf)
+    b, scene_value = w.b, w.read_at_step_start(format_birth_register_name(name))
     value = scene_value if default.kind is ValueKind.F32 else b("ne", scene_value, b.add_number(0))
     return b("where", b("lt", scene_value, b.add_number(inf)), value, default)
 
@@ -152,8 +152,8 @@ def _find_author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
 def _write_attribute(w: PlanWriter, name: str) -> None:
     declared = _find_author_attributes(w)
     if name not in declared:
-        value: LoweredValue = _prefer_scene_value(w, name, compute_builtin_default(w, name))
-        w.store_value(name, value, None, allows_infinity=is_limit(name))
+        value: LoweredValue = _choose_scene_value_or_default(w, name, compute_builtin_default(w, name))
+        w.store_value(name, value, None, allows_infinity=is_limit_attribute(name))
         return
     attribute = declared[name]
     w.b.span = attribute.span
@@ -161,7 +161,9 @@ def _write_attribute(w: PlanWriter, name: str) -> None:
         value = lower_expression(w, attribute.default)
         if attribute.type.kind is model.TypeKind.BOOL:
             value = convert_to_condition(w, value, attribute.default)
-        w.store_value(name, _prefer_scene_value(w, name, value), attribute.span, allows_infinity=is_limit(name))
+        w.store_value(
+            name, _choose_scene_value_or_default(w, name, value), attribute.span, allows_infinity=is_limit_attribute(name)
+        )
     except UnsupportedConstruct as missing:
         report_unsupported(w, missing)
 

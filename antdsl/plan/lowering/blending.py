@@ -14,19 +14,19 @@ from antdsl.plan.lowering.values import VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 
-PUSH_REGISTER, BUDGET_LEFT_REGISTER, FACE_REGISTER = "push", "~left", "~face"
+PUSH_REGISTER_NAME, BUDGET_LEFT_REGISTER_NAME, FACE_REGISTER_NAME = "push", "~left", "~face"
 
 
-def blend_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
+def write_layer_arbitration(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
     """Write the statements that combine the layers into the register `push`. Return the layers in the order of evaluation.
 
     `order`: the names of the layers in the order of the scene; None: the order of the source."""
     mode = w.species.layers.mode
     every = order_layers(w, order)
     layers = [layer for layer in every if not layer.is_face_line]
-    w.declare_register(BUDGET_LEFT_REGISTER, ValueKind.F32, "temp", 1.0)
+    w.declare_register(BUDGET_LEFT_REGISTER_NAME, ValueKind.F32, "temp", 1.0)
     if not layers:
-        _spend_budget(w, _read_state_push(w), w.species.span, is_last=True)
+        _subtract_from_budget(w, _read_state_push(w), w.species.span, is_last=True)
     for number, layer in enumerate(layers):
         w.b.span = layer.span
         try:
@@ -35,7 +35,9 @@ def blend_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan,
             report_unsupported(w, missing)
     if mode == "sum":
         w.store_vector(
-            PUSH_REGISTER, values.limit_length(w.b, w.read_vector(PUSH_REGISTER), w.b.add_number(1)), w.species.layers.span
+            PUSH_REGISTER_NAME,
+            values.limit_length(w.b, w.read_vector(PUSH_REGISTER_NAME), w.b.add_number(1)),
+            w.species.layers.span,
         )
     _write_face_direction(w, every)
     return tuple(LayerPlan(layer.text, layer.span) for layer in every)
@@ -43,7 +45,7 @@ def blend_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan,
 
 def _write_layer(w: PlanWriter, layer: model.Layer, mode: str, is_last: bool) -> None:
     b = w.b
-    strength = w.read(BUDGET_LEFT_REGISTER)
+    strength = w.read_at_step_start(BUDGET_LEFT_REGISTER_NAME)
     left = b.true if mode == "sum" else b("gt", strength, b.add_number(0))
     with w.open_region(left, layer.span):
         condition = b.true if layer.condition is None else lower_condition(w, layer.condition)
@@ -51,11 +53,11 @@ def _write_layer(w: PlanWriter, layer: model.Layer, mode: str, is_last: bool) ->
             push = _read_state_push(w) if layer.push is None else lower_vector(w, layer.push)
             w.note_layer(layer, strength, left, condition, push)
             if mode == "sum":
-                w.store_vector(PUSH_REGISTER, values.add(b, w.read_vector(PUSH_REGISTER), push), layer.span)
+                w.store_vector(PUSH_REGISTER_NAME, values.add_vectors(b, w.read_vector(PUSH_REGISTER_NAME), push), layer.span)
             elif mode == "first":
                 _store_first_push(w, push, layer, is_last)
             else:
-                _spend_budget(w, push, layer.span, is_last)
+                _subtract_from_budget(w, push, layer.span, is_last)
 
 
 def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
@@ -65,7 +67,7 @@ def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
     A `face` line uses no strength, so it does not depend on the budget that earlier layers leave."""
     states = f"{GAZE_TEMP}.x" in w.registers
     if not layers and states:
-        store_face_direction(w, FACE_REGISTER, w.read_vector(GAZE_TEMP), w.species.span)
+        store_face_direction(w, FACE_REGISTER_NAME, w.read_vector(GAZE_TEMP), w.species.span)
     for number, layer in enumerate(layers, 1):
         if not layer.is_face_line and not (layer.push is None and states):
             continue
@@ -76,7 +78,7 @@ def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
                 direction = w.read_vector(GAZE_TEMP) if layer.push is None else lower_vector(w, layer.push)
                 if layer.push is not None:
                     w.note_steering(layer, f"{w.species.name}.layers.face#{number}", direction, holds)
-                store_face_direction(w, FACE_REGISTER, direction, layer.span)
+                store_face_direction(w, FACE_REGISTER_NAME, direction, layer.span)
         except UnsupportedConstruct as missing:
             report_unsupported(w, missing)
 
@@ -84,30 +86,30 @@ def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
 def _read_state_push(w: PlanWriter) -> VectorNodes:
     """Return the sum of the pushes from the current states of all machines."""
     if f"{STEER_TEMP}.x" not in w.registers:
-        return values.zero_vector(w.b)
+        return values.make_zero_vector(w.b)
     return w.read_vector(STEER_TEMP)
 
 
-def _spend_budget(w: PlanWriter, push: VectorNodes, span: object, is_last: bool) -> None:
+def _subtract_from_budget(w: PlanWriter, push: VectorNodes, span: object, is_last: bool) -> None:
     """Add a push, limited to the remaining strength, and subtract its length from the remaining strength."""
     b = w.b
-    left, size = w.read(BUDGET_LEFT_REGISTER), values.length(b, push)
+    left, size = w.read_at_step_start(BUDGET_LEFT_REGISTER_NAME), values.compute_length(b, push)
     too_much = b("gt", size, left)
-    cut = values.scale(b, push, b("where", too_much, b("div", left, size), b.add_number(1)))
+    cut = values.scale_vector(b, push, b("where", too_much, b("div", left, size), b.add_number(1)))
     place = b.span
-    w.store_vector(PUSH_REGISTER, values.add(b, w.read_vector(PUSH_REGISTER), cut), place)
+    w.store_vector(PUSH_REGISTER_NAME, values.add_vectors(b, w.read_vector(PUSH_REGISTER_NAME), cut), place)
     if not is_last:
-        w.store(BUDGET_LEFT_REGISTER, b("where", too_much, b.add_number(0), b("sub", left, size)), place)
+        w.add_store(BUDGET_LEFT_REGISTER_NAME, b("where", too_much, b.add_number(0), b("sub", left, size)), place)
 
 
 def _store_first_push(w: PlanWriter, push: VectorNodes, layer: model.Layer, is_last: bool) -> None:
     """Use the first push that is not zero as the result, limited to length 1."""
     b = w.b
-    is_nonzero = b("gt", values.length(b, push), b.add_number(0))
+    is_nonzero = b("gt", values.compute_length(b, push), b.add_number(0))
     with w.open_region(is_nonzero, layer.span):
-        w.store_vector(PUSH_REGISTER, values.limit_length(b, push, b.add_number(1)), layer.span)
+        w.store_vector(PUSH_REGISTER_NAME, values.limit_length(b, push, b.add_number(1)), layer.span)
         if not is_last:
-            w.store(BUDGET_LEFT_REGISTER, b.add_number(0), layer.span)
+            w.add_store(BUDGET_LEFT_REGISTER_NAME, b.add_number(0), layer.span)
 
 
 # --- an order from the scene -----------------------------------------------------------------------------------------
@@ -151,4 +153,4 @@ def _is_named(layer: model.Layer, name: str) -> bool:
 def declare_push(w: PlanWriter) -> None:
     """Declare the temp register `push`."""
     for axis in AXES:
-        w.declare_register(f"{PUSH_REGISTER}.{axis}", ValueKind.F32, "temp")
+        w.declare_register(f"{PUSH_REGISTER_NAME}.{axis}", ValueKind.F32, "temp")

@@ -84,21 +84,23 @@ def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) 
         return
     b, name, clip = w.b, machine.name, _find_clip_number(w, line)
     draw = b("draw", attrs=(f"{w.species.name}.{name}.clip", 0))
-    w.store(f"{name}.clip", clip, line.span)
-    w.store(f"{name}.clip_turns", b("where", _is_looping(w, clip), draw, b.add_number(0)), line.span)
-    w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.add_number(_START_OFFSET_TURNS)), line.span)
-    w.store(f"{name}.clip_weight", b.add_number(1), line.span)
+    w.add_store(f"{name}.clip", clip, line.span)
+    w.add_store(f"{name}.clip_turns", b("where", _is_looping(w, clip), draw, b.add_number(0)), line.span)
+    w.add_store(
+        f"{name}.clip_last", b("sub", w.read_at_step_start(f"{name}.clip_turns"), b.add_number(_START_OFFSET_TURNS)), line.span
+    )
+    w.add_store(f"{name}.clip_weight", b.add_number(1), line.span)
 
 
 def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr | None, span: Span) -> None:
     """Store the fade time of the current clip, because a transition leaves its state. `fade_time`: the time; None: the
     default."""
-    w.store(
+    w.add_store(
         f"{machine.name}.clip_over",
         w.b.add_number(DEFAULT_FADE_SECONDS) if fade_time is None else lower_scalar(w, fade_time),
         span,
     )
-    w.store(f"{machine.name}.clip_waits", w.b.false, span)
+    w.add_store(f"{machine.name}.clip_waits", w.b.false, span)
 
 
 def restart_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
@@ -107,7 +109,7 @@ def restart_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> N
     If the line's `restart_condition` holds, the clip also restarts if it is playing already."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.restart_condition is not None:
-        w.store(f"{machine.name}.clip_waits", lower_condition(w, line.restart_condition), line.span)
+        w.add_store(f"{machine.name}.clip_waits", lower_condition(w, line.restart_condition), line.span)
 
 
 def fade_out_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
@@ -130,13 +132,13 @@ def lower_play(w: PlanWriter, machine: str, line: model.Play) -> None:
 
 def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, weight: PlanNode, span: Span) -> None:
     """Write one step of a machine that requests `clip`: the clip begins, waits until it can begin, or continues."""
-    b, now, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
+    b, now, turns = w.b, w.read_at_step_start(f"{machine}.clip"), w.read_at_step_start(f"{machine}.clip_turns")
     none = clip is b.add_row(NO_CLIP)
-    wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read(f"{machine}.clip_waits"))
-    shares = (w.read(f"{machine}.{share}") for share in ("clip_fade", "clip_earlier_fade"))
+    wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read_at_step_start(f"{machine}.clip_waits"))
+    shares = (w.read_at_step_start(f"{machine}.{share}") for share in ("clip_fade", "clip_earlier_fade"))
     three = b("and", *(b("gt", share, b.add_number(0)) for share in shares))
     own = b.add_number(1) if speed is None else speed
-    first = _compute_first_turns(w, machine, clip, b("mul", b("mul", _compute_play_rate(w, clip), own), w.run("dt")))
+    first = _compute_first_turns(w, machine, clip, b("mul", b("mul", _compute_play_rate(w, clip), own), w.read_run_value("dt")))
     held = (
         (_BEGINS_REGISTER, ValueKind.BOOL, b("and", wished, b("not", three))), (_WAITS_REGISTER, ValueKind.BOOL, b("and",
         wished, three)),
@@ -144,17 +146,17 @@ def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNod
     )  # fmt: skip
     for name, kind, node in held:
         w.declare_register(name, kind, "temp")
-        w.store(name, node, span)
-    begins, waits = w.read(_BEGINS_REGISTER), w.read(_WAITS_REGISTER)
+        w.add_store(name, node, span)
+    begins, waits = w.read_at_step_start(_BEGINS_REGISTER), w.read_at_step_start(_WAITS_REGISTER)
     pace = b("mul", _compute_play_rate(w, now), b("where", waits, b.add_number(1), own))
-    goes_on = b("add", turns, b("mul", pace, w.run("dt")))
+    goes_on = b("add", turns, b("mul", pace, w.read_run_value("dt")))
     further = b("where", _is_looping(w, now), goes_on, b("min", goes_on, b.add_number(1)))
-    w.store(f"{machine}.clip_waits", waits, span)
-    w.store(f"{machine}.clip_last", turns, span)
-    w.store(f"{machine}.clip_turns", b("where", waits if none else b("not", begins), further, turns), span)
+    w.add_store(f"{machine}.clip_waits", waits, span)
+    w.add_store(f"{machine}.clip_last", turns, span)
+    w.add_store(f"{machine}.clip_turns", b("where", waits if none else b("not", begins), further, turns), span)
     _start_clip(w, machine, clip, span)
     _advance_fades(w, machine, span)
-    w.store(f"{machine}.clip_weight", b("where", waits, w.read(f"{machine}.clip_weight"), weight), span)
+    w.add_store(f"{machine}.clip_weight", b("where", waits, w.read_at_step_start(f"{machine}.clip_weight"), weight), span)
 
 
 def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
@@ -163,14 +165,16 @@ def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
     names = next(m for m in w.species.machines if m.name == machine)
     if not plays_clips(names):
         return b.false
-    turns, last = w.read(f"{machine}.clip_turns"), w.read(f"{machine}.clip_last")
-    has_begun = b("not", w.read(f"{machine}.clip_waits"))
+    turns, last = w.read_at_step_start(f"{machine}.clip_turns"), w.read_at_step_start(f"{machine}.clip_last")
+    has_begun = b("not", w.read_at_step_start(f"{machine}.clip_waits"))
     if not e.mark:
         return b("and", has_begun, b("ge", turns, b.add_number(1)))
-    mark = b("clip.value", w.read(f"{machine}.clip"), attrs=(f"mark {e.mark}",))
+    mark = b("clip.value", w.read_at_step_start(f"{machine}.clip"), attrs=(f"mark {e.mark}",))
     cycles = [b("floor", b("sub", each, mark)) for each in (turns, last)]
     crosses_mark = b("and", b("lt", last, mark), b("ge", turns, mark))
-    passed = b("or", b("and", _is_looping(w, w.read(f"{machine}.clip")), b("gt", cycles[0], cycles[1])), crosses_mark)
+    passed = b(
+        "or", b("and", _is_looping(w, w.read_at_step_start(f"{machine}.clip")), b("gt", cycles[0], cycles[1])), crosses_mark
+    )
     return b("and", has_begun, b("and", passed, b("ge", mark, b.add_number(0))))
 
 
@@ -178,7 +182,7 @@ def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: Plan
     """Return the progress (in turns) that a new clip has after this step, and its progress before this step.
 
     A new clip begins at 0. If both clips cover ground, it continues at the progress of the previous clip, plus `step` turns."""
-    b, previous_clip, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
+    b, previous_clip, turns = w.b, w.read_at_step_start(f"{machine}.clip"), w.read_at_step_start(f"{machine}.clip_turns")
     both = b("and", b("ne", previous_clip, clip), b("and", _is_covering_ground(w, previous_clip), _is_covering_ground(w, clip)))
     part = b("sub", turns, b("floor", turns))
     return b("where", both, b("add", part, step), b.add_number(0)), b("where", both, part, b.add_number(-_START_OFFSET_TURNS))
@@ -187,29 +191,33 @@ def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: Plan
 def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) -> None:
     """Start another clip. The current clip becomes the previous one, and the previous clip the one before it."""
     b = w.b
-    with w.open_region(w.read(_BEGINS_REGISTER), span or w.species.span):
+    with w.open_region(w.read_at_step_start(_BEGINS_REGISTER), span or w.species.span):
         for to, source in _FADE_REGISTER_COPIES:
-            w.store(f"{machine}.{to}", w.read(f"{machine}.{source}"), span)
-        w.store(f"{machine}.clip_fade", b.add_number(1), span)
-        w.store(f"{machine}.clip_last", w.read(_LAST_REGISTER), span)
-        w.store(f"{machine}.clip", clip, span)
-        w.store(f"{machine}.clip_turns", w.read(_START_REGISTER), span)
+            w.add_store(f"{machine}.{to}", w.read_at_step_start(f"{machine}.{source}"), span)
+        w.add_store(f"{machine}.clip_fade", b.add_number(1), span)
+        w.add_store(f"{machine}.clip_last", w.read_at_step_start(_LAST_REGISTER), span)
+        w.add_store(f"{machine}.clip", clip, span)
+        w.add_store(f"{machine}.clip_turns", w.read_at_step_start(_START_REGISTER), span)
 
 
 def _advance_fades(w: PlanWriter, machine: str, span: Span | None) -> None:
     """Reduce the shares of the previous clips in the pose, and advance the progress of these clips."""
-    b, dt = w.b, w.run("dt")
-    with w.open_region(b("gt", w.read(f"{machine}.clip_fade"), b.add_number(0)), span or w.species.span):
+    b, dt = w.b, w.read_run_value("dt")
+    with w.open_region(b("gt", w.read_at_step_start(f"{machine}.clip_fade"), b.add_number(0)), span or w.species.span):
         for which, share, over in (
             ("clip_earlier", "clip_earlier_fade", "clip_earlier_fading"),
             ("clip_before", "clip_fade", "clip_fading"),
         ):
-            previous_clip = w.read(f"{machine}.{which}")
-            left = b("sub", w.read(f"{machine}.{share}"), b("div", dt, b("max", w.read(f"{machine}.{over}"), dt)))
-            turns = b("add", w.read(f"{machine}.{which}_turns"), b("mul", _compute_play_rate(w, previous_clip), dt))
+            previous_clip = w.read_at_step_start(f"{machine}.{which}")
+            left = b(
+                "sub",
+                w.read_at_step_start(f"{machine}.{share}"),
+                b("div", dt, b("max", w.read_at_step_start(f"{machine}.{over}"), dt)),
+            )
+            turns = b("add", w.read_at_step_start(f"{machine}.{which}_turns"), b("mul", _compute_play_rate(w, previous_clip), dt))
             held = b("where", _is_looping(w, previous_clip), turns, b("min", turns, b.add_number(1)))
-            w.store(f"{machine}.{which}_turns", held, span)
-            w.store(f"{machine}.{share}", b("max", left, b.add_number(0)), span)
+            w.add_store(f"{machine}.{which}_turns", held, span)
+            w.add_store(f"{machine}.{share}", b("max", left, b.add_number(0)), span)
 
 
 def _compute_play_rate(w: PlanWriter, clip: PlanNode) -> PlanNode:
@@ -220,9 +228,11 @@ def _compute_play_rate(w: PlanWriter, clip: PlanNode) -> PlanNode:
     stride, seconds = b("clip.value", clip, attrs=("stride",)), b("clip.value", clip, attrs=("seconds",))
     x, y, z = w.read_vector("velocity")
     speed = b("sqrt", b("add", b("add", b("mul", x, x), b("mul", y, y)), b("mul", z, z)))
-    ground = b("mul", stride, b("max", w.read("size"), b.add_number(1e-6)))
+    ground = b("mul", stride, b("max", w.read_at_step_start("size"), b.add_number(1e-6)))
     by_ground = b("div", speed, b("where", b("gt", ground, b.add_number(0)), ground, b.add_number(1)))
-    return b("where", b("gt", stride, b.add_number(0)), by_ground, b("div", b.add_number(1), b("max", seconds, w.run("dt"))))
+    return b(
+        "where", b("gt", stride, b.add_number(0)), by_ground, b("div", b.add_number(1), b("max", seconds, w.read_run_value("dt")))
+    )
 
 
 def _find_clip_number(w: PlanWriter, line: model.Play) -> PlanNode:
@@ -264,14 +274,18 @@ def update_leaning(w: PlanWriter) -> None:
     """Store the turn of the body since the previous step, and the slope of its heading. Call this once per step."""
     if not has_lean_clips(w):
         return
-    b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")
-    turned = b("div", values.dot(b, values.cross(b, w.read_vector("lean#was"), heading), w.read_vector("up")), dt)
-    climb = values.dot(b, heading, VectorNodes(*(w.run(f"up_{axis}") for axis in AXES)))
+    b, dt, heading = w.b, w.read_run_value("dt"), w.read_vector("heading")
+    turned = b(
+        "div",
+        values.compute_dot_product(b, values.compute_cross_product(b, w.read_vector("lean#was"), heading), w.read_vector("up")),
+        dt,
+    )
+    climb = values.compute_dot_product(b, heading, VectorNodes(*(w.read_run_value(f"up_{axis}") for axis in AXES)))
     share = b("sub", b.add_number(1), b("exp", b("neg", b("div", dt, b.add_number(LEAN_SMOOTHING_SECONDS)))))
     for name, measure, full_value in (("turn", turned, FULL_LEAN_TURN), ("slope", climb, FULL_LEAN_SLOPE)):
-        now = w.read(f"lean#{name}")
+        now = w.read_at_step_start(f"lean#{name}")
         wish = _clamp_to_unit(w, b("div", measure, b.add_number(full_value)))
-        w.store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
+        w.add_store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
     w.store_vector("lean#was", heading, None)
 
 

@@ -101,7 +101,7 @@ def _lower_constant(w: PlanWriter, e: model.Constant) -> LoweredValue:
     node = w.b.add_number(e.number)
     for name, exponent in (("u", e.unit_power), ("dt", e.step)):
         if exponent:
-            node = w.b("mul" if exponent > 0 else "div", node, _lower_unit_power(w, w.run(name), abs(exponent)))
+            node = w.b("mul" if exponent > 0 else "div", node, _lower_unit_power(w, w.read_run_value(name), abs(exponent)))
     return node
 
 
@@ -120,7 +120,7 @@ def _lower_none(w: PlanWriter, e: model.NoneRef) -> LoweredValue:
     if e.type.kind is model.TypeKind.AGENT:
         return EntityRef(e.type.kind, e.type.referent or "", w.b.add_agent_id(-1))
     if e.type.kind is model.TypeKind.HIT:
-        nothing = values.zero_vector(w.b)
+        nothing = values.make_zero_vector(w.b)
         return RayHit(w.b.false, w.b.add_number(float("inf")), nothing, nothing)
     raise PlanError(f"none of a {e.type.kind.value}")
 
@@ -286,7 +286,7 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
     if not isinstance(owner, SetElement | EntityRef):
         raise PlanError(f"`{e.name}` of a {type(owner).__name__}")
     if e.name == "speed":
-        return values.length(
+        return values.compute_length(
             w.b, VectorNodes(*(_read_other_register(w, owner, f"velocity.{axis}", ValueKind.F32) for axis in AXES))
         )
     if e.name == "id" and owner.kind is model.TypeKind.AGENT:
@@ -321,12 +321,12 @@ def read_own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> Lower
     if name == "age":
         return w.b("age")
     if name == "speed":
-        return values.length(w.b, w.read_vector("velocity"))
+        return values.compute_length(w.b, w.read_vector("velocity"))
     if f"{name}.x" in w.registers:
         return w.read_vector(name)
     if name in OPTIONAL_ATTRIBUTES and name not in w.registers:
         return w.b.add_number(OPTIONAL_ATTRIBUTES[name])
-    return convert_to_typed_value(w, w.read(name), type)
+    return convert_to_typed_value(w, w.read_at_step_start(name), type)
 
 
 def needs_register(species: model.Species, name: str) -> bool:
@@ -357,8 +357,8 @@ def _read_hit_attribute(w: PlanWriter, hit: RayHit, e: model.AttributeRef) -> Lo
         return w.b("where", hit.hit, hit.distance, w.b.add_number(float("inf")))
     if e.name == "normal":
         return values.select_or_zero(w.b, hit.hit, hit.normal)
-    reach = values.select_or_zero(w.b, hit.hit, values.scale(w.b, hit.direction, hit.distance))
-    return values.add(w.b, w.read_vector("position"), reach)
+    reach = values.select_or_zero(w.b, hit.hit, values.scale_vector(w.b, hit.direction, hit.distance))
+    return values.add_vectors(w.b, w.read_vector("position"), reach)
 
 
 # --- operations ------------------------------------------------------------------------------------------------------

@@ -22,8 +22,8 @@ from antdsl.plan.lowering.expressions import lower_condition, lower_scalar, lowe
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.rules import LOWERING_RULES
 from antdsl.plan.lowering.source_map import NotingWriter, SourceNotes
-from antdsl.plan.lowering.values import EntityRef, VectorNodes, scale, sub
-from antdsl.plan.lowering.values import add as add_vectors
+from antdsl.plan.lowering.values import EntityRef, VectorNodes, scale_vector, subtract_vectors
+from antdsl.plan.lowering.values import add_vectors as add_vectors
 from antdsl.plan.lowering.writer import AXES, BodyProportions, PlanWriter, UnsupportedConstruct
 from antdsl.plan.traverse import collect_required_nodes, find_shared_senses, iterate_statements, list_operands
 from antdsl.program import model
@@ -120,7 +120,7 @@ def _lower_species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan
         write_resting_push(w, machines)
         act = finish_block()
     with w.collect_block() as finish_block:
-        layers = blending.blend_layers(w, order)
+        layers = blending.write_layer_arbitration(w, order)
         for machine in machines:
             machine.advance_time()
         blend = finish_block()
@@ -154,7 +154,7 @@ def _write_decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
     """Write the block `decide`: relaxations, latches, handlers, then the transitions of all machines."""
     for attribute in w.species.attributes:
         if attribute.pair_species:
-            pair_values.relax_values(w, attribute)
+            pair_values.write_relaxation_of_slots(w, attribute)
         elif attribute.relax_to is not None:
             _write_relaxation(w, attribute)
     for latch in w.species.latches:
@@ -172,15 +172,17 @@ def _write_relaxation(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     b = w.b
     assert attribute.relax_to is not None and attribute.relax_time is not None
     b.span = attribute.span
-    share = b("sub", b.add_number(1), b("exp", b("neg", b("div", w.run("dt"), lower_scalar(w, attribute.relax_time)))))
+    share = b("sub", b.add_number(1), b("exp", b("neg", b("div", w.read_run_value("dt"), lower_scalar(w, attribute.relax_time)))))
     now = read_own_attribute(w, attribute.name, attribute.type)
     if isinstance(now, VectorNodes):
         rest = lower_vector(w, attribute.relax_to)
-        w.store_vector(attribute.name, add_vectors(b, now, scale(b, sub(b, rest, now), share)), attribute.span)
+        w.store_vector(
+            attribute.name, add_vectors(b, now, scale_vector(b, subtract_vectors(b, rest, now), share)), attribute.span
+        )
         return
     assert isinstance(now, PlanNode)
     change = b("mul", b("sub", lower_scalar(w, attribute.relax_to), now), share)
-    w.store(attribute.name, b("add", now, change), attribute.span)
+    w.add_store(attribute.name, b("add", now, change), attribute.span)
 
 
 def _write_latch(w: PlanWriter, latch: model.Binding) -> None:
@@ -190,7 +192,7 @@ def _write_latch(w: PlanWriter, latch: model.Binding) -> None:
     b.span = latch.span
     try:
         on = b("where", w.read_previous(name), b("not", lower_condition(w, latch.next_value)), lower_condition(w, latch.value))
-        w.store(name, on, latch.span)
+        w.add_store(name, on, latch.span)
     except UnsupportedConstruct as missing:
         report_unsupported(w, missing)
 
@@ -295,7 +297,7 @@ def detect_new_contacts(w: PlanWriter) -> dict[str, PlanNode]:
         w.b.span = handler.span
         contact = w.b("contact", *(w.read_previous(name) for name in names), attrs=(of,))
         for number, name in enumerate(names, 1):
-            w.store(name, w.b("get", contact, attrs=(number,)), handler.span)
+            w.add_store(name, w.b("get", contact, attrs=(number,)), handler.span)
         partners[of] = w.b("get", contact, attrs=(0,))
     return partners
 

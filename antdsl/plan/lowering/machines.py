@@ -50,7 +50,7 @@ class MachineWriter:
         w.declare_register(self.won_register, ValueKind.BOOL, "temp")
         for change in self.changes:
             if change.transition.hold_time is not None:
-                w.declare_register(_name_counter(change.transition), ValueKind.F32, "memory")
+                w.declare_register(_format_counter_name(change.transition), ValueKind.F32, "memory")
 
     @property
     def pending_register(self) -> str:
@@ -75,11 +75,11 @@ class MachineWriter:
     def _is_in_state(self, state: model.State) -> PlanNode:
         if len(self.machine.states) == 1:
             return self.w.b.true
-        return self.w.b("eq", self.w.read(f"{self.name}.state"), self.w.b.add_row(state.index))
+        return self.w.b("eq", self.w.read_at_step_start(f"{self.name}.state"), self.w.b.add_row(state.index))
 
     def is_in_any_state(self, states: Iterable[int]) -> PlanNode:
         """Return whether the current state is one of these states."""
-        state = self.w.read(f"{self.name}.state")
+        state = self.w.read_at_step_start(f"{self.name}.state")
         is_among = self.w.b.false
         for index in states:
             is_among = self.w.b("or", is_among, self.w.b("eq", state, self.w.b.add_row(index)))
@@ -91,7 +91,7 @@ class MachineWriter:
         """Write the statements that set the state at birth. Call this before all other parts of birth."""
         first = self._choose_start()
         for part in ("state", "previous", "next"):
-            self.w.store(f"{self.name}.{part}", first, self.machine.span)
+            self.w.add_store(f"{self.name}.{part}", first, self.machine.span)
         self.write_per_start_state(partial(clips.write_start_clip, self.w, self.machine))
 
     def _choose_start(self) -> PlanNode:
@@ -99,8 +99,8 @@ class MachineWriter:
         b = self.w.b
         first = b.add_row(self.machine.start)
         if self._scene_key in self.w.scene_attributes:
-            self.w.declare_register(ir.name_birth_register(self._scene_key), ValueKind.F32, "temp", inf)
-            scene_value = self.w.read(ir.name_birth_register(self._scene_key))
+            self.w.declare_register(ir.format_birth_register_name(self._scene_key), ValueKind.F32, "temp", inf)
+            scene_value = self.w.read_at_step_start(ir.format_birth_register_name(self._scene_key))
             for state in self.machine.states:
                 first = b("where", b("eq", scene_value, b.add_number(state.index)), b.add_row(state.index), first)
         return first
@@ -136,7 +136,7 @@ class MachineWriter:
 
     def _is_winning(self, change: _StateChange) -> PlanNode:
         """Return whether a transition is the winning one of this step."""
-        return self.w.b("eq", self.w.read(self.pending_register), self.w.b.add_row(change.number))
+        return self.w.b("eq", self.w.read_at_step_start(self.pending_register), self.w.b.add_row(change.number))
 
     def _write_winner(self, changes: list[_StateChange]) -> None:
         """Store the number of the first transition of a state that holds."""
@@ -146,7 +146,7 @@ class MachineWriter:
             self.w.note_transition(self.name, change.number, change.state, change.transition, fires)
         for change, fires in reversed(weighed):
             winner = self.w.b("where", fires, self.w.b.add_row(change.number), winner)
-        self.w.store(self.pending_register, winner, changes[0].state.span)
+        self.w.add_store(self.pending_register, winner, changes[0].state.span)
 
     def _lower_firing_condition(self, change: _StateChange) -> PlanNode:
         """Return whether all conditions of a transition hold."""
@@ -155,13 +155,13 @@ class MachineWriter:
         try:
             holds = w.b.true if t.condition is None else lower_condition(w, t.condition)
             if t.hold_time is not None:
-                holds = self._has_held_for(t, holds, t.hold_time)
+                holds = self._has_condition_held_for(t, holds, t.hold_time)
             if t.delay is not None:
-                holds = w.b("and", has_passed(w, self.name, t.delay), holds)
+                holds = w.b("and", has_state_lasted(w, self.name, t.delay), holds)
             if change.state.min_duration is not None and not t.is_interrupt:
-                holds = w.b("and", has_passed(w, self.name, change.state.min_duration), holds)
+                holds = w.b("and", has_state_lasted(w, self.name, change.state.min_duration), holds)
             if self._is_from_any(t) and t.target is None:
-                holds = w.b("and", holds, w.b("ne", self._lower_target(change), w.read(f"{self.name}.state")))
+                holds = w.b("and", holds, w.b("ne", self._lower_target(change), w.read_at_step_start(f"{self.name}.state")))
             if t.take_action is not None and t.take_action.source.type.kind is not model.TypeKind.FIELD:
                 holds = w.b("and", holds, lower_presence(w, lower_expression(w, t.take_action.source), t.take_action.source))
             return holds
@@ -175,14 +175,14 @@ class MachineWriter:
         Such a transition never leads into the current state, which may be known only at run time."""
         return transition.key.startswith(f"{self.site}.{model.FROM_ANY_KEY}->")
 
-    def _has_held_for(self, transition: model.Transition, condition: PlanNode, duration: model.Expr) -> PlanNode:
+    def _has_condition_held_for(self, transition: model.Transition, condition: PlanNode, duration: model.Expr) -> PlanNode:
         """Return whether a condition is true in this step, and was true in all steps of the time `duration` before.
 
         Write the statement that counts these steps."""
-        b, counter = self.w.b, _name_counter(transition)
+        b, counter = self.w.b, _format_counter_name(transition)
         previous_count = self.w.read_previous(counter)
         count = b("where", condition, b("add", previous_count, b.add_number(1)), b.add_number(0))
-        self.w.store(counter, count, transition.span)
+        self.w.add_store(counter, count, transition.span)
         return b("and", condition, b("ge", previous_count, count_steps(self.w, lower_scalar(self.w, duration))))
 
     def _write_claim(self, change: _StateChange) -> None:
@@ -218,22 +218,22 @@ class MachineWriter:
 
     def _is_changing(self) -> PlanNode:
         b = self.w.b
-        chosen = b("ne", self.w.read(self.pending_register), b.add_row(0))
+        chosen = b("ne", self.w.read_at_step_start(self.pending_register), b.add_row(0))
         taking = [c for c in self.changes if c.transition.take_action]
         if not taking:
             return chosen
         is_requested = b.false
         for change in taking:
             is_requested = b("or", is_requested, self._is_winning(change))
-        return b("and", chosen, b("or", b("not", is_requested), self.w.read(self.won_register)))
+        return b("and", chosen, b("or", b("not", is_requested), self.w.read_at_step_start(self.won_register)))
 
     def _write_state_change(self) -> None:
         w, name, b = self.w, self.name, self.w.b
-        old = w.read(f"{name}.state")
+        old = w.read_at_step_start(f"{name}.state")
         target = old
         for change in reversed(self.changes):
             target = b("where", self._is_winning(change), self._lower_target(change), target)
-        w.store(f"{name}.next", target, self.machine.span)
+        w.add_store(f"{name}.next", target, self.machine.span)
         self._write_per_state(
             (s for s in self.machine.states if s.exit), lambda s: write_statements(w, s.exit, f"{self.site}.{s.name}.exit")
         )
@@ -243,16 +243,16 @@ class MachineWriter:
             )
         acting = (c for c in self.changes if c.transition.actions)
         self._write_per_transition(acting, lambda c: write_statements(w, c.transition.actions, c.transition.key))
-        w.store(f"{name}.previous", old, self.machine.span)
-        w.store(f"{name}.state", w.read(f"{name}.next"), self.machine.span)
-        w.store(f"{name}.time_in_state", b.add_number(0), self.machine.span)
+        w.add_store(f"{name}.previous", old, self.machine.span)
+        w.add_store(f"{name}.state", w.read_at_step_start(f"{name}.next"), self.machine.span)
+        w.add_store(f"{name}.time_in_state", b.add_number(0), self.machine.span)
         self._write_per_state(self.machine.states, self._write_entry)
 
     def _lower_target(self, change: _StateChange) -> PlanNode:
         """Return the index of the state that a transition leads to. A `choose` draws it."""
         w, t, b = self.w, change.transition, self.w.b
         if t.targets_previous:
-            return w.read(f"{self.name}.previous")
+            return w.read_at_step_start(f"{self.name}.previous")
         if not t.choices:
             return b.add_row(t.target if t.target is not None else change.state.index)
         weights = [(index, b("max", lower_scalar(w, weight), b.add_number(0))) for index, weight in t.choices]
@@ -275,7 +275,7 @@ class MachineWriter:
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.hold_time is not None):
             counter = f"{key}.held"
             if (self.key_counts[key] == 1) == (key in own_keys):
-                self.w.store(counter, self.w.b.add_number(0), state.span)
+                self.w.add_store(counter, self.w.b.add_number(0), state.span)
         write_statements(self.w, state.enter, f"{self.site}.{state.name}.enter")
         clips.restart_clip(self.w, self.machine, state)
 
@@ -284,27 +284,27 @@ class MachineWriter:
         advance_state_time(self.w, self.name)
 
 
-def _name_counter(transition: model.Transition) -> str:
+def _format_counter_name(transition: model.Transition) -> str:
     return f"{transition.key}.held"
 
 
 def count_steps(w: PlanWriter, duration: PlanNode) -> PlanNode:
     """Return the smallest whole number of steps that lasts at least `duration`."""
     b = w.b
-    ratio = b("mul", b("div", duration, w.run("dt")), b.add_number(STEP_COUNT_SLACK))
+    ratio = b("mul", b("div", duration, w.read_run_value("dt")), b.add_number(STEP_COUNT_SLACK))
     return b("neg", b("floor", b("neg", ratio)))
 
 
-def has_passed(w: PlanWriter, machine: str, duration: model.Expr) -> PlanNode:
+def has_state_lasted(w: PlanWriter, machine: str, duration: model.Expr) -> PlanNode:
     """Return whether the agent has been in the machine's current state for at least `duration`."""
     b = w.b
     nearly = b("sub", count_steps(w, lower_scalar(w, duration)), b.add_number(0.5))
-    return b("ge", w.read(f"{machine}.time_in_state"), b("mul", nearly, w.run("dt")))
+    return b("ge", w.read_at_step_start(f"{machine}.time_in_state"), b("mul", nearly, w.read_run_value("dt")))
 
 
 def advance_state_time(w: PlanWriter, machine: str) -> None:
     """Add one step to the time in the state. The time is a whole number of steps, so no rounding errors accumulate."""
-    b, dt = w.b, w.run("dt")
+    b, dt = w.b, w.read_run_value("dt")
     name = f"{machine}.time_in_state"
-    step_count = b("floor", b("add", b("div", w.read(name), dt), b.add_number(1.5)))
-    w.store(name, b("mul", step_count, dt), None)
+    step_count = b("floor", b("add", b("div", w.read_at_step_start(name), dt), b.add_number(1.5)))
+    w.add_store(name, b("mul", step_count, dt), None)

@@ -10,10 +10,10 @@ from math import inf, nan
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering.expressions import lower_expression, lower_scalar
-from antdsl.plan.lowering.sets import lower_set, run_with_binding
+from antdsl.plan.lowering.sets import lower_set, lower_with_binding
 from antdsl.plan.lowering.values import ElementGroup, LoweredValue, OwnPosition, SetElement
 from antdsl.plan.lowering.writer import PlanWriter
-from antdsl.plan.registers import name_slot_registers
+from antdsl.plan.registers import list_slot_register_names
 from antdsl.program import model
 
 REST_TOLERANCE = 1e-9  # base units; values nearer to rest have no slot
@@ -22,13 +22,13 @@ REST_TOLERANCE = 1e-9  # base units; values nearer to rest have no slot
 def declare_registers(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """Declare the registers of a pair value, and a temp with its name, through which all stored values pass."""
     holds = (attribute.type.kind.value, *attribute.type.dimension, attribute.pair_species)
-    for who, value in name_slot_registers(attribute.name, attribute.slot_count):
+    for who, value in list_slot_register_names(attribute.name, attribute.slot_count):
         w.declare_register(who, ValueKind.I64, "pair", -1, attribute.pair_species, holds)
         w.declare_register(value, ValueKind.F32, "pair", language_type=holds)
     w.declare_register(attribute.name, ValueKind.F32, "temp")
 
 
-def find_declaration(w: PlanWriter, name: str) -> model.AttributeDecl | None:
+def find_pair_attribute(w: PlanWriter, name: str) -> model.AttributeDecl | None:
     """Return the declaration of the pair value `name`; None if there is none."""
     return next((a for a in w.species.attributes if a.name == name and a.pair_species), None)
 
@@ -44,21 +44,21 @@ def read_pair_attribute(w: PlanWriter, attribute: model.AttributeDecl, other: mo
     return w.b("where", w.b("eq", other_id, w.b.add_agent_id(-1)), lower_rest_value(w, attribute), result)
 
 
-def relax_values(w: PlanWriter, attribute: model.AttributeDecl) -> None:
+def write_relaxation_of_slots(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """At the start of a step, relax each value towards its rest, and free the slots of values that have reached it."""
     b = w.b
     b.span = attribute.span
     rest = lower_rest_value(w, attribute)
     keep = b.add_number(1)
     if attribute.relax_time is not None:
-        keep = b("exp", b("neg", b("div", w.run("dt"), lower_scalar(w, attribute.relax_time))))
+        keep = b("exp", b("neg", b("div", w.read_run_value("dt"), lower_scalar(w, attribute.relax_time))))
     for (who, value), names in zip(
-        _read_slots(w, attribute), name_slot_registers(attribute.name, attribute.slot_count), strict=True
+        _read_slots(w, attribute), list_slot_register_names(attribute.name, attribute.slot_count), strict=True
     ):
         away = b("mul", b("sub", value, rest), keep)
         is_expired = b("or", b("eq", who, b.add_agent_id(-1)), b("le", b("abs", away), b.add_number(REST_TOLERANCE)))
-        w.store(names[0], b("where", is_expired, b.add_agent_id(-1), who), attribute.span)
-        w.store(names[1], b("where", is_expired, b.add_number(0), b("add", rest, away)), attribute.span)
+        w.add_store(names[0], b("where", is_expired, b.add_agent_id(-1), who), attribute.span)
+        w.add_store(names[1], b("where", is_expired, b.add_number(0), b("add", rest, away)), attribute.span)
 
 
 def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
@@ -71,7 +71,7 @@ def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeD
     other_id = _lower_agent_id(w, lower_expression(w, s.pair_agent))
     value = _compute_changed_value(w, s, read_pair_attribute(w, attribute, s.pair_agent), lower_scalar(w, s.value))
     with w.open_region(w.b("ne", other_id, w.b.add_agent_id(-1)), s.span):
-        held = _freeze_value(w, f"~{attribute.name}.id", other_id, s)
+        held = _store_in_temporary(w, f"~{attribute.name}.id", other_id, s)
         _store_in_slot(w, attribute, held, value, s, has_slot=True)
 
 
@@ -86,12 +86,12 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
     if not isinstance(over, ElementGroup):
         raise PlanError(f"a value per pair about hits: {s.span.text!r}")
     rest, zero = lower_rest_value(w, attribute), b.add_number(0)
-    amount = run_with_binding(w, s.element, over.element, lambda: _compute_changed_value(w, s, zero, lower_scalar(w, s.value)))
+    amount = lower_with_binding(w, s.element, over.element, lambda: _compute_changed_value(w, s, zero, lower_scalar(w, s.value)))
     strength = b("abs", b("sub", amount, rest if s.op == "=" else zero))
     other, slots = b("other.id"), _read_slots(w, attribute)
     sound = b("eq", b("finite", amount), amount)
     wrong = b("reduce.any", over.nodes, b("and", over.condition, b("not", sound)))
-    w.store(attribute.name, b("where", wrong, b.add_number(nan), zero), s.span)
+    w.add_store(attribute.name, b("where", wrong, b.add_number(nan), zero), s.span)
     holds = b("and", over.condition, sound)
     changed_values = []
     for k, (who, value) in enumerate(slots):
@@ -102,13 +102,13 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
             matched_amount if s.op == "=" else b("add", value, matched_amount),
             value,
         )
-        changed_values.append(_freeze_value(w, f"~{attribute.name}.{k}", changed, s))
+        changed_values.append(_store_in_temporary(w, f"~{attribute.name}.{k}", changed, s))
     new = b.add_conjunction(holds, b("gt", strength, b.add_number(REST_TOLERANCE)), *(b("ne", other, who) for who, _ in slots))
     coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.slot_count)]
     for names in coming:
         w.declare_register(names[0], ValueKind.I64, "temp", -1)
         w.declare_register(names[1], ValueKind.F32, "temp")
-        w.store(names[0], b.add_agent_id(-1), s.span)
+        w.add_store(names[0], b.add_agent_id(-1), s.span)
 
     def find_strongest(new: PlanNode, left: int) -> None:
         """Find the strongest of the agents that have no slot yet, then recursively the next one."""
@@ -116,29 +116,29 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
         with w.open_region(b("ne", other_id, b.add_agent_id(-1)), s.span):
             matched_amount = b("reduce.max", over.nodes, b("eq", other, other_id), amount)
             who, value = coming[-left]
-            w.store(who, other_id, s.span)
-            w.store(value, matched_amount if s.op == "=" else b("add", rest, matched_amount), s.span)
+            w.add_store(who, other_id, s.span)
+            w.add_store(value, matched_amount if s.op == "=" else b("add", rest, matched_amount), s.span)
             if left > 1:
                 find_strongest(b("and", new, b("ne", other, other_id)), left - 1)
 
     def come_in(left: int) -> None:
         who, value = coming[-left]
-        with w.open_region(b("ne", w.read(who), b.add_agent_id(-1)), s.span):
-            _store_in_slot(w, attribute, w.read(who), w.read(value), s, has_slot=False)
+        with w.open_region(b("ne", w.read_at_step_start(who), b.add_agent_id(-1)), s.span):
+            _store_in_slot(w, attribute, w.read_at_step_start(who), w.read_at_step_start(value), s, has_slot=False)
             if left > 1:
                 come_in(left - 1)
 
     find_strongest(new, attribute.slot_count)
-    for names, value in zip(name_slot_registers(attribute.name, attribute.slot_count), changed_values, strict=True):
-        w.store(names[1], value, s.span)
+    for names, value in zip(list_slot_register_names(attribute.name, attribute.slot_count), changed_values, strict=True):
+        w.add_store(names[1], value, s.span)
     come_in(attribute.slot_count)
 
 
-def _freeze_value(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) -> PlanNode:
+def _store_in_temporary(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) -> PlanNode:
     """Store a value in a temp, so that later stores do not change it."""
     w.declare_register(name, value.kind, "temp", -1 if value.kind is ValueKind.I64 else 0)
-    w.store(name, value, s.span)
-    return w.read(name)
+    w.add_store(name, value, s.span)
+    return w.read_at_step_start(name)
 
 
 def _store_in_slot(
@@ -150,7 +150,7 @@ def _store_in_slot(
     that is passed on is dropped.
     `has_slot`: whether the other agent may have a slot already, which is then freed first."""
     b, rest = w.b, lower_rest_value(w, attribute)
-    carried, amount = other_id, _freeze_value(w, attribute.name, value, s)
+    carried, amount = other_id, _store_in_temporary(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
     changed: list[tuple[PlanNode, PlanNode]] = []
     for who, stored_value in _read_slots(w, attribute):
@@ -163,24 +163,27 @@ def _store_in_slot(
         changed.append((b("where", stays, carried, who), b("where", stays, amount, stored_value)))
         carried, amount = b("where", stays, who, carried), b("where", stays, stored_value, amount)
         strength = b("where", stays, held, strength)
-    names = name_slot_registers(attribute.name, attribute.slot_count)
+    names = list_slot_register_names(attribute.name, attribute.slot_count)
     for (who_name, value_name), (who, stored_value) in zip(
         reversed(names), reversed(changed), strict=True
     ):  # in reverse, so that no store changes a value that a later store reads
-        held = _freeze_value(w, f"~{attribute.name}.slot", who, s)
-        w.store(value_name, stored_value, s.span)
-        w.store(who_name, held, s.span)
+        held = _store_in_temporary(w, f"~{attribute.name}.slot", who, s)
+        w.add_store(value_name, stored_value, s.span)
+        w.add_store(who_name, held, s.span)
 
 
 def _compute_changed_value(w: PlanWriter, s: model.Assign, old: PlanNode, value: PlanNode) -> PlanNode:
     if s.op == "=":
         return value
-    change = w.b("mul", value, w.run("dt")) if s.per_second else value
+    change = w.b("mul", value, w.read_run_value("dt")) if s.per_second else value
     return w.b("add" if s.op == "+=" else "sub", old, change)
 
 
 def _read_slots(w: PlanWriter, attribute: model.AttributeDecl) -> list[tuple[PlanNode, PlanNode]]:
-    return [(w.read(who), w.read(value)) for who, value in name_slot_registers(attribute.name, attribute.slot_count)]
+    return [
+        (w.read_at_step_start(who), w.read_at_step_start(value))
+        for who, value in list_slot_register_names(attribute.name, attribute.slot_count)
+    ]
 
 
 def lower_rest_value(w: PlanWriter, attribute: model.AttributeDecl) -> PlanNode:

@@ -59,7 +59,7 @@ def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
             "set.agents", lower_agent_scalar(w, e.args[0], e), b.add_number(ANY_DIRECTION_COSINE), attrs=(e.source_name, True)
         )
     element = SetElement(kind, e.source_name)
-    condition = run_with_binding(
+    condition = lower_with_binding(
         w, e.element, element, lambda: b.true if e.condition is None else lower_condition(w, e.condition)
     )
     most = e.args[_MAX_COUNT_ARGUMENT[e.source]] if len(e.args) > _MAX_COUNT_ARGUMENT[e.source] else None
@@ -112,7 +112,7 @@ def compute_min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
     return (b("where", b("ge", fov, b.add_number(FULL_TURN_ANGLE)), b.add_number(ANY_DIRECTION_COSINE), narrow),)
 
 
-def run_with_binding(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
+def lower_with_binding(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
     """Run `body` with a name bound to an element."""
     w.environment[binding] = element
     if isinstance(element, SetElement):
@@ -142,11 +142,11 @@ def lower_reduction(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
     if body_expr is None:
         raise PlanError(f"{e.reducer} without a body: {e.span.text!r}")
     if e.reducer in ("count", "any", "every"):
-        holds = run_with_binding(w, e.element, over.element, lambda: lower_condition(w, body_expr))
+        holds = lower_with_binding(w, e.element, over.element, lambda: lower_condition(w, body_expr))
         if e.reducer == "every":
             return b("not", b("reduce.any", over.nodes, b("and", over.condition, b("not", holds))))
         return b(f"reduce.{e.reducer}", over.nodes, b("and", over.condition, holds))
-    body = run_with_binding(w, e.element, over.element, lambda: lower_expression(w, body_expr))
+    body = lower_with_binding(w, e.element, over.element, lambda: lower_expression(w, body_expr))
     if e.reducer == "best":
         if not isinstance(body, PlanNode):
             raise PlanError("best of a value that is not a number")
@@ -188,14 +188,16 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
     n = max(1, min(16, int(count)))
     spread, reach = lower_agent_scalar(w, spread_expr, e), lower_agent_scalar(w, reach_expr, e)
     heading, up = w.read_vector("heading"), w.read_vector("up")
-    across = values.cross(b, up, heading)
+    across = values.compute_cross_product(b, up, heading)
     hits = []
     for k in range(n):
         share = 0.0 if n == 1 else 2 * k / (n - 1) - 1
         angle = b("mul", spread, b.add_number(share))
         ahead = heading
         if share != 0:
-            ahead = values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
+            ahead = values.add_vectors(
+                b, values.scale_vector(b, heading, b("cos", angle)), values.scale_vector(b, across, b("sin", angle))
+            )
         hits.append(cast_ray(w, ahead, reach, e.source_name))
     return tuple(hits)
 
@@ -212,7 +214,7 @@ def cast_ray(w: PlanWriter, direction: VectorNodes, reach: PlanNode, target: str
 def _filter_hit(w: PlanWriter, hit: RayHit, element: model.Binding, condition: model.Expr | None) -> RayHit:
     if condition is None:
         return hit
-    holds = run_with_binding(w, element, _assume_hit(w, hit), lambda: lower_condition(w, condition))
+    holds = lower_with_binding(w, element, _assume_hit(w, hit), lambda: lower_condition(w, condition))
     return RayHit(w.b("and", hit.hit, holds), hit.distance, hit.normal, hit.direction)
 
 
@@ -231,7 +233,9 @@ def _reduce_hits(w: PlanWriter, e: model.ReduceExpr, elements: RayHits) -> Lower
     else:
         body_expr = e.body
         lower_body = lower_condition if e.reducer in ("count", "any", "every") else lower_expression
-        bodies = [run_with_binding(w, e.element, _assume_hit(w, hit), lambda: lower_body(w, body_expr)) for hit in elements.hits]
+        bodies = [
+            lower_with_binding(w, e.element, _assume_hit(w, hit), lambda: lower_body(w, body_expr)) for hit in elements.hits
+        ]
         if e.reducer == "best":
             return _select_least_hit(w, elements, [b("neg", body) for body in bodies])  # type: ignore[arg-type]
         if e.reducer not in ("count", "any", "every"):
@@ -265,7 +269,7 @@ def _reduce_hit_numbers(w: PlanWriter, reducer: str, elements: RayHits, bodies: 
         return b("where", b("gt", count, b.add_number(0)), b("div", total, count), b.add_number(0))
 
     if isinstance(bodies[0], VectorNodes):
-        return values.zip_with(lambda *parts: reduce_component(list(parts)), *bodies)  # type: ignore[arg-type]
+        return values.apply_by_component(lambda *parts: reduce_component(list(parts)), *bodies)  # type: ignore[arg-type]
     return reduce_component(bodies)  # type: ignore[arg-type]
 
 

@@ -13,7 +13,7 @@ from antdsl.plan.builder import PlanBuilder, PlanError
 from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower_condition, lower_expression, lower_presence, lower_scalar
-from antdsl.plan.lowering.machines import count_steps, has_passed
+from antdsl.plan.lowering.machines import count_steps, has_state_lasted
 from antdsl.plan.lowering.writer import LoweringRules, PlanWriter
 from antdsl.program import model
 from antdsl.program.tables.units import choose_default_unit, find_unit_measure
@@ -28,7 +28,7 @@ _NUMBER_TYPE = model.ValueType(model.TypeKind.NUMBER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PartNote:
+class ExpressionNote:
     """A part of an expression in the source, with the nodes that compute it.
 
     - `nodes`: one node, or three for a vector.
@@ -40,7 +40,7 @@ class PartNote:
     type: model.ValueType
     unit: str
     nodes: tuple[PlanNode, ...]
-    parts: tuple[PartNote, ...] = ()
+    parts: tuple[ExpressionNote, ...] = ()
     role: str = ""
 
 
@@ -68,10 +68,10 @@ class ChangeNote:
     state: model.State
     transition: model.Transition
     is_taken: PlanNode
-    condition: PartNote | None
+    condition: ExpressionNote | None
     condition_value: PlanNode | None
     timers: tuple[TimerNote, ...]
-    take_note: PartNote | None
+    take_note: ExpressionNote | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +90,7 @@ class LayerNote:
     layer: model.Layer
     budget_left: PlanNode
     has_budget: PlanNode
-    condition: PartNote | None
+    condition: ExpressionNote | None
     condition_value: PlanNode
     push: tuple[PlanNode, PlanNode, PlanNode]
 
@@ -163,12 +163,15 @@ class NotingWriter(PlanWriter):
         if t.hold_time is not None:
             held_time, needs = self.read_previous(f"{t.key}.held"), count_steps(self, lower_scalar(self, t.hold_time))
             yield TimerNote("held", held_time, needs, self.b("ge", held_time, needs))
-        time_in_state = self.read(f"{machine}.time_in_state")
+        time_in_state = self.read_at_step_start(f"{machine}.time_in_state")
         if t.delay is not None:
-            yield TimerNote("after", time_in_state, lower_scalar(self, t.delay), has_passed(self, machine, t.delay))
+            yield TimerNote("after", time_in_state, lower_scalar(self, t.delay), has_state_lasted(self, machine, t.delay))
         if state.min_duration is not None and not t.is_interrupt:
             yield TimerNote(
-                "at least", time_in_state, lower_scalar(self, state.min_duration), has_passed(self, machine, state.min_duration)
+                "at least",
+                time_in_state,
+                lower_scalar(self, state.min_duration),
+                has_state_lasted(self, machine, state.min_duration),
             )
 
     def note_state_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
@@ -199,33 +202,35 @@ class NotingWriter(PlanWriter):
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
-    def _make_part_note(self, e: model.Expr, units: list[str], depth: int = 0) -> PartNote | None:
+    def _make_part_note(self, e: model.Expr, units: list[str], depth: int = 0) -> ExpressionNote | None:
         """Return an expression with the parts that determine it; None for expressions without a value (a species, a field)."""
         value = lower_expression(self, e)
         text, type = _join_lines(e.span.text), e.type
-        parts: tuple[PartNote, ...] = ()
+        parts: tuple[ExpressionNote, ...] = ()
         if isinstance(value, values.NamedThing | values.OwnPosition | values.SetElement):
             return None
         if isinstance(value, values.VectorNodes):
-            return PartNote(text, type, _choose_display_unit(e, units, self.program), tuple(value))
+            return ExpressionNote(text, type, _choose_display_unit(e, units, self.program), tuple(value))
         if isinstance(value, values.EntityRef):
-            return PartNote(text, model.ValueType(value.kind, referent=value.owner), "", (value.node,))
+            return ExpressionNote(text, model.ValueType(value.kind, referent=value.owner), "", (value.node,))
         if isinstance(value, values.RayHit):
-            nearness = PartNote(
+            nearness = ExpressionNote(
                 "distance", model.ValueType(model.TypeKind.NUMBER, model.Dimension(length=1)), "mm", (value.distance,)
             )
-            return PartNote(text, _BOOL_TYPE, "", (value.hit,), (nearness,))
+            return ExpressionNote(text, _BOOL_TYPE, "", (value.hit,), (nearness,))
         if not isinstance(value, PlanNode):
-            return PartNote(text, _BOOL_TYPE, "", (lower_presence(self, value, e),))
+            return ExpressionNote(text, _BOOL_TYPE, "", (lower_presence(self, value, e),))
         if depth < _MAX_NOTED_DEPTH:
             parts = tuple(self._make_inner_notes(e, value, units, depth + 1))
         joined = isinstance(e, model.OperationExpr) and e.name in _JOINING_OPERATIONS and bool(parts)
-        return PartNote(text, type, _choose_display_unit(e, units, self.program), (value,), parts, "joined" if joined else "")
+        return ExpressionNote(
+            text, type, _choose_display_unit(e, units, self.program), (value,), parts, "joined" if joined else ""
+        )
 
-    def _make_inner_notes(self, e: model.Expr, node: PlanNode, units: list[str], depth: int) -> Iterator[PartNote]:
+    def _make_inner_notes(self, e: model.Expr, node: PlanNode, units: list[str], depth: int) -> Iterator[ExpressionNote]:
         if isinstance(e, model.OperationExpr) and e.name == "chance" and node.op == "lt":
-            yield PartNote("draw", _NUMBER_TYPE, "", node.args[:1], role="draw")
-            yield PartNote("bar", _NUMBER_TYPE, "", node.args[1:], role="bar")
+            yield ExpressionNote("draw", _NUMBER_TYPE, "", node.args[:1], role="draw")
+            yield ExpressionNote("bar", _NUMBER_TYPE, "", node.args[1:], role="bar")
         named: set[str] = set()
         for inner, written in _iterate_inner_parts(e, units):
             outer = self.is_snapshot

@@ -31,7 +31,7 @@ from antdsl.plan.lowering.spec_plans import (
     SpecPlan,
     StartValuePlan,
 )  # fmt: skip
-from antdsl.plan.lowering.values import EntityRef, LoweredValue, OwnPosition, VectorNodes, length
+from antdsl.plan.lowering.values import EntityRef, LoweredValue, OwnPosition, VectorNodes, compute_length
 from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.plan.traverse import collect_required_nodes, find_shared_senses
 from antdsl.program import expectations, model
@@ -51,10 +51,10 @@ class _SpecWriter(PlanWriter):
         self.registers = dict(registers)
         self.blocks: dict[str, list[Store]] = {"decide": [], "act": [], "blend": []}
 
-    def _read(self, name: str, snapshot: bool) -> PlanNode:
+    def _read_register(self, name: str, snapshot: bool) -> PlanNode:
         if name not in self.registers:
             raise UnsupportedConstruct("a sense of an item", self.b.span or self.species.span, _ITEM_VALUES_HELP)
-        return super()._read(name, snapshot)
+        return super()._read_register(name, snapshot)
 
     def lower_spec_expression(self, e: model.Expr) -> LoweredValue:
         if isinstance(e, expectations.AggregateExpr):
@@ -284,7 +284,7 @@ class _SpecLowering:
         if isinstance(value, EntityRef):
             value = value.node
         elif isinstance(value, VectorNodes):
-            value, type = length(w.b, value), model.ValueType(model.TypeKind.NUMBER, type.dimension)
+            value, type = compute_length(w.b, value), model.ValueType(model.TypeKind.NUMBER, type.dimension)
         elif not isinstance(value, PlanNode):
             value, type = lower_condition(w, e), model.ValueType(model.TypeKind.BOOL)
         if value.rate <= UpdateRate.STEP:
@@ -318,7 +318,7 @@ def lower_measures(program: model.Program, plan: ir.Plan) -> tuple[MeasuresPlan 
     with _allow_deep_recursion():
         for measure in program.measures:
             absent = [name for name in program.species if name not in plan.species]
-            if any(_is_about(part, absent) for part in iterate_parts(measure.value)):
+            if any(_refers_to_other_species(part, absent) for part in iterate_parts(measure.value)):
                 continue
             try:
                 nodes[measure.name] = work.lower_measure(measure.value)
@@ -327,7 +327,7 @@ def lower_measures(program: model.Program, plan: ir.Plan) -> tuple[MeasuresPlan 
     return MeasuresPlan(nodes=nodes, **work.collect_queries()) if work.report.ok else None, work.report
 
 
-def _is_about(part: object, species: Sequence[str]) -> bool:
+def _refers_to_other_species(part: object, species: Sequence[str]) -> bool:
     """Return whether an expression is an aggregate of one of these species."""
     return isinstance(part, expectations.AggregateExpr) and part.population.referent in species
 

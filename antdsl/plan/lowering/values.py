@@ -90,22 +90,22 @@ class RayHits:
 LoweredValue = PlanNode | VectorNodes | EntityRef | SetElement | RayHit | NamedThing | OwnPosition | ElementGroup | RayHits
 
 
-def zip_with(function: Callable[..., PlanNode], *vectors: VectorNodes) -> VectorNodes:
+def apply_by_component(function: Callable[..., PlanNode], *vectors: VectorNodes) -> VectorNodes:
     """Apply a function of scalars to each component of vectors, and return the resulting vector."""
     return VectorNodes(function(*(v.x for v in vectors)), function(*(v.y for v in vectors)), function(*(v.z for v in vectors)))
 
 
-def zero_vector(b: PlanBuilder) -> VectorNodes:
+def make_zero_vector(b: PlanBuilder) -> VectorNodes:
     """Return the zero vector."""
     return VectorNodes(b.add_number(0), b.add_number(0), b.add_number(0))
 
 
-def add(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
-    return zip_with(lambda p, q: b("add", p, q), u, v)
+def add_vectors(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
+    return apply_by_component(lambda p, q: b("add", p, q), u, v)
 
 
-def sub(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
-    return zip_with(lambda p, q: b("sub", p, q), u, v)
+def subtract_vectors(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
+    return apply_by_component(lambda p, q: b("sub", p, q), u, v)
 
 
 def wrap_vector(b: PlanBuilder, v: VectorNodes, widths: tuple[float, float, float]) -> VectorNodes:
@@ -120,20 +120,20 @@ def wrap_vector(b: PlanBuilder, v: VectorNodes, widths: tuple[float, float, floa
     return VectorNodes(*parts)
 
 
-def neg(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
-    return zip_with(lambda p: b("neg", p), v)
+def negate_vector(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
+    return apply_by_component(lambda p: b("neg", p), v)
 
 
-def scale(b: PlanBuilder, v: VectorNodes, s: PlanNode) -> VectorNodes:
+def scale_vector(b: PlanBuilder, v: VectorNodes, s: PlanNode) -> VectorNodes:
     """Return the vector times a scalar."""
-    return zip_with(lambda p: b("mul", p, s), v)
+    return apply_by_component(lambda p: b("mul", p, s), v)
 
 
-def dot(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> PlanNode:
+def compute_dot_product(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> PlanNode:
     return b("add", b("add", b("mul", u.x, v.x), b("mul", u.y, v.y)), b("mul", u.z, v.z))
 
 
-def cross(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
+def compute_cross_product(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
     def cross_component(p: PlanNode, q: PlanNode, r: PlanNode, s: PlanNode) -> PlanNode:
         return b("sub", b("mul", p, q), b("mul", r, s))
 
@@ -142,49 +142,49 @@ def cross(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
     )
 
 
-def length(b: PlanBuilder, v: VectorNodes) -> PlanNode:
+def compute_length(b: PlanBuilder, v: VectorNodes) -> PlanNode:
     """Return the length of a vector."""
-    return b("sqrt", dot(b, v, v))
+    return b("sqrt", compute_dot_product(b, v, v))
 
 
-def divide(b: PlanBuilder, v: VectorNodes, size: PlanNode) -> VectorNodes:
+def divide_vector(b: PlanBuilder, v: VectorNodes, size: PlanNode) -> VectorNodes:
     """Return v / size; a zero vector if `size` is too small as a divisor."""
     inverse = b("where", b("gt", size, b.add_number(MIN_VECTOR_LENGTH)), b("div", b.add_number(1), size), b.add_number(0))
-    return scale(b, v, inverse)
+    return scale_vector(b, v, inverse)
 
 
-def normalise(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
+def normalise_vector(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
     """Return the vector scaled to length 1; a zero vector stays zero (decision 24)."""
-    return divide(b, v, length(b, v))
+    return divide_vector(b, v, compute_length(b, v))
 
 
 def limit_length(b: PlanBuilder, v: VectorNodes, max_length: PlanNode) -> VectorNodes:
     """Return v, shortened to the length `max_length` if it is longer."""
-    size = length(b, v)
+    size = compute_length(b, v)
     factor = b("where", b("gt", size, max_length), b("div", max_length, size), b.add_number(1))
-    return scale(b, v, factor)
+    return scale_vector(b, v, factor)
 
 
 def choose_vector(b: PlanBuilder, condition: PlanNode, true_vector: VectorNodes, false_vector: VectorNodes) -> VectorNodes:
     """Return `true_vector` where the condition holds, else `false_vector`."""
-    return zip_with(lambda p, q: b("where", condition, p, q), true_vector, false_vector)
+    return apply_by_component(lambda p, q: b("where", condition, p, q), true_vector, false_vector)
 
 
 def select_or_zero(b: PlanBuilder, condition: PlanNode, v: VectorNodes) -> VectorNodes:
     """Return v if the condition holds, else a zero vector."""
-    return choose_vector(b, condition, v, zero_vector(b))
+    return choose_vector(b, condition, v, make_zero_vector(b))
 
 
-def rotate(b: PlanBuilder, v: VectorNodes, axis: VectorNodes, angle: PlanNode) -> VectorNodes:
+def rotate_vector(b: PlanBuilder, v: VectorNodes, axis: VectorNodes, angle: PlanNode) -> VectorNodes:
     """Return v, rotated by `angle` (rad) about an axis of length 1 (Rodrigues 1840)."""
     cos, sin = b("cos", angle), b("sin", angle)
-    ahead = scale(b, v, cos)
-    side = scale(b, cross(b, axis, v), sin)
-    rest = scale(b, axis, b("mul", dot(b, axis, v), b("sub", b.add_number(1), cos)))
-    return add(b, add(b, ahead, side), rest)
+    ahead = scale_vector(b, v, cos)
+    side = scale_vector(b, compute_cross_product(b, axis, v), sin)
+    rest = scale_vector(b, axis, b("mul", compute_dot_product(b, axis, v), b("sub", b.add_number(1), cos)))
+    return add_vectors(b, add_vectors(b, ahead, side), rest)
 
 
-def angle_between(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> PlanNode:
+def compute_angle_between(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> PlanNode:
     """Return the angle between two vectors, from 0 to pi. It is well conditioned at both ends, unlike the arc cosine (Kahan 2006,
     "How futile …")."""
-    return b("atan2", length(b, cross(b, u, v)), dot(b, u, v))
+    return b("atan2", compute_length(b, compute_cross_product(b, u, v)), compute_dot_product(b, u, v))

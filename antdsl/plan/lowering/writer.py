@@ -20,7 +20,7 @@ from antdsl.program import model
 from antdsl.source import Span
 
 AXES = ("x", "y", "z")
-HELD_VECTOR_TEMP = "~held"  # holds the new components while the registers change
+STORED_VECTOR_TEMP = "~held"  # holds the new components while the registers change
 KIND_BY_TYPE_KIND = {
     model.TypeKind.NUMBER: ValueKind.F32, model.TypeKind.BOOL: ValueKind.BOOL, model.TypeKind.STATE: ValueKind.I32,
     model.TypeKind.ITEM: ValueKind.I32,
@@ -120,17 +120,17 @@ class PlanWriter:
         else:
             raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
 
-    def read(self, name: str) -> PlanNode:
+    def read_at_step_start(self, name: str) -> PlanNode:
         """Return the value of a register at the current place."""
-        return self._read(name, self.is_snapshot)
+        return self._read_register(name, self.is_snapshot)
 
     def read_current(self, name: str) -> PlanNode:
         """Return the value of a register after all stores so far, even inside a snapshot.
 
         Latches are read like this, because they are set before any other code reads them."""
-        return self._read(name, False)
+        return self._read_register(name, False)
 
-    def _read(self, name: str, snapshot: bool) -> PlanNode:
+    def _read_register(self, name: str, snapshot: bool) -> PlanNode:
         register = self.registers[name]
         version = self._store_counts.get(name, 0)
         if self.is_birth:
@@ -149,7 +149,7 @@ class PlanWriter:
 
     def read_vector(self, name: str) -> VectorNodes:
         """Return the value of three registers at the current place."""
-        return VectorNodes(*(self.read(f"{name}.{axis}") for axis in AXES))
+        return VectorNodes(*(self.read_at_step_start(f"{name}.{axis}") for axis in AXES))
 
     def mark_written(self, name: str) -> None:
         """Record that a register has changed by a statement other than a Store, such as a claim or a gift."""
@@ -200,12 +200,12 @@ class PlanWriter:
         """Append a statement to the current block."""
         self.statements.append(statement)
 
-    def store(self, name: str, value: PlanNode, span: Span | None, allows_infinity: bool = False) -> None:
+    def add_store(self, name: str, value: PlanNode, span: Span | None, allows_infinity: bool = False) -> None:
         """Set a register for all later reads. A store of the value that it already has is omitted."""
         kind = self.registers[name].kind
         if value.kind is not kind:
             raise PlanError(f"register {name} is a {kind.value} and cannot take a {value.kind.value}")
-        if value is self.read(name):
+        if value is self.read_at_step_start(name):
             return
         self.add_statement(Store(name, value, span, allows_infinity))
         self.mark_written(name)
@@ -217,11 +217,11 @@ class PlanWriter:
         parts = list(value)
         if any(self._has_load(part, set(names[:place])) for place, part in enumerate(parts)):
             for axis, part in zip(AXES, parts, strict=True):
-                self.declare_register(f"{HELD_VECTOR_TEMP}.{axis}", ValueKind.F32, "temp")
-                self.store(f"{HELD_VECTOR_TEMP}.{axis}", part, span)
-            parts = list(self.read_vector(HELD_VECTOR_TEMP))
+                self.declare_register(f"{STORED_VECTOR_TEMP}.{axis}", ValueKind.F32, "temp")
+                self.add_store(f"{STORED_VECTOR_TEMP}.{axis}", part, span)
+            parts = list(self.read_vector(STORED_VECTOR_TEMP))
         for register, part in zip(names, parts, strict=True):
-            self.store(register, part, span)
+            self.add_store(register, part, span)
 
     @staticmethod
     def _has_load(node: PlanNode, names: set[str]) -> bool:
@@ -232,9 +232,9 @@ class PlanWriter:
         if isinstance(value, VectorNodes):
             self.store_vector(name, value, span)
         elif isinstance(value, values.EntityRef):
-            self.store(name, value.node, span)
+            self.add_store(name, value.node, span)
         elif isinstance(value, PlanNode):
-            self.store(name, value, span, allows_infinity)
+            self.add_store(name, value, span, allows_infinity)
         else:
             raise PlanError(f"{name} cannot hold a {type(value).__name__}")
 
@@ -245,7 +245,7 @@ class PlanWriter:
             return
         self._advanced_memories.add(memory)
         for register, node, span in self.memory_updates[memory]:
-            self.store(register, node, span)
+            self.add_store(register, node, span)
 
     # --- regions -----------------------------------------------------------------------------------------------------
 
@@ -292,6 +292,6 @@ class PlanWriter:
             all_written |= self._written
         self._written = all_written
 
-    def run(self, name: str) -> PlanNode:
+    def read_run_value(self, name: str) -> PlanNode:
         """Return a value of the run, such as `dt`."""
         return self.b("run", attrs=(name,))

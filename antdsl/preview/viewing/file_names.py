@@ -90,6 +90,6 @@ def read_file_text(path: Path, open_file: Callable[[Path], int]) -> str | None:
         data = read_handle(open_file(path), MAX_SHOWN_TEXT_BYTES)
     except OSError:
         return None
-    source, _ = text_files.read_bytes(str(path), data) if path.suffix == ".ant" else decode_source(data, str(path))
+    source, _ = text_files.decode_program(str(path), data) if path.suffix == ".ant" else decode_source(data, str(path))
     text = source.text if source is not None else data.decode("utf-8", "replace").removeprefix("\ufeff")
     return text.replace("\r\n", "\n").replace("\r", "\n")

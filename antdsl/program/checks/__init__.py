@@ -8,8 +8,8 @@ from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.checks.attribute_writers import check_writers
 from antdsl.program.checks.draws import check_draws
-from antdsl.program.checks.flicker import check_flicker
-from antdsl.program.checks.layers import check_idle_layers, check_layering
+from antdsl.program.checks.flicker import check_state_flicker
+from antdsl.program.checks.layers import check_idle_layers, check_layer_order
 from antdsl.program.checks.per_frame import check_per_frame
 from antdsl.program.checks.steps import check_step_units
 from antdsl.program.checks.transitions import check_constant_conditions, check_reachability, check_shadowed_transitions
@@ -20,7 +20,7 @@ Check = Callable[[CheckContext, Report], None]
 CHECKS: tuple[Check, ...] = (
     check_empty_program,  # a program that declares nothing that acts
     check_writers,  # two machines that set one attribute
-    check_layering,  # a missing layer `state`
+    check_layer_order,  # a missing layer `state`
     check_step_units,  # for `--strict`: uses of the unit `step`
 )
 
@@ -32,7 +32,7 @@ ERROR_FREE_CHECKS: tuple[Check, ...] = (
     check_events,  # events that are emitted but never handled, or the reverse
     check_unused_names,  # declarations that are never used
     check_constant_conditions,  # conditions that never or always hold
-    check_flicker,  # two states that lead to each other for the same values
+    check_state_flicker,  # two states that lead to each other for the same values
     check_draws,  # random draws in conditions
     check_per_frame,  # changes that depend on the frame rate
     check_wide_radius,  # neighbours that include all agents
@@ -45,9 +45,9 @@ PER_SPECIES_CHECKS = frozenset(
     (
         check_shadowed_transitions,
         check_writers,
-        check_layering,
+        check_layer_order,
         check_constant_conditions,
-        check_flicker,
+        check_state_flicker,
         check_draws,
         check_per_frame,
         check_wide_radius,

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator
 from antdsl.diagnostics import Fix, Report
 from antdsl.program.checks.analysis.check_context import CheckContext
 from antdsl.program.checks.analysis.timestep_limits import depends_on_step
-from antdsl.program.checks.steps import FILM_FPS
+from antdsl.program.checks.steps import ASSUMED_FPS
 from antdsl.program.model import (
     Assign,
     AttributeRef,
@@ -65,7 +65,7 @@ def _check_steering(species: Species, has_library: bool, report: Report) -> None
             "draw-in-steering",
             f"{quote_source(draw.span)} draws a new number in every step, so the path depends on the frames per second",
             draw.span,
-            f"write `{text}`, which is equal at {FILM_FPS} frames a second{addition}" if text
+            f"write `{text}`, which is equal at {ASSUMED_FPS} frames a second{addition}" if text
             else "write `wander()` from `steering`, or draw once: an attribute, set in `enter`",
             fix=Fix(draw.span, text) if text and has_library else None,
         )  # fmt: skip
@@ -112,7 +112,7 @@ def _format_jitter(draw: OperationExpr) -> str | None:
         return None
     if not (low.number == 0 if draw.name == "normal" else low.number == -high.number):
         return None
-    spread = float(written[1]) * math.sqrt(FILM_FPS / (1 if draw.name == "normal" else 3))
+    spread = float(written[1]) * math.sqrt(ASSUMED_FPS / (1 if draw.name == "normal" else 3))
     return f"jitter({spread:.3g} {written[2]})"
 
 
@@ -128,7 +128,7 @@ def _check_condition(test: Expr, report: Report) -> None:
                 "draw-in-condition",
                 f"{quote_source(part.span)} draws a new number in every step, so the result depends on the frames per second",
                 part.span,
-                f"write `{rate}`, which is equally likely at {FILM_FPS} frames a second" if rate
+                f"write `{rate}`, which is equally likely at {ASSUMED_FPS} frames a second" if rate
                 else "write `chance 20 %/s`, or draw once: an attribute, set in `enter`",
                 fix=Fix(part.span, rate) if rate else None,
             )  # fmt: skip
@@ -172,7 +172,7 @@ def _format_chance_rate(part: OperationExpr) -> str | None:
     if low is None or high is None or not low.number < edge.number < high.number:
         return None
     share = _compute_probability_below(low, edge, high)
-    return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * FILM_FPS:.3g} /s"
+    return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * ASSUMED_FPS:.3g} /s"
 
 
 def _compute_probability_below(low: Constant, edge: Constant, high: Constant) -> float:

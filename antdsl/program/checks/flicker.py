@@ -12,7 +12,7 @@ from antdsl.program.traverse import iterate_parts
 from antdsl.program.types.descriptions import quote_source
 
 
-def check_flicker(context: CheckContext, report: Report) -> None:
+def check_state_flicker(context: CheckContext, report: Report) -> None:
     """Report pairs of opposite transitions with conditions that can both hold for the same values."""
     reader = ConditionReader(context.program.params)
     for species in context.program.species.values():
@@ -40,7 +40,12 @@ def _check_pair(
     report: Report,
 ) -> None:
     (state, change), (other, returning) = forward_change, backward_change
-    if _has_wait(*forward_change) or _has_wait(*backward_change) or change.condition is None or returning.condition is None:
+    if (
+        _has_minimum_time(*forward_change)
+        or _has_minimum_time(*backward_change)
+        or change.condition is None
+        or returning.condition is None
+    ):
         return
     if _affects_test(machine, forward_change, returning.condition) or _affects_test(machine, backward_change, change.condition):
         return
@@ -55,7 +60,7 @@ def _check_pair(
         )
 
 
-def _has_wait(state: State, change: Transition) -> bool:
+def _has_minimum_time(state: State, change: Transition) -> bool:
     """Return whether a transition cannot happen in every step: it needs a waiting time, or a `take` that may fail."""
     return (
         change.delay is not None

@@ -25,7 +25,7 @@ from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import find_constant
 
 
-def check_layering(context: CheckContext, report: Report) -> None:
+def check_layer_order(context: CheckContext, report: Report) -> None:
     """Report species that steer in states but have no layer `state`."""
     for species in context.program.species.values():
         lines = [line for m in species.machines for state in m.states for line in state.body]

@@ -20,7 +20,7 @@ from antdsl.program.checks.analysis.timestep_limits import (
     is_update_target,
     reads_update_target,
 )
-from antdsl.program.checks.steps import FILM_FPS
+from antdsl.program.checks.steps import ASSUMED_FPS
 from antdsl.program.model import Assign, Binding, Dimension, EffectRequest, Expr, Give, OperationExpr, State, TypeKind
 from antdsl.program.traverse import iterate_parts
 from antdsl.program.types.descriptions import quote_source
@@ -70,7 +70,7 @@ def _check_added_amount(
     help, fix = "what a state adds is multiplied by `dt` already: write an amount per second, without `dt`", None
     if single_amount is not None and not depends_on_step(single_amount) and _is_inside(single_amount.span, line.span):
         fix = Fix(amount.span, _convert_to_per_second(_join_source_lines(single_amount.span)))
-        help = f"write `{line_start}{fix.text}`, which is equal at {FILM_FPS} frames a second"
+        help = f"write `{line_start}{fix.text}`, which is equal at {ASSUMED_FPS} frames a second"
     report.warning("per-frame", f"{quote_source(line.span)} {_PER_FRAME_REASON}", line.span, help, fix=fix)
 
 
@@ -94,7 +94,7 @@ def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> N
         decay = _DECAY_PATTERN.fullmatch(text) if makers[0] is value else None
         addition = f", or `relax to 0 over {decay[1]}` where it is declared" if decay else ""
     if display_text:
-        help = f"write `{display_text}`, which is equal at {FILM_FPS} frames a second{addition}"
+        help = f"write `{display_text}`, which is equal at {ASSUMED_FPS} frames a second{addition}"
     elif value.type.kind is TypeKind.BOOL:
         help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_join_source_lines(line.span)} }}`"
     elif any(_is_scaled_by_dt(each, name) for each in makers):
@@ -112,9 +112,8 @@ def _check_memory(memory: Binding, next_value: Expr, report: Report) -> None:
     text = _format_rate_free(makers[0], memory) if len(makers) == 1 and _is_inside(makers[0].span, next_value.span) else ""
     help = "write an amount per second, times `dt`"
     if text:
-        help = (
-            f"write `then {_replace_part(next_value.span, makers[0].span, text)}`, which is equal at {FILM_FPS} frames a second"
-        )
+        replacement = f"then {_replace_part(next_value.span, makers[0].span, text)}"
+        help = f"write `{replacement}`, which is equal at {ASSUMED_FPS} frames a second"
     fix = Fix(makers[0].span, text) if text else None
     report.warning(
         "per-frame", f"`then {_join_source_lines(next_value.span)}` {_PER_FRAME_REASON}", next_value.span, help, fix=fix
@@ -215,15 +214,15 @@ def _format_decay_factor(factor: Expr, power: int) -> str:
 
 def _format_exponential(rate: float) -> str:
     """Return the text of the exponential of `dt` with the growth `rate` per step at 24 frames a second."""
-    return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / FILM_FPS:.3g} s)"
+    return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / ASSUMED_FPS:.3g} s)"
 
 
 def _convert_to_per_second(text: str) -> str:
     """Convert the text of an amount per step to an amount per second, such as `1` to `24 /s` and `2 mm` to `48 mm/s`."""
     literal = QUANTITY_PATTERN.fullmatch(text)
     if literal is not None and "/" not in text:
-        return f"{float(literal[1]) * FILM_FPS:.6g} {literal[2] or ''}/s"
-    return f"{text if _SIMPLE_TERM_PATTERN.fullmatch(text) else f'({text})'} * {FILM_FPS} /s"
+        return f"{float(literal[1]) * ASSUMED_FPS:.6g} {literal[2] or ''}/s"
+    return f"{text if _SIMPLE_TERM_PATTERN.fullmatch(text) else f'({text})'} * {ASSUMED_FPS} /s"
 
 
 def _join_source_lines(span: Span) -> str:

@@ -14,7 +14,7 @@ from antdsl.program.types.descriptions import quote_source
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-FILM_FPS = 24  # frames per second of film; replacements have equal values at this rate
+ASSUMED_FPS = 24  # frames per second of film; replacements have equal values at this rate
 
 
 def check_step_units(context: CheckContext, report: Report) -> None:
@@ -51,16 +51,16 @@ def _suggest_step_free_quantity(
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:
             return None, "say how fast the field fades: `half_life 8 s`"
-        return _describe_fix(parent.span, f"half_life {-math.log(2) / math.log(share) / FILM_FPS:.3g} s", "fades as fast")
+        return _describe_fix(parent.span, f"half_life {-math.log(2) / math.log(share) / ASSUMED_FPS:.3g} s", "fades as fast")
     if isinstance(parent, nodes.AnimalProperty) and parent.name.text == "response" and node.value <= 1:
         return Fix(node.span, "0.001 s"), "write `response 0.001 s`, which is immediate at any frame rate"
     if node.unit == "step":
-        return _describe_fix(node.span, f"{node.value / FILM_FPS:.3g} s", "is as long")
+        return _describe_fix(node.span, f"{node.value / ASSUMED_FPS:.3g} s", "is as long")
     if power == -1 and node.unit.endswith("/step"):
         unit = f"{node.unit.removesuffix('/step')}/s"
-        return _describe_fix(node.span, f"{node.value * FILM_FPS:.6g} {unit}", "is as much")
+        return _describe_fix(node.span, f"{node.value * ASSUMED_FPS:.6g} {unit}", "is as much")
     return None, "say it in seconds"
 
 
 def _describe_fix(span: Span, text: str, description: str) -> tuple[Fix, str]:
-    return Fix(span, text), f"write `{text}`, which {description} at {FILM_FPS} frames a second"
+    return Fix(span, text), f"write `{text}`, which {description} at {ASSUMED_FPS} frames a second"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.analysis.check_context import CheckContext
-from antdsl.program.checks.analysis.conditions import ConditionReader, implies, is_always_false, is_always_true
+from antdsl.program.checks.analysis.conditions import ConditionReader, does_condition_imply, is_always_false, is_always_true
 from antdsl.program.model import ClipTest, Constant, EffectRequest, Expr, Machine, OperationExpr, Play, Species, State, Transition
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.types.descriptions import quote_source
@@ -91,7 +91,7 @@ def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition
         return False
     if change.condition is not None and is_always_false(reader, change.condition):
         return False  # a condition that never holds is already reported
-    return implies(reader, change.condition, first.condition)
+    return does_condition_imply(reader, change.condition, first.condition)
 
 
 def _is_wait_shorter(first: Expr | None, other: Expr | None) -> bool:

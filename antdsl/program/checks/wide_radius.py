@@ -20,7 +20,7 @@ from antdsl.program.model import (
     Species,
     TypeKind,
 )
-from antdsl.program.tables.editions import CRAWLING_SETTING, STANDING_SETTING
+from antdsl.program.tables.editions import CRAWLING_SIZE_SETTING, STANDING_SIZE_SETTING
 from antdsl.program.traverse import iterate_parts
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import find_constant
@@ -79,7 +79,7 @@ def _find_constant_radius(expr: Expr, params: Mapping[str, Param]) -> Constant |
 
 def _compute_max_body_size(species: Species, params: Mapping[str, Param]) -> float:
     """Return the largest possible body size in mm, as far as the program determines it."""
-    written = next((a.default for a in species.attributes if a.name in (CRAWLING_SETTING, STANDING_SETTING)), None)
+    written = next((a.default for a in species.attributes if a.name in (CRAWLING_SIZE_SETTING, STANDING_SIZE_SETTING)), None)
     if isinstance(written, OperationExpr) and written.name == "normal":
         written = written.args[0]  # a normal number has no largest value: the mean counts
     high = compute_range(written, params, {}).high if written is not None else _DEFAULT_BODY_SIZE_MM

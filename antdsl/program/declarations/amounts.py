@@ -19,15 +19,15 @@ class StatementContext:
     """The context of statements.
 
     - `is_state_body`: the statements run in each step.
-    - `must_commute`: they are in a handler, where several events may arrive in one step."""
+    - `must_be_order_independent`: they are in a handler, where several events may arrive in one step."""
 
     is_state_body: bool
-    must_commute: bool = False
+    must_be_order_independent: bool = False
 
 
 BODY_CONTEXT = StatementContext(is_state_body=True)
 ACTION_CONTEXT = StatementContext(is_state_body=False)
-HANDLER_CONTEXT = StatementContext(is_state_body=False, must_commute=True)
+HANDLER_CONTEXT = StatementContext(is_state_body=False, must_be_order_independent=True)
 
 
 def type_amount_or_rate(
@@ -59,7 +59,7 @@ def type_amount_or_rate(
         advice = f"write an amount per time: `{prefix}{better}{suffix}`"
         scope.report.error("not-a-rate", message, node.span, advice, fix=Fix(node.span, better))
     elif not block.is_state_body and is_compatible(expr.type, per_second):
-        better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_add_brackets(node, text)} * 1 s"
+        better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_add_brackets_if_needed(node, text)} * 1 s"
         message = f"{quote_source(node.span)} is a rate, but this line runs once"
         advice = f"write an amount: `{prefix}{better}{suffix}`"
         scope.report.error("not-an-amount", message, node.span, advice, fix=Fix(node.span, better))
@@ -80,8 +80,8 @@ def _format_rate(node: nodes.Expr, text: str) -> str:
         and node.right.name.text == "dt"
     ):
         return " ".join(node.left.span.text.split())  # a rate is multiplied by dt anyway
-    return f"{_add_brackets(node, text)} * 1 /s"
+    return f"{_add_brackets_if_needed(node, text)} * 1 /s"
 
 
-def _add_brackets(node: nodes.Expr, text: str) -> str:
+def _add_brackets_if_needed(node: nodes.Expr, text: str) -> str:
     return f"({text})" if isinstance(node, nodes.Binary) and node.op in ("+", "-") else text

@@ -39,7 +39,7 @@ def check_wear(scope: NameScope, line: nodes.VerbLine, block: StatementContext) 
     """Check a line such as `wear helmet` or `wear load when load > 0`. Return None after an error."""
     assert line.name is not None
     when = None if line.when is None else type_condition(scope, line.when, "`when`")
-    if _is_misplaced(scope, line, block) or (when is not None and when.type.kind is TypeKind.BAD):
+    if _report_misplaced_line(scope, line, block) or (when is not None and when.type.kind is TypeKind.BAD):
         return None
     return model.Wear(line.name.text, when, line.span)
 
@@ -48,7 +48,7 @@ def check_channel(scope: NameScope, line: nodes.VerbLine, block: StatementContex
     """Check a line such as `channel jaw = load`. Return None after an error."""
     assert line.name is not None and line.amount is not None
     value = type_value_as(scope, line.amount, NUMBER_TYPE, f"`channel {line.name.text}`")
-    if _is_misplaced(scope, line, block) or value.type.kind is TypeKind.BAD:
+    if _report_misplaced_line(scope, line, block) or value.type.kind is TypeKind.BAD:
         return None
     return model.Channel(line.name.text, value, line.span)
 
@@ -67,7 +67,7 @@ def check_look(scope: NameScope, line: nodes.VerbLine, block: StatementContext) 
     )
     over = type_value_as(scope, argument_nodes["over"], TIME_TYPE, "`over` of `look`") if "over" in argument_nodes else None
     said = [each for each in (at, within, over) if each is not None]
-    if _is_misplaced(scope, line, block) or any(each.type.kind is TypeKind.BAD for each in said):
+    if _report_misplaced_line(scope, line, block) or any(each.type.kind is TypeKind.BAD for each in said):
         return None
     widest = None if within is None else find_constant(within)
     if within is not None and widest is not None and not 0 < widest.number <= _MAX_ANGLE:
@@ -91,7 +91,7 @@ def check_duplicates(scope: NameScope, node: nodes.State) -> None:
             scope.report.error("two-writers", words, line.span, advice, labels=(Label(first_line.span, "first here"),))
 
 
-def _is_misplaced(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> bool:
+def _report_misplaced_line(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> bool:
     """Return whether a line is in an action instead of a state's body; report an error if so."""
     if not block.is_state_body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"

@@ -26,12 +26,12 @@ from antdsl.program.names.scope import (
 )
 from antdsl.program.tables.defaults import parse_default
 from antdsl.program.tables.editions import (
-    CRAWLING_SETTING,
+    CRAWLING_SIZE_SETTING,
     DEFAULT_BY_SETTING,
     NO_LIMIT_WORD,
     OPTIONAL_ATTRIBUTES,
     STANDING_DEFAULTS,
-    STANDING_SETTING,
+    STANDING_SIZE_SETTING,
     SWITCH_EDITION,
     SWITCH_HELP,
 )
@@ -86,7 +86,7 @@ def check_attributes(scope: NameScope, node: nodes.Species) -> list[model.Attrib
 
 def _check_extent(scope: NameScope, node: nodes.Species, span_by_name: Mapping[str, Span]) -> None:
     """Check that a species sets exactly one of `size` and `height`."""
-    size, height = span_by_name.get(CRAWLING_SETTING), span_by_name.get(STANDING_SETTING)
+    size, height = span_by_name.get(CRAWLING_SIZE_SETTING), span_by_name.get(STANDING_SIZE_SETTING)
     if size is not None and height is not None:
         message = "`size` follows from `height` and the body"
         labels = (Label(height, "the height is here"),)
@@ -144,7 +144,7 @@ def find_switches(scope: NameScope, node: nodes.Species) -> dict[str, bool]:
         if scope.edition < SWITCH_EDITION:
             _report_later_edition(scope, member, SWITCH_EDITION)
             continue
-        constant = find_constant(type_value_as(scope.with_changes(runs_once=True), member.value, BOOL_TYPE, f"`{name}`"))
+        constant = find_constant(type_value_as(scope.with_changes(is_evaluated_once=True), member.value, BOOL_TYPE, f"`{name}`"))
         if constant is not None:
             values[name] = bool(constant.number)
         elif not any(d.span == member.value.span for d in scope.report.diagnostics):
@@ -189,7 +189,7 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
             or suggest_name(name.text, known, f"write an attribute of your own as `{name.text} = {text}`"),
         )
         is_known_missing(scope, "name", name)  # the misspelt line was meant to declare it
-    type_value(scope.with_changes(runs_once=True), member.value)
+    type_value(scope.with_changes(is_evaluated_once=True), member.value)
     return False
 
 
@@ -212,7 +212,7 @@ def is_state_name(scope: NameScope, word: str) -> bool:
 def _check_attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalProperty, is_circular: bool) -> model.AttributeDecl:
     names, name = scope.species, node.name.text
     assert names is not None
-    inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"), no_let_reason=_TOO_EARLY_REASON, runs_once=True)
+    inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"), no_let_reason=_TOO_EARLY_REASON, is_evaluated_once=True)
     help = node.help.text if node.help else ""
     if isinstance(node, nodes.AnimalProperty):
         type = parse_type_words(BUILTIN_ATTRIBUTE_BY_NAME[name].type) or BAD_TYPE

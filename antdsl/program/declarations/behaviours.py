@@ -173,7 +173,7 @@ def resolve_declared_type(scope: NameScope, written_type: nodes.TypeName) -> Val
     """Return the type for a type name in the source; report an unknown one."""
     name = written_type.name
     if written_type.of is not None:
-        scope.bind_thing(written_type.of)
+        scope.record_thing_use(written_type.of)
     type = parse_type_words(name.text, written_type.of.text if written_type.of else None)
     if type is None:
         scope.report.error(
@@ -262,11 +262,11 @@ def _bind_call_names(scope: NameScope, info: BehaviourInfo, node: nodes.Call) ->
     """Record the declarations of the names in a call: the module, the behaviour, and its arguments."""
     path, name, function = info.file.node.source.path, info.node.name.text, node.function
     if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
-        scope.bind(function.owner.span, "alias", scope.file.node.source.path, function.owner.name.text)
-    scope.bind(function.name.span if isinstance(function, nodes.Member) else function.span, "behaviour", path, name)
+        scope.record_name_use(function.owner.span, "alias", scope.file.node.source.path, function.owner.name.text)
+    scope.record_name_use(function.name.span if isinstance(function, nodes.Member) else function.span, "behaviour", path, name)
     for argument in node.arguments:
         if isinstance(argument, nodes.Argument) and argument.name is not None:
-            scope.bind(argument.name.span, "inner", path, name, argument.name.text)
+            scope.record_name_use(argument.name.span, "inner", path, name, argument.name.text)
 
 
 def _find_called_behaviour(scope: NameScope, function: nodes.Expr) -> BehaviourInfo | None:
@@ -361,7 +361,7 @@ def _expand_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call, argume
     if not report.ok:
         first = report.errors[0]
         labels = (Label(first.span, "here"),) if first.span is not None else ()
-        return scope.reject(
+        return scope.report_error(
             first.code, f"`{name}` cannot be used this way: {first.message}", node.span, first.help, labels=labels
         )
     return InlinedBehaviour(

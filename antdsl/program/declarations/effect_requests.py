@@ -10,7 +10,7 @@ from antdsl.program.kinds import BAD_TYPE, TypeKind, ValueType
 from antdsl.program.names.collect import BUILTIN_EVENTS
 from antdsl.program.names.scope import NameScope, is_known_missing, make_bad_expression, parse_type_words, suggest_name
 from antdsl.program.tables.defaults import parse_default_values
-from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, EffectRow
 from antdsl.program.tables.rows import ArgumentRow
 from antdsl.program.tables.things import list_replacements
 from antdsl.program.tables.units import choose_default_unit, find_unit_measure
@@ -70,7 +70,7 @@ def find_argument_type(arg: ArgumentRow) -> ValueType:
     return parse_type_words(rest if first in ("added", "own") else arg.type) or BAD_TYPE
 
 
-def _match_arguments(scope: NameScope, row: Effect, line: nodes.VerbLine, form: str) -> WrittenArguments | None:
+def _match_arguments(scope: NameScope, row: EffectRow, line: nodes.VerbLine, form: str) -> WrittenArguments | None:
     """Return the argument nodes by name; None after an error."""
     if line.amount is not None:
         return {row.args[0].name: line.amount}
@@ -89,7 +89,7 @@ def _match_arguments(scope: NameScope, row: Effect, line: nodes.VerbLine, form: 
 
 def _type_argument(
     scope: NameScope,
-    row: Effect,
+    row: EffectRow,
     line: nodes.VerbLine,
     arg: ArgumentRow,
     written_arguments: WrittenArguments,
@@ -110,7 +110,7 @@ def _type_argument(
     ) or make_bad_expression(node.span)
 
 
-def _type_recipient(scope: NameScope, row: Effect, line: nodes.VerbLine, node: nodes.Expr) -> Expr:
+def _type_recipient(scope: NameScope, row: EffectRow, line: nodes.VerbLine, node: nodes.Expr) -> Expr:
     """Return the agent that a line addresses with `to`. Report an error if it is not a single agent of a known species."""
     expr = type_value(scope, node)
     if expr.type.kind is TypeKind.BAD:
@@ -118,25 +118,25 @@ def _type_recipient(scope: NameScope, row: Effect, line: nodes.VerbLine, node: n
     text = " ".join(node.span.text.split())
     if expr.type.kind is TypeKind.SPECIES:
         message = f"`{text}` means all agents of a species, but `{row.op} … to` needs one agent"
-        return scope.reject("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
+        return scope.report_error("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
     if expr.type.kind is not TypeKind.AGENT:
         return report_mismatch(scope.report, node, expr.type, ValueType(TypeKind.AGENT), f"`{row.op} … to`")
     if expr.type.referent is None:
         advice = "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`"
-        return scope.reject("wrong-argument", f"no species is known for {quote_source(node.span)} is", node.span, advice)
+        return scope.report_error("wrong-argument", f"no species is known for {quote_source(node.span)} is", node.span, advice)
     if line.name is not None:
         scope.mark_used("told", f"{line.name.text} {expr.type.referent}")
     return expr
 
 
-def _find_own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: nodes.Expr) -> str | None:
+def _find_own_attribute(scope: NameScope, row: EffectRow, arg: ArgumentRow, node: nodes.Expr) -> str | None:
     """Return the name of the agent's own attribute that an argument names; None after an error."""
     species, want = scope.species, find_argument_type(arg)
     assert species is not None
     name = node.name.text if isinstance(node, nodes.NameRef) else ""
     type = species.attributes.get(name)
     if name:
-        scope.bind_own(node.span, name)
+        scope.record_own_name_use(node.span, name)
     if type == want:
         scope.declarations.written_attributes.add(f"{species.name}.{name}")
         return name
@@ -151,7 +151,7 @@ def _find_own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: n
 
 
 def _report_missing_arguments(
-    scope: NameScope, row: Effect, line: nodes.VerbLine, written_arguments: WrittenArguments, form: str
+    scope: NameScope, row: EffectRow, line: nodes.VerbLine, written_arguments: WrittenArguments, form: str
 ) -> bool:
     """Report the required arguments that a line lacks. Return whether at least one is missing."""
     missing = [arg for arg in row.args if arg.default is None and not arg.is_optional and arg.name not in written_arguments]
@@ -162,7 +162,7 @@ def _report_missing_arguments(
     return bool(missing)
 
 
-def _is_declared(scope: NameScope, row: Effect, name: nodes.Name | None) -> bool:
+def _is_declared(scope: NameScope, row: EffectRow, name: nodes.Name | None) -> bool:
     """Return whether the thing that a line names is declared; report an error if not.
 
     An event needs no declaration, but must not be a built-in one."""

@@ -21,7 +21,7 @@ def type_fuzzy_mean(scope: NameScope, node: nodes.Fuzzy) -> Expr:
     The arguments of the operation are degree, output, degree, output, …"""
     if not node.rules:
         message = f"`fuzzy {node.name.text}` has no rules"
-        return scope.reject("empty-fuzzy", message, node.span, "write rules such as `near and fast -> 0.8`")
+        return scope.report_error("empty-fuzzy", message, node.span, "write rules such as `near and fast -> 0.8`")
     if len(node.rules) > limits.MAX_FUZZY_RULES:
         over = node.rules[limits.MAX_FUZZY_RULES].span
         scope.report.error("too-many", f"more than {limits.MAX_FUZZY_RULES} rules in one `fuzzy`", over, "put some together")
@@ -52,7 +52,7 @@ def _type_degree(scope: NameScope, node: nodes.Expr) -> Expr:
         text = " ".join(node.span.text.split())
         message = f"{quote_source(node.span)} is {describe_type(expr.type)}, but a rule needs a share from 0 to 1"
         advice = f"define its start and its end: `rising({text if len(text) <= 30 else '…'}, a .. b)`"
-        return scope.reject("wrong-unit", message, node.span, advice)
+        return scope.report_error("wrong-unit", message, node.span, advice)
     known = find_constant(expr)
     if known is not None and not 0 <= known.number <= 1:
         message = f"{quote_source(node.span)} is not a degree of truth"

@@ -86,7 +86,7 @@ def _find_state_index(scope: NameScope, names: MachineNames, state: nodes.Name) 
     None."""
     species, _, machine = names.key.partition(".")
     if state.text in names.states:
-        scope.bind(state.span, "state", species, machine, state.text)
+        scope.record_name_use(state.span, "state", species, machine, state.text)
         return names.states[state.text]
     return names.states.get(report_unknown_state(scope, state, species, list(names.states)) or "")
 
@@ -261,7 +261,7 @@ def _type_choices(scope: NameScope, names: MachineNames, target: nodes.Target) -
     choices: list[tuple[int, Expr]] = []
     for choice in target.choices:
         weight = type_value_as(
-            scope.with_changes(runs_once=True), choice.weight, NUMBER_TYPE, f"the weight of `{choice.target.text}`"
+            scope.with_changes(is_evaluated_once=True), choice.weight, NUMBER_TYPE, f"the weight of `{choice.target.text}`"
         )
         constant = find_constant(weight)
         if constant is not None and constant.number < 0:

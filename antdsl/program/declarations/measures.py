@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from antdsl import limits
-from antdsl.program.declarations.specs import draws_nothing
+from antdsl.program.declarations.specs import is_free_of_draws
 from antdsl.program.declarations.world import make_outer_scope
 from antdsl.program.expectations import Measure
 from antdsl.program.model import ChangeRate, TypeKind
@@ -63,7 +63,7 @@ def check_measures(declarations: Declarations, file_by_name: Mapping[str, FileNa
 def _check_measure(declarations: Declarations, file: FileNames, node: nodes.Measure) -> Measure | None:
     scope = make_outer_scope(SpecRules(declarations).declarations, file, "measure")
     value = type_value(scope, node.value)
-    if value.type.kind is TypeKind.BAD or not draws_nothing(declarations.report, value, "a measure"):
+    if value.type.kind is TypeKind.BAD or not is_free_of_draws(declarations.report, value, "a measure"):
         return None
     if value.rate > ChangeRate.STEP or value.type.kind not in _REPORTED_KINDS:
         text = quote_source(value.span)

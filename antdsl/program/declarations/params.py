@@ -23,7 +23,7 @@ from antdsl.syntax import nodes
 
 
 @dataclass(frozen=True, slots=True)
-class _ParamNumber:
+class _WrittenParamNumber:
     """The value of a param, or one end of its range: the syntax node and the constant."""
 
     node: nodes.Expr
@@ -59,7 +59,11 @@ def check_param(scope: NameScope, node: nodes.Declaration) -> model.Param | None
     if node.range is not None:
         low, high = (_type_constant(scope, end, f"the range of `{name}`") for end in (node.range.low, node.range.high))
         if low is not None and high is not None:
-            three = [_ParamNumber(node.value, default), _ParamNumber(node.range.low, low), _ParamNumber(node.range.high, high)]
+            three = [
+                _WrittenParamNumber(node.value, default),
+                _WrittenParamNumber(node.range.low, low),
+                _WrittenParamNumber(node.range.high, high),
+            ]
             default, low, high = (each.constant for each in _unify_types(scope, node, three))
     names.params[name] = default.type
     help = node.help.text if node.help else ""
@@ -78,7 +82,9 @@ def _type_constant(scope: NameScope, node: nodes.Expr, subject: str) -> Constant
     return constant
 
 
-def _unify_types(scope: NameScope, node: nodes.Declaration, param_numbers: list[_ParamNumber]) -> list[_ParamNumber]:
+def _unify_types(
+    scope: NameScope, node: nodes.Declaration, param_numbers: list[_WrittenParamNumber]
+) -> list[_WrittenParamNumber]:
     """Return the value, the lower end and the upper end with one type.
 
     A number of another type is reported, and gets the type of the others."""
@@ -111,7 +117,7 @@ def _convert_to_type_of(const: Constant, reference: Constant) -> Constant:
 
 
 def _report_differing_type(
-    scope: NameScope, param_numbers: Sequence[_ParamNumber], odd_index: int, expected_type: ValueType, subject: str
+    scope: NameScope, param_numbers: Sequence[_WrittenParamNumber], odd_index: int, expected_type: ValueType, subject: str
 ) -> None:
     """Report the number at `odd_index`, which has another type than the other two of value, lower end and upper end."""
     node, type = param_numbers[odd_index].node, param_numbers[odd_index].constant.type
@@ -126,7 +132,7 @@ def _report_differing_type(
     scope.report.error("wrong-unit", message, node.span, advice if fix is None else f"{advice}, such as `{instead}`", fix=fix)
 
 
-def _suggest_number(param_numbers: Sequence[_ParamNumber], odd_index: int) -> str | None:
+def _suggest_number(param_numbers: Sequence[_WrittenParamNumber], odd_index: int) -> str | None:
     """Return the text that replaces the number at `odd_index`, so that value, lower end and upper end have one type.
 
     It is the number with another unit, or else the nearer of the other two numbers. None if there is no such text."""
@@ -144,7 +150,7 @@ def _suggest_number(param_numbers: Sequence[_ParamNumber], odd_index: int) -> st
     return next((" ".join(each.node.span.text.split()) for each in near if is_consistent_with(each.constant)), None)
 
 
-def _compute_values_by_unit(node: nodes.Expr, others: Sequence[_ParamNumber]) -> dict[str, Constant]:
+def _compute_values_by_unit(node: nodes.Expr, others: Sequence[_WrittenParamNumber]) -> dict[str, Constant]:
     """Return the constant for the number in `node` with each possible unit: the units of the other numbers, and all units of
     their dimension."""
     if not isinstance(node, (nodes.Number, nodes.Quantity)):
@@ -173,7 +179,9 @@ def _is_consistent(consts: Sequence[Constant]) -> bool:
     return len({(each.unit_power, each.step) for each in consts}) > 1 or low.number <= value.number <= high.number
 
 
-def _report_missing_units(scope: NameScope, param_numbers: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]) -> None:
+def _report_missing_units(
+    scope: NameScope, param_numbers: Sequence[_WrittenParamNumber], unit_numbers: Sequence[_WrittenParamNumber]
+) -> None:
     """Report numbers without a unit; one fix adds the unit to all of them."""
     bare = [each for each in param_numbers if each.is_unitless]
     unit = _find_common_unit(param_numbers, unit_numbers)
@@ -189,14 +197,14 @@ def _report_missing_units(scope: NameScope, param_numbers: Sequence[_ParamNumber
     scope.report.error("missing-unit", _format_missing_units(bare, unit_numbers), span, advice, fix=Fix(span, text))
 
 
-def _format_missing_units(unitless_numbers: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]) -> str:
+def _format_missing_units(unitless_numbers: Sequence[_WrittenParamNumber], unit_numbers: Sequence[_WrittenParamNumber]) -> str:
     which = " and ".join(quote_source(each.node.span) for each in unitless_numbers)
     has = "has" if len(unitless_numbers) == 1 else "have"
     first = unit_numbers[0]
     return f"{which} {has} no unit, and {quote_source(first.node.span)} is {describe_dimension(first.constant.type.dimension)}"
 
 
-def _find_common_unit(param_numbers: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]) -> str | None:
+def _find_common_unit(param_numbers: Sequence[_WrittenParamNumber], unit_numbers: Sequence[_WrittenParamNumber]) -> str | None:
     """Return a unit with which the numbers without a unit match the others. It is a unit in the source, or another one of the
     same dimension."""
     by_unit = [_compute_values_by_unit(each.node, unit_numbers) for each in param_numbers]
@@ -213,9 +221,9 @@ def _find_common_unit(param_numbers: Sequence[_ParamNumber], unit_numbers: Seque
 
 def _report_no_unit(
     scope: NameScope,
-    param_numbers: Sequence[_ParamNumber],
-    unitless_numbers: Sequence[_ParamNumber],
-    unit_numbers: Sequence[_ParamNumber],
+    param_numbers: Sequence[_WrittenParamNumber],
+    unitless_numbers: Sequence[_WrittenParamNumber],
+    unit_numbers: Sequence[_WrittenParamNumber],
 ) -> None:
     span = Span(unitless_numbers[0].node.span.source, unitless_numbers[0].node.span.start, unitless_numbers[-1].node.span.end)
     instead = _suggest_number(param_numbers, param_numbers.index(unitless_numbers[0])) if len(unitless_numbers) == 1 else None
@@ -232,7 +240,7 @@ def _report_no_unit(
     )
 
 
-def _check_order(scope: NameScope, node: nodes.Declaration, param_numbers: list[_ParamNumber]) -> None:
+def _check_order(scope: NameScope, node: nodes.Declaration, param_numbers: list[_WrittenParamNumber]) -> None:
     """Report a range that ends before it begins, and a value outside the range. Numbers that depend on the scene are not
     checked."""
     value, low, high = param_numbers
@@ -270,11 +278,11 @@ def _check_order(scope: NameScope, node: nodes.Declaration, param_numbers: list[
     scope.report.error("out-of-range", message, value.node.span, advice, fix=Fix(value.node.span, better) if better else None)
 
 
-def _format_order_advice(end: _ParamNumber, low: _ParamNumber) -> str:
+def _format_order_advice(end: _WrittenParamNumber, low: _WrittenParamNumber) -> str:
     return "write a beginning below" if end is low else "write an upper end above"
 
 
-def _suggest_within_limits(param_numbers: Sequence[_ParamNumber]) -> str | None:
+def _suggest_within_limits(param_numbers: Sequence[_WrittenParamNumber]) -> str | None:
     """Return the value with the unit of the range's ends, if that lies in the range; else None. It replaces a wrong unit."""
     value, low, high = param_numbers
     units = {each.unit for each in (low, high)} - {""}

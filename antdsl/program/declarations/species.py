@@ -43,7 +43,7 @@ _PURE_LET_REASON = "a `let` only names a value"
 
 
 @dataclass(slots=True)
-class SpeciesDraft:
+class PartlyCheckedSpecies:
     """A species under construction: its own names, so that other species may refer to them. `complete_species` adds the other
     members."""
 
@@ -54,7 +54,7 @@ class SpeciesDraft:
     attributes: list[model.AttributeDecl]
 
 
-def draft_species(declarations: Declarations, file: FileNames, node: nodes.Species) -> SpeciesDraft:
+def begin_species(declarations: Declarations, file: FileNames, node: nodes.Species) -> PartlyCheckedSpecies:
     """Check the params and attributes of a species."""
     names = declarations.species[node.name.text]
     scope = NameScope(
@@ -67,7 +67,7 @@ def draft_species(declarations: Declarations, file: FileNames, node: nodes.Speci
         declarations, ("draft", names.name, names.edition, head, node.name), lambda: _check_draft(scope, node)
     )
     names.attributes, names.pair_value_species, names.params = (dict(each) for each in known)
-    return SpeciesDraft(names, node, scope, params, attributes)
+    return PartlyCheckedSpecies(names, node, scope, params, attributes)
 
 
 def _check_draft(
@@ -112,7 +112,7 @@ def _check_names(scope: NameScope, node: nodes.Species) -> None:
 # --- the rest --------------------------------------------------------------------------------------------------------
 
 
-def complete_species(species_draft: SpeciesDraft) -> model.Species:
+def complete_species(species_draft: PartlyCheckedSpecies) -> model.Species:
     """Check lets, latches, handlers, machines and layers. The attributes of all species must be known."""
     names, node = species_draft.names, species_draft.node
     key = ("species", node.name, names.edition, node.help, node.members, *species_draft.attributes, *species_draft.params)
@@ -123,7 +123,7 @@ def complete_species(species_draft: SpeciesDraft) -> model.Species:
     return species
 
 
-def _check_members(species_draft: SpeciesDraft) -> model.Species:
+def _check_members(species_draft: PartlyCheckedSpecies) -> model.Species:
     scope, node, names = species_draft.scope, species_draft.node, species_draft.names
     declarations: dict[str, nodes.Declaration] = {}
     for member in node.members:
@@ -298,7 +298,7 @@ def _find_partner_species(scope: NameScope, node: nodes.On) -> str:
     thing = scope.declarations.things.get(name.text)
     if name.text in known:
         scope.mark_used("species", name.text)
-        scope.bind(name.span, "species", name.text)
+        scope.record_name_use(name.span, "species", name.text)
         return name.text
     if thing is not None:
         advice = f"test it in a state: `when touching({name.text}) -> …`"

@@ -38,7 +38,7 @@ from antdsl.syntax.words import FIXED_FIELD_SETTINGS
 MAX_SEEDS = 1000
 _COMPARISON_OPERATIONS = ("lt", "le", "gt", "ge", "eq", "ne")
 _REFERENCE_KINDS = (TypeKind.ITEM, TypeKind.AGENT)
-_WHOLE_SPEC_WORDS = ("seeds", "pass", "set", "against", "sooner", "goal", "each")  # words of lines outside of `each`
+_WORDS_ALLOWED_ONCE = ("seeds", "pass", "set", "against", "sooner", "goal", "each")  # words of lines outside of `each`
 _SETTING_WORDS = ("seeds", "pass", "set", "until")  # words of lines that set up the run
 
 
@@ -223,8 +223,8 @@ def _bind_target(scope: NameScope, target: nodes.Expr | nodes.Text, owner: str, 
     """Record the declarations of the two names in `forager.smell` or `trail.half_life`. `owner` and `value` are their kinds."""
     if isinstance(target, nodes.Member) and isinstance(target.owner, nodes.NameRef):
         name, word = target.owner.name.text, target.name.text
-        scope.bind(target.owner.span, owner, name)
-        scope.bind(target.name.span, *((value, word) if value == "setting" else (value, name, word)))
+        scope.record_name_use(target.owner.span, owner, name)
+        scope.record_name_use(target.name.span, *((value, word) if value == "setting" else (value, name, word)))
 
 
 def _check_range(work: _SpecCheck, node: nodes.Expr, param: Param, expr: Expr) -> None:
@@ -251,7 +251,7 @@ def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
         declared.report.error("unknown-species", message, line.target.span, suggest_name(species, declared.species))
         return
     declared.used_names.add(("species", species))
-    make_outer_scope(declared, work.names, "spec").bind(line.target.span, "species", species)
+    make_outer_scope(declared, work.names, "spec").record_name_use(line.target.span, "species", species)
     work.block_count += 1
     for inner in line.lines:
         if inner.kind in ("seeds", "pass", "set", "against", "sooner", "goal", "each") or (
@@ -278,7 +278,7 @@ def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None
         return
     at_end = any(isinstance(part, MotionMeasure) for each in conditions for part in iterate_parts(each))
     if all(_is_judgeable(work, line, species, each, at_end) for each in conditions) and _allows_time(work, line):
-        readings, block = tuple(_iterate_readings(expr, line.condition)), work.block_count if species else 0
+        readings, block = tuple(_list_readings(expr, line.condition)), work.block_count if species else 0
         work.expectations.append(Expectation(line.kind, block, species, expr, time, readings, at_end, line.span, held, since))
 
 
@@ -303,7 +303,7 @@ def _add_goal(work: _SpecCheck, line: nodes.SpecLine) -> None:
         difference = OperationExpr(value.type, equal.rate, node.span, "sub", (value, target))
         limit = OperationExpr(value.type, equal.rate, node.span, "mul", (_make_absolute(target), share))
         close = OperationExpr(equal.type, equal.rate, node.span, "le", (_make_absolute(difference), limit))
-        readings = tuple(_iterate_readings(equal, node))
+        readings = tuple(_list_readings(equal, node))
         goal = Goal(value, target, tolerance)
         work.expectations.append(Expectation("finally", 0, None, close, None, readings, False, line.span, goal=goal))
 
@@ -341,10 +341,10 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
         advice = "limit it in a line of the spec itself: `always: motion.circling < 5 %`"
         report.error("wrong-argument", "`motion` is measured over the whole run and known only at its end", expr.span, advice)
         return False
-    return draws_nothing(report, expr, "a spec")
+    return is_free_of_draws(report, expr, "a spec")
 
 
-def draws_nothing(report: Report, expr: Expr, place: str) -> bool:
+def is_free_of_draws(report: Report, expr: Expr, place: str) -> bool:
     """Return whether an expression draws no random number; report an error if it does. `place`: where it is, in words."""
     draw = next((p for p in iterate_parts(expr) if isinstance(p, OperationExpr) and p.name in DRAWING_OPERATIONS), None)
     if draw is not None:
@@ -353,7 +353,7 @@ def draws_nothing(report: Report, expr: Expr, place: str) -> bool:
     return draw is None
 
 
-def _iterate_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
+def _list_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
     """Yield the values that the message of a failed expectation reports, in text order.
 
     They are both sides of each comparison, and the other values in the condition."""

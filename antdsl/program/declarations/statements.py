@@ -15,7 +15,7 @@ from antdsl.program.kinds import NUMBER_TYPE, PUSH_TYPE
 from antdsl.program.model import Expr, TypeKind, ValueType
 from antdsl.program.names.scope import NameScope, list_names, parse_type_words, suggest_name
 from antdsl.program.types.arguments import type_point
-from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_disagreement, report_mismatch
+from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_mismatch, report_operand_mismatch
 from antdsl.program.types.operators import type_facing_direction, type_value, type_value_as
 from antdsl.program.types.pair_values import type_set_index
 from antdsl.source import Span
@@ -24,7 +24,7 @@ from antdsl.syntax import nodes
 
 def check_statements(scope: NameScope, lines: Iterable[object], block: StatementContext) -> tuple[model.Statement, ...]:
     """Return the statements of a block in text order, without those that have errors."""
-    scope = scope.with_changes(runs_once=not block.is_state_body)
+    scope = scope.with_changes(is_evaluated_once=not block.is_state_body)
     checked_statements: list[model.Statement] = []
     assigned: dict[str, Span] = {}
     for line in lines:
@@ -101,11 +101,15 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
             return None
         change = type_amount_or_rate(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
         return None if change is None else model.Assign(name, line.op, change, block.is_state_body, line.span, of, over, element)
-    if block.must_commute and name not in ("heading", "velocity") and type.kind not in (TypeKind.AGENT, TypeKind.ITEM):
+    if (
+        block.must_be_order_independent
+        and name not in ("heading", "velocity")
+        and type.kind not in (TypeKind.AGENT, TypeKind.ITEM)
+    ):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
         words = f"`{what}` is set in a handler, but several events may occur at once"
-        change = f"`when … -> … {{ {what} = {text} }}`"
-        advice = f"add to it: `{what} += {text}`, or set it in a transition that tests for the event: {change}"
+        transition = f"`when … -> … {{ {what} = {text} }}`"
+        advice = f"add to it: `{what} += {text}`, or set it in a transition that tests for the event: {transition}"
         scope.report.error("not-commuting", words, line.span, advice)
         return None
     new = type_value_as(inner, line.value, type, f"`{name}`")
@@ -118,7 +122,7 @@ def _find_assigned_attribute(
     """Return the name and the type of the attribute on the left of an assignment. None after an error."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
-    scope.bind_own(name.span, name.text)
+    scope.record_own_name_use(name.span, name.text)
     if text in species.pair_value_species:
         report.error("wrong-kind", f"`{text}` is a value per pair: name the other agent", name.span, f"write `{text}[other]`")
         return None
@@ -191,7 +195,7 @@ def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
     amount = None
     if line.amount is not None:
         amount = type_value_as(
-            scope.with_changes(runs_once=True),
+            scope.with_changes(is_evaluated_once=True),
             line.amount,
             own or NUMBER_TYPE,
             " ".join(("`take …", f"{called}`" if called else "`")),
@@ -231,7 +235,7 @@ def _is_field_amount(scope: NameScope, node: nodes.Expr, expr: Expr, attribute: 
     if own_type.kind is TypeKind.BAD or is_compatible(NUMBER_TYPE, own_type):
         return own_type.kind is not TypeKind.BAD
     a = model.AttributeRef(own_type, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
-    report_disagreement(
+    report_operand_mismatch(
         scope.report,
         "take",
         attribute.span,
@@ -245,7 +249,7 @@ def _find_amount_type(scope: NameScope, name: nodes.Name, purpose: str) -> Value
     species = scope.species
     assert species is not None
     type = species.attributes.get(name.text)
-    scope.bind_own(name.span, name.text)
+    scope.record_own_name_use(name.span, name.text)
     if type is None or name.text in species.pair_value_species:
         known = [a for a in species.attributes if a not in species.pair_value_species]
         scope.report.error(
@@ -285,11 +289,11 @@ def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribut
             ),
         )
         return False
-    scope.bind_value(attribute.span, item_expr.type, attribute.text)
+    scope.record_value_use(attribute.span, item_expr.type, attribute.text)
     if not is_compatible(held[attribute.text], own_type):
         a = model.AttributeRef(own_type, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
         b = model.AttributeRef(held[attribute.text], model.ChangeRate.AGENT, node.span, item_expr, attribute.text)
-        report_disagreement(
+        report_operand_mismatch(
             scope.report, "take and give", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, b)
         )
         return False

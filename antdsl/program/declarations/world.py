@@ -22,7 +22,7 @@ from antdsl.program.names.scope import (
 )
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import make_number
-from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTE_TYPES, builtin_attributes
+from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTE_TYPES, get_builtin_attributes
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch
 from antdsl.program.types.folding import find_constant
 from antdsl.program.types.operators import type_value, type_value_as
@@ -86,7 +86,7 @@ def _check_attribute(
     twice = [d for d in item.attributes if d.name.text == name]
     if twice[0] is not node:
         report_duplicate(report, "attribute", node.name, twice[0].name.span)
-    taken = ITEM_ATTRIBUTE_TYPES if item.kind.text == "items" else builtin_attributes(names.node.edition_number)
+    taken = ITEM_ATTRIBUTE_TYPES if item.kind.text == "items" else get_builtin_attributes(names.node.edition_number)
     if name in taken:
         message = f"all `{item.name.text}` have a `{name}` already"
         report.error("reserved-name", message, node.name.span, f"choose another name, such as `my_{name}`")

@@ -11,16 +11,16 @@ from typing import Any
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.kinds import BAD_TYPE
-from antdsl.program.memo import CheckMemo
+from antdsl.program.memo import CheckResultCache
 from antdsl.program.model import Binding, ChangeRate, Dimension, Expr, ThingRef, TypeKind, ValueType, WorldThing
 from antdsl.program.names.bindings import NameUse
-from antdsl.program.tables.editions import STANDING_SETTING
+from antdsl.program.tables.editions import STANDING_SIZE_SETTING
 from antdsl.program.tables.vocabulary import (
     HIT_ATTRIBUTE_TYPES,
     ITEM_ATTRIBUTE_TYPES,
     TYPE_BY_WORD,
     BuiltinAttribute,
-    builtin_attributes,
+    get_builtin_attributes,
 )
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -55,14 +55,14 @@ class SpeciesNames:
     @property
     def builtins(self) -> Mapping[str, BuiltinAttribute]:
         """Return the built-in attributes of agents of the species."""
-        rows = builtin_attributes(self.edition)
+        rows = get_builtin_attributes(self.edition)
         return rows if self.has_standing_bodies else {name: row for name, row in rows.items() if not row.is_for_standing}
 
     @property
     def has_standing_bodies(self) -> bool:
         """Return whether the species has standing bodies, because it sets their height."""
         members = () if self.node is None else self.node.members
-        return any(isinstance(each, nodes.AnimalProperty) and each.name.text == STANDING_SETTING for each in members)
+        return any(isinstance(each, nodes.AnimalProperty) and each.name.text == STANDING_SIZE_SETTING for each in members)
 
 
 @dataclass(slots=True)
@@ -125,7 +125,7 @@ class Declarations:
         default_factory=dict
     )  # all uses of each missing name, by kind and place
     expanded_count: int = 0  # operations in all expanded behaviours
-    memo: CheckMemo | None = None  # results of an earlier check
+    memo: CheckResultCache | None = None  # results of an earlier check
     outside_number: int = 0  # number of the declarations that parts can see of other parts
 
 
@@ -179,12 +179,12 @@ class NameScope:
     no_keep_reason: str | None = None  # reason for which no `keep` is allowed here, for messages
     no_let_reason: str | None = None  # reason for which no `let` can be read here, for messages
     allows_degrees: bool = False  # in a rule of `fuzzy`: a bool next to a degree counts as 1 or 0
-    runs_once: bool = False  # the line runs once, not in each step: amounts instead of rates
+    is_evaluated_once: bool = False  # the line runs once, not in each step: amounts instead of rates
 
     @property
     def builtins(self) -> Mapping[str, BuiltinAttribute]:
         """Return the built-in attributes of the agents at this place."""
-        return builtin_attributes(self.edition) if self.species is None else self.species.builtins
+        return get_builtin_attributes(self.edition) if self.species is None else self.species.builtins
 
     @property
     def edition(self) -> int:
@@ -199,42 +199,42 @@ class NameScope:
         meaning. It is not enforced."""
         return self.declarations.rules[type(node)](self, node, expected_type)
 
-    def reject(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
+    def report_error(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
         """Report an error about an expression, and return its replacement."""
         self.report.error(code, message, span, help, **details)
         return make_bad_expression(span)
 
-    def bind(self, span: Span, *key: str) -> None:
+    def record_name_use(self, span: Span, *key: str) -> None:
         """Record the declaration of the name at a span. Names in an expanded behaviour are not recorded: their text is
         elsewhere."""
         if self.behaviour is None or self.is_generic:
             self.declarations.name_uses.append(NameUse(span, key))
 
-    def bind_local(self, span: Span, declaration: Span) -> None:
-        """Like `bind`, for a name that is declared in the surrounding text, at the span `declaration`."""
+    def record_local_name_use(self, span: Span, declaration: Span) -> None:
+        """Like `record_name_use`, for a name that is declared in the surrounding text, at the span `declaration`."""
         if self.behaviour is None or self.is_generic:
             self.declarations.name_uses.append(NameUse(span, declaration))
 
-    def bind_thing(self, name: nodes.Name) -> None:
-        """Like `bind`, for a name that can only be a species or a thing of the world."""
+    def record_thing_use(self, name: nodes.Name) -> None:
+        """Like `record_name_use`, for a name that can only be a species or a thing of the world."""
         kinds = (("species", self.declarations.species), ("thing", self.declarations.things))
         for kind in (kind for kind, known in kinds if name.text in known):
-            self.bind(name.span, kind, name.text)
+            self.record_name_use(name.span, kind, name.text)
             return
 
-    def bind_own(self, span: Span, name: str, owner: SpeciesNames | None = None) -> None:
-        """Like `bind`, for a name that can only be a member of a species. `owner`: the species, if it is not the one at this
-        place."""
+    def record_own_name_use(self, span: Span, name: str, owner: SpeciesNames | None = None) -> None:
+        """Like `record_name_use`, for a name that can only be a member of a species. `owner`: the species, if it is not the one
+        at this place."""
         owner = owner or self.species
         if owner is not None and (
             name in owner.attributes or name in owner.params or name in owner.bindings or name in owner.untyped_names
         ):
-            self.bind(span, "own", owner.name, name)
+            self.record_name_use(span, "own", owner.name, name)
 
-    def bind_value(self, span: Span, owner: ValueType, name: str) -> None:
-        """Like `bind`, for a value that an item, agent or hit has."""
+    def record_value_use(self, span: Span, owner: ValueType, name: str) -> None:
+        """Like `record_name_use`, for a value that an item, agent or hit has."""
         if owner.kind is TypeKind.AGENT:
-            self.bind(
+            self.record_name_use(
                 span,
                 *(
                     ("given", name)
@@ -243,19 +243,20 @@ class NameScope:
                 ),
             )
         elif owner.kind is TypeKind.HIT or owner.referent == "hit":
-            self.bind(span, "hit-given", name)
+            self.record_name_use(span, "hit-given", name)
         else:
             thing = self.declarations.things.get(owner.referent or "")
             own = thing is not None and any(each.name == name for each in thing.attributes)
-            self.bind(span, *(("attribute", owner.referent or "", name) if own else ("item-given", name)))
+            self.record_name_use(span, *(("attribute", owner.referent or "", name) if own else ("item-given", name)))
 
-    def bind_unreadable(self, name: nodes.Name, owner: ValueType) -> None:
-        """Like `bind`, for a declared value that cannot be read here, such as a param of one agent or a value of all items."""
+    def record_possible_use(self, name: nodes.Name, owner: ValueType) -> None:
+        """Like `record_name_use`, for a declared value that cannot be read here, such as a param of one agent or a value of all
+        items."""
         one = ValueType(TypeKind.ITEM, referent=owner.referent)
         if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.referent in self.declarations.species:
-            self.bind_own(name.span, name.text, self.declarations.species[owner.referent])
+            self.record_own_name_use(name.span, name.text, self.declarations.species[owner.referent])
         elif owner.kind is TypeKind.ITEMS and name.text in find_attributes(self.declarations, one):
-            self.bind_value(name.span, one, name.text)
+            self.record_value_use(name.span, one, name.text)
 
     def mark_used(self, kind: str, name: str) -> None:
         """Record that a declared name is used."""
@@ -313,7 +314,7 @@ def find_builtins_of_agent(declarations: Declarations, type: ValueType) -> Mappi
 
     An agent of unknown species has the attributes of edition 1, which every agent has."""
     names = declarations.species.get(type.referent or "")
-    return builtin_attributes(1) if names is None else names.builtins
+    return get_builtin_attributes(1) if names is None else names.builtins
 
 
 def _parse_types(table: Mapping[str, str]) -> dict[str, ValueType]:

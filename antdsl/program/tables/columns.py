@@ -87,37 +87,37 @@ class Column:
         return scale if self.unit.startswith("mm") else 1.0
 
 
-_ALL, _SCENES = "usd gltf geo csv", "usd geo"
+_ALL_EXPORTS, _SCENE_EXPORTS = "usd gltf geo csv", "usd geo"
 # fmt: off
 AGENT_COLUMNS = (
     Column("frame", "derived", "i8", (), "its number", save_mode="always", row_kind="frame"),
     Column("speed", "derived", "f4", (), "length of the velocity", "mm/s", packet="speed f4"),
     Column("born", "fixed", "i8", (), "frame of birth", packet="born i4"),
     Column("quarantined", "fixed", "b1", (), "whether it stopped acting after a fault"),
-    Column("position", "fixed", "f8", (3,), "position", "mm", survives_reload=False, save_mode="default", alias="P", exports=_ALL,
-           packet="position f4", in_preview=True, interpolation="linear"),
+    Column("position", "fixed", "f8", (3,), "position", "mm", survives_reload=False, save_mode="default", alias="P",
+           exports=_ALL_EXPORTS, packet="position f4", in_preview=True, interpolation="linear"),
     Column("normal", "fixed", "f4", (3,), "normal of the ground on its side", inherited_array="normal"),
     Column("position", "register", "f4", (3,), "position as programs read it", "mm"),
-    Column("velocity", "register", "f4", (3,), "velocity, per second", "mm/s", save_mode="default", alias="v", exports=_SCENES,
-           interpolation="linear"),
+    Column("velocity", "register", "f4", (3,), "velocity, per second", "mm/s", save_mode="default", alias="v",
+           exports=_SCENE_EXPORTS, interpolation="linear"),
     Column("heading", "register", "f4", (3,), "unit vector ahead", packet="heading i1", in_preview=True),
     Column("up", "register", "f4", (3,), "unit vector up", packet="up i1", in_preview=True),
     Column("orient", "derived", "f4", (4,), "quaternion x y z w that turns +x to the heading and +y to the agent's up",
-           save_mode="default", exports=_ALL, interpolation="rotation"),
+           save_mode="default", exports=_ALL_EXPORTS, interpolation="rotation"),
     Column("ids", "fixed", "i8", (), "number of the agent within its species", is_hashed=False, survives_reload=False,
-           save_mode="default", alias="id", exports=_ALL, packet="id i4", in_preview=True),
+           save_mode="default", alias="id", exports=_ALL_EXPORTS, packet="id i4", in_preview=True),
     Column("size", "register", "f4", (), "body length", "mm", survives_reload=False, save_mode="default", alias="pscale",
-           exports=_ALL, packet="size f4", in_preview=True, interpolation="linear"),
+           exports=_ALL_EXPORTS, packet="size f4", in_preview=True, interpolation="linear"),
     Column("Cd", "derived", "f4", (3,), "colour of its state, display (sRGB), 0 to 1",
            save_mode="default", exports="usd gltf geo"),
     Column("state", "derived", "i2", (), "its state in the first machine: an index into the manifest's list", save_mode="default",
-           exports=_SCENES),
+           exports=_SCENE_EXPORTS),
     Column("species", "derived", "i2", (), "an index into the manifest's list; always present with more than one species",
-           save_mode="request", exports=_ALL),
+           save_mode="request", exports=_ALL_EXPORTS),
     Column("age", "derived", "f4", (), "seconds since birth", save_mode="request", interpolation="linear"),
     Column("group", "register", "f4", (), "which line of the scene's `crowd` made it, from 0", save_mode="request"),
     Column("v_ground", "derived", "f4", (3,), "velocity of the ground below each agent, if a surface moves. `v` is relative to "
-           "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENES, interpolation="linear"),
+           "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENE_EXPORTS, interpolation="linear"),
     Column("unwrapped", "derived", "f4", (3,), "position without the jumps at the seam, in a "
            "[periodic world](scene.md#periodic-worlds)", save_mode="always", interpolation="linear"),
 )

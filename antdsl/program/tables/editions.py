@@ -39,7 +39,7 @@ class EditionDefault:
 
 # Defaults of species with standing bodies, which set `height` instead of `size`.
 STANDING_DEFAULTS = {"body_clearance": "false", "upright": "100 %", "max_slope": "40 deg"}
-STANDING_SETTING, CRAWLING_SETTING = "height", "size"
+STANDING_SIZE_SETTING, CRAWLING_SIZE_SETTING = "height", "size"
 # Attributes with a register only in species that set them; all other species have this value.
 OPTIONAL_ATTRIBUTES = {"min_speed": 0.0, "upright": 0.0, "max_slope": inf, "crouch": 1.0}
 
@@ -60,6 +60,6 @@ def find_setting_defaults(edition: int, is_standing: bool) -> dict[str, str]:
     "" means that the species must set it. `is_standing`: whether the species sets its height."""
     defaults = {row.setting: row.get_default(edition) for row in EDITION_DEFAULTS}
     if is_standing:
-        del defaults[CRAWLING_SETTING]
-        defaults = {STANDING_SETTING: "", **defaults, **STANDING_DEFAULTS}
+        del defaults[CRAWLING_SIZE_SETTING]
+        defaults = {STANDING_SIZE_SETTING: "", **defaults, **STANDING_DEFAULTS}
     return defaults

@@ -17,7 +17,7 @@ from antdsl.program.tables.rows import ArgumentRow, UseCost
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class EffectRow:
     """A request to the world.
 
     - `target`: the kind of the thing that it names; "" for none.
@@ -85,7 +85,7 @@ class Effect:
 
 
 _EFFECT_ROWS = (
-    Effect(
+    EffectRow(
         "deposit",
         "field",
         (ArgumentRow("amount", "added number"),),
@@ -99,7 +99,7 @@ _EFFECT_ROWS = (
         hides_zero_in_trace=True,
         cost=UseCost(25, "lays {thing}", "fields"),
     ),
-    Effect(
+    EffectRow(
         "carve",
         "solid",
         (
@@ -118,7 +118,7 @@ _EFFECT_ROWS = (
         needs_positive_operand=True,
         cost=UseCost(1000, "digs {thing}"),
     ),
-    Effect(
+    EffectRow(
         "emit",
         "event",
         (ArgumentRow("within", "length", is_optional=True), ArgumentRow("to", "agent", is_optional=True)),
@@ -131,7 +131,7 @@ _EFFECT_ROWS = (
         is_feeding_senses=True,
         cost=UseCost(50, "raises {thing}"),
     ),
-    Effect(
+    EffectRow(
         "spawn",
         "species",
         (),
@@ -143,9 +143,9 @@ _EFFECT_ROWS = (
         state_body_error="would create an agent in every step",
         uses_draws=True,
     ),
-    Effect("die", "", (), "births", "removes this agent", "the agent is removed at t+1", "die", "die", removes_agent=True),
+    EffectRow("die", "", (), "births", "removes this agent", "the agent is removed at t+1", "die", "die", removes_agent=True),
 )
-EFFECT_BY_OPERATION: dict[str, Effect] = {row.op: row for row in _EFFECT_ROWS}
+EFFECT_BY_OPERATION: dict[str, EffectRow] = {row.op: row for row in _EFFECT_ROWS}
 
 
 def list_effects_of_phase(phase: str) -> tuple[str, ...]:

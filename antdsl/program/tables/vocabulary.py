@@ -176,7 +176,7 @@ _BUILTINS_BY_EDITION = {
 }
 
 
-def builtin_attributes(edition: int) -> Mapping[str, BuiltinAttribute]:
+def get_builtin_attributes(edition: int) -> Mapping[str, BuiltinAttribute]:
     """Return the attributes that every agent has in an edition, by name."""
     return _BUILTINS_BY_EDITION[edition]
 
@@ -195,7 +195,7 @@ def explain_range(name: str, number: float) -> str | None:
     return None
 
 
-def is_limit(name: str) -> bool:
+def is_limit_attribute(name: str) -> bool:
     """Return whether a built-in attribute is a limit, which may be infinite."""
     return name in BUILTIN_ATTRIBUTE_BY_NAME and BUILTIN_ATTRIBUTE_BY_NAME[name].can_be_unlimited
 

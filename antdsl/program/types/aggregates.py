@@ -78,7 +78,7 @@ class SpecRules:
             when = "at the start" if name == "at_start" else "in the reference run"
             message = f"`{name}` needs a comparison: it stands for the value of the other side {when}"
             advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
-            return scope.reject("at-start-alone", message, node.span, advice)
+            return scope.report_error("at-start-alone", message, node.span, advice)
         species = scope.species
         own_names: set[str] = set() if species is None else {*species.attributes, *species.params, *species.bindings}
         if name in scope.declarations.measures and name not in own_names and name not in scope.local_names:
@@ -90,7 +90,7 @@ class SpecRules:
     def _type_measure(self, scope: NameScope, node: nodes.NameRef) -> Expr:
         """Return the value of a declared measure. Its own errors are reported at its declaration."""
         name = node.name.text
-        scope.bind(node.span, "measure", name)
+        scope.record_name_use(node.span, "measure", name)
         value = scope.declarations.measure_values.get(name)
         if value is None or self._is_nested_aggregate(scope, node.span):
             return make_bad_expression(node.span)
@@ -104,18 +104,18 @@ class SpecRules:
             return make_bad_expression(node.span)
         if condition.rate > ChangeRate.STEP:
             message = f"{quote_source(operand.span)} differs from agent to agent, so it has no single time"
-            return scope.reject("wrong-rate", message, operand.span, "write a `share`, `count`, `any` or `every` of all")
+            return scope.report_error("wrong-rate", message, operand.span, "write a `share`, `count`, `any` or `every` of all")
         return TimeOf(TIME_TYPE, ChangeRate.STEP, node.span, condition)
 
     def _type_start_value(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
         if self.is_in_aggregate:
             message = "`at_start` cannot be inside an expression that is computed for each agent"
-            return scope.reject("set-in-set", message, span, "write `at_start(total(food.load))`")
+            return scope.report_error("set-in-set", message, span, "write `at_start(total(food.load))`")
         if expr.type.kind is TypeKind.BAD:
             return make_bad_expression(span)
         if expr.type.kind is not TypeKind.NUMBER:
             words = f"`at_start` needs a number, but this is {describe_type(expr.type)}"
-            return scope.reject("wrong-kind", words, span, "compare numbers")
+            return scope.report_error("wrong-kind", words, span, "compare numbers")
         return StartValue(expr.type, expr.rate, span, expr)
 
     def _type_reference_run_value(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
@@ -126,7 +126,7 @@ class SpecRules:
         if names_agent or expr.type.kind is not TypeKind.NUMBER or expr.rate > ChangeRate.STEP:
             message = "`other` is a value of the complete reference run, not of one agent"
             advice = "write it in a line of the spec itself: `always: total(nest.load) >= other`"
-            return scope.reject("wrong-rate", message, span, advice)
+            return scope.report_error("wrong-rate", message, span, advice)
         return ReferenceRunValue(expr.type, ChangeRate.STEP, span, expr)
 
     def _type_member(self, scope: NameScope, node: nodes.Member, expected_type: ValueType | None) -> Expr:
@@ -141,12 +141,12 @@ class SpecRules:
             is_own = isinstance(self_there, ThingRef)
             if is_own and species is not None and name in species.params and name not in species.attributes:
                 scope.mark_used("param", f"{species.name}.{name}")
-                scope.bind(owner.span, "species", species.name)
-                scope.bind(node.name.span, "own", species.name, name)
+                scope.record_name_use(owner.span, "species", species.name)
+                scope.record_name_use(node.name.span, "own", species.name, name)
                 return ParamRef(species.params[name], ChangeRate.RUN, node.span, f"{species.name}.{name}")
             bodily = species is not None and name in GEOMETRY_MEASURES and name not in {*species.attributes, *species.params}
             if bodily and isinstance(self_there, ThingRef):
-                scope.bind(owner.span, "species", owner.name.text)
+                scope.record_name_use(owner.span, "species", owner.name.text)
                 return BodyMeasure(parse_type_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
             if self._is_value_of_unnamed_agent(scope, owner.name.text, node):
                 return make_bad_expression(node.span)
@@ -154,10 +154,10 @@ class SpecRules:
 
     def _type_cell(self, scope: NameScope, node: nodes.Member, field: str) -> Expr:
         scope.mark_used("field", field)
-        scope.bind(node.owner.span, "field", field)
+        scope.record_name_use(node.owner.span, "field", field)
         if self.cells == field:
             return CellValue(NUMBER_TYPE, ChangeRate.ELEMENT, node.span, field)
-        return scope.reject(
+        return scope.report_error(
             "wrong-rate", f"`{field}.value` needs a cell", node.span,
             f"use a value of all cells: `max({field}.value)`, `share({field}.value > 0)`; "
             f"at an agent's position, write `{field}` alone",
@@ -175,8 +175,8 @@ class SpecRules:
         if not known or owner in scope.local_names or name in params:
             return False
         if isinstance(node.owner, nodes.NameRef):
-            scope.bind_thing(node.owner.name)
-        scope.bind_value(node.name.span, type, name)
+            scope.record_thing_use(node.owner.name)
+        scope.record_value_use(node.name.span, type, name)
         who = "agent" if kind is TypeKind.SPECIES else "item"
         also = f", or test each agent: `each {owner} {{ always: {name} … }}`" if kind is TypeKind.SPECIES else ""
         advice = f"use a value of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}"
@@ -253,13 +253,13 @@ class SpecRules:
             bare = bare if name in _TRUTH_AGGREGATES else field
         if bare in scope.declarations.fields and name in (*_CELL_AGGREGATES, "count"):
             scope.mark_used("field", bare)
-            scope.bind(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
+            scope.record_name_use(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
             field_type = ValueType(TypeKind.FIELD, referent=bare)
             return AggregateExpr(NUMBER_TYPE, ChangeRate.STEP, node.span, how, field_type, (), None, None)
         thing = scope.declarations.things.get(bare)
         if thing is not None and KIND_BY_WORD[thing.kind].is_dug and name == "total":
             scope.mark_used("thing", bare)
-            scope.bind(operand.span, "thing", bare)
+            scope.record_name_use(operand.span, "thing", bare)
             dug = ValueType(TypeKind(thing.kind), referent=bare)
             return AggregateExpr(_VOLUME_TYPE, ChangeRate.STEP, node.span, how, dug, (), None, None)
         over = ValueType(TypeKind.FIELD, referent=field) if field else find_subject(scope, node, operand)
@@ -267,7 +267,7 @@ class SpecRules:
             return make_bad_expression(node.span)
         inner, elements = (scope.with_changes(species=None), ()) if field else make_element_scope(scope, over, node.span)
         if isinstance(operand, nodes.NameRef) and bare == over.referent:
-            scope.bind_thing(operand.name)
+            scope.record_thing_use(operand.name)
         self.cells = field
         body: Expr | None = None
         if not (name in ("count", "any") and bare == over.referent):
@@ -290,13 +290,13 @@ class SpecRules:
     def _report_no_sum(scope: NameScope, node: nodes.Call, field: str) -> Expr:
         words = f"{quote_source(node.span)} computes a value for each cell of `{field}`"
         known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` or similar"
-        return scope.reject("wrong-argument", words, node.span, known)
+        return scope.report_error("wrong-argument", words, node.span, known)
 
     @staticmethod
     def _report_no_value(scope: NameScope, node: nodes.Call, subject: str) -> Expr:
         value = f"{subject}.{'size' if subject in scope.declarations.species else 'radius'}"
         advice = f"name one, such as `{value}`, or write `count({subject})` for how many there are"
-        return scope.reject(
+        return scope.report_error(
             "wrong-argument", f"{quote_source(node.span)} does not name a value of `{subject}`", node.span, advice
         )
 
@@ -320,7 +320,7 @@ class SpecRules:
         if not is_complete_set or reduction.reducer in ("best", "nearest") or not is_number:
             message = f"{quote_source(reduction.span)} needs an agent, but none is named"
             advice = "move it to `each SPECIES { … }`, or use a `total`, `share`, `mean`, `min`, `max` or `count` of all"
-            return scope.reject("wrong-rate", message, reduction.span, advice)
+            return scope.report_error("wrong-rate", message, reduction.span, advice)
         kind = TypeKind.ITEMS if over.element.type.kind is TypeKind.ITEM else TypeKind.SPECIES
         counts_all = reduction.reducer == "count" and reduction.body is not None and reduction.body.rate <= ChangeRate.CONST
         body = None if counts_all else reduction.body

@@ -60,7 +60,7 @@ def arrange_arguments(
     late: list[tuple[nodes.Argument, str]] = []  # positional arguments after a named one
     for number, argument in enumerate(arguments):
         if argument.name is not None:
-            sound = _add_named(scope, function_name, names, arguments_by_slot, argument) and sound
+            sound = _add_named_argument(scope, function_name, names, arguments_by_slot, argument) and sound
             continue
         while position < len(slots) and slots[position].name in arguments_by_slot and not slots[position].is_variadic:
             position += 1
@@ -82,7 +82,7 @@ def arrange_arguments(
     return None if missing or not sound else arguments_by_slot
 
 
-def _add_named(
+def _add_named_argument(
     scope: NameScope,
     function_name: str,
     names: list[str],

@@ -17,7 +17,7 @@ from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
 from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.types.arguments import ArgumentSlot, arrange_arguments, type_arguments, type_point
-from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_disagreement, report_mismatch
+from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_mismatch, report_operand_mismatch
 from antdsl.program.types.expressions import OPTIONAL_KINDS, THING_KINDS, TypedArgument
 from antdsl.program.types.folding import find_constant, fold_operation
 from antdsl.program.types.operators import convert_to_value, make_draw_site, type_count, type_value
@@ -258,7 +258,7 @@ def _bind_variable(
         agrees = first.type.dimension == expr.type.dimension
     if agrees:
         return expr
-    report_disagreement(scope.report, function_name, node.span, (first_node, first), (node, expr))
+    report_operand_mismatch(scope.report, function_name, node.span, (first_node, first), (node, expr))
     return make_bad_expression(node.span)
 
 

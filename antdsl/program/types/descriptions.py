@@ -32,7 +32,7 @@ KINDS_WITH_POSITION = {
     TypeKind.PLACE,
     *(TypeKind(row.word) for row in KIND_BY_WORD.values() if row.nearest_op),
 }
-_FLOW = TypeKind("flow")
+_FLOW_KIND = TypeKind("flow")
 _VECTOR_PHRASES: dict[Dimension, str] = {
     Dimension(): "a push or direction",
     Dimension(length=1): "a position",
@@ -119,7 +119,7 @@ def _make_mismatch(node: nodes.Expr, actual: ValueType, expected_type: ValueType
     fix = _make_vector_units_fix(node) if expected_type.kind is TypeKind.PLACE and actual == ValueType(TypeKind.VECTOR) else None
     if (
         fix is None
-        and expected_type.kind is not _FLOW
+        and expected_type.kind is not _FLOW_KIND
         and not (expected_type.kind is TypeKind.BOOL and actual.kind in _THING_KINDS)
     ):
         fix = _make_own_text_fix(node, advice)
@@ -183,7 +183,7 @@ def _choose_advice(node: nodes.Expr, actual: ValueType, expected_type: ValueType
         return f"`length({short})` is a number"
     if expected_type.kind is TypeKind.NUMBER and actual.kind in (TypeKind.ITEM, TypeKind.AGENT, TypeKind.PLACE):
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
-    if expected_type.kind is _FLOW:
+    if expected_type.kind is _FLOW_KIND:
         if actual.kind is TypeKind.VECTOR:
             return f"`toward({short})` takes any direction; here the name of a flow is needed"
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"
@@ -192,7 +192,7 @@ def _choose_advice(node: nodes.Expr, actual: ValueType, expected_type: ValueType
     return f"write {describe_type(expected_type)}"
 
 
-def report_disagreement(
+def report_operand_mismatch(
     report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]
 ) -> None:
     """Report two operands with types that do not match, and quote their source text."""

@@ -82,7 +82,7 @@ def type_none(scope: NameScope, node: nodes.NoneOf, expected_type: ValueType | N
         if expected_type is not None and expected_type.kind in OPTIONAL_KINDS:
             return NoneRef(expected_type, ChangeRate.CONST, node.span)
         advice = "write `none of food` or `none of rabbit`, with the name that is meant"
-        return scope.reject("none-of-what", "the type of `none` is unknown here", node.span, advice)
+        return scope.report_error("none-of-what", "the type of `none` is unknown here", node.span, advice)
     type = find_reference_type(scope, node.of)
     return make_bad_expression(node.span) if type is None else NoneRef(type, ChangeRate.CONST, node.span)
 
@@ -93,11 +93,11 @@ def find_reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
     thing = declared.things.get(name.text)
     if thing is not None and KIND_BY_WORD[thing.kind].is_item_group:
         scope.mark_used("thing", name.text)
-        scope.bind(name.span, "thing", name.text)
+        scope.record_name_use(name.span, "thing", name.text)
         return ValueType(TypeKind.ITEM, referent=name.text)
     if name.text in declared.species:
         scope.mark_used("species", name.text)
-        scope.bind(name.span, "species", name.text)
+        scope.record_name_use(name.span, "species", name.text)
         return ValueType(TypeKind.AGENT, referent=name.text)
     known = [t.name for t in declared.things.values() if KIND_BY_WORD[t.kind].is_item_group] + list(declared.species)
     scope.report.error(
@@ -132,12 +132,14 @@ def _type_local_name(scope: NameScope, name: str, span: Span) -> Expr | None:
         return None
     if isinstance(local_value, Binding):
         scope.mark_used("local", f"{local_value.span}:{name}")
-        scope.bind_local(span, local_value.span)
+        scope.record_local_name_use(span, local_value.span)
         return make_binding_ref(scope, local_value, span)
     if local_value.type.kind is TypeKind.BAD:
-        scope.bind_local(span, local_value.span)
+        scope.record_local_name_use(span, local_value.span)
     else:
-        scope.bind(span, "species" if local_value.type.kind is TypeKind.AGENT else "thing", name)  # one of them, in a spec
+        scope.record_name_use(
+            span, "species" if local_value.type.kind is TypeKind.AGENT else "thing", name
+        )  # one of them, in a spec
     return local_value
 
 
@@ -159,7 +161,7 @@ def _report_early_use(scope: NameScope, name: str, span: Span) -> None:
 def report_pair_value(scope: NameScope, node: nodes.Name, owner: str = "") -> Expr:
     """Report a pair value that is used without another agent in brackets."""
     help = f"read it as the agent that stores it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
-    return scope.reject("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
+    return scope.report_error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
 
 def _type_element_value(scope: NameScope, name: str, span: Span) -> Expr | None:
@@ -174,7 +176,7 @@ def _type_element_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     type = find_attributes(scope.declarations, element.type).get(name)
     if type is None:
         return None
-    scope.bind_value(span, element.type, name)
+    scope.record_value_use(span, element.type, name)
     return make_attribute_ref(scope, owner, name, type, span)
 
 
@@ -194,7 +196,7 @@ def _type_species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     species = scope.species
     if species is None or scope.behaviour is not None:
         return None
-    scope.bind_own(span, name)
+    scope.record_own_name_use(span, name)
     if name in species.params:
         scope.mark_used("param", f"{species.name}.{name}")
         return ParamRef(species.params[name], ChangeRate.RUN, span, f"{species.name}.{name}")
@@ -232,22 +234,22 @@ def _type_world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     declared = scope.declarations
     if name in declared.fields:
         scope.mark_used("field", name)
-        scope.bind(span, "field", name)
+        scope.record_name_use(span, "field", name)
         return ThingRef(ValueType(TypeKind.FIELD), ChangeRate.CONST, span, name)
     if name in declared.species:
         scope.mark_used("species", name)
-        scope.bind(span, "species", name)
+        scope.record_name_use(span, "species", name)
         return ThingRef(ValueType(TypeKind.SPECIES, referent=name), ChangeRate.CONST, span, name)
     thing = declared.things.get(name)
     if thing is not None:
         scope.mark_used("thing", name)
-        scope.bind(span, "thing", name)
+        scope.record_name_use(span, "thing", name)
         kind = TypeKind(KIND_BY_WORD[thing.kind].type_word or thing.kind)
         return ThingRef(ValueType(kind, referent=name), ChangeRate.CONST, span, name)
     if name in declared.events and scope.species is not None:
         scope.mark_used("event", name)
         scope.mark_used("heard", f"{name} {scope.species.name}")
-        scope.bind(span, "event", name)
+        scope.record_name_use(span, "event", name)
         return OperationExpr(BOOL_TYPE, ChangeRate.AGENT, span, "event", (ThingRef(BOOL_TYPE, ChangeRate.CONST, span, name),))
     return None
 
@@ -323,7 +325,7 @@ def make_attribute_ref(scope: NameScope, owner: Expr, name: str, type: ValueType
 def type_member(scope: NameScope, node: nodes.Member, expected_type: ValueType | None) -> Expr:
     machine = find_machine(scope, node.owner)
     if machine is not None:
-        scope.bind(node.owner.span, "machine", machine.key.partition(".")[0], machine.name)
+        scope.record_name_use(node.owner.span, "machine", machine.key.partition(".")[0], machine.name)
         return type_machine_value(scope, machine, node)
     owner = scope.type_expression(node.owner)
     name, kind = node.name.text, owner.type.kind
@@ -335,12 +337,12 @@ def type_member(scope: NameScope, node: nodes.Member, expected_type: ValueType |
         return type_state_word(scope, owner, name, node.span, node.name.span)
     known = find_attributes(scope.declarations, owner.type)
     if name in known:
-        scope.bind_value(node.name.span, owner.type, name)
+        scope.record_value_use(node.name.span, owner.type, name)
         species = scope.declarations.species.get(owner.type.referent or "") if kind is TypeKind.AGENT else None
         if species is not None and name in species.pair_value_species:
             return report_pair_value(scope, node.name, owner.type.referent or "")
         return make_attribute_ref(scope, owner, name, known[name], node.span)
-    scope.bind_unreadable(node.name, owner.type)
+    scope.record_possible_use(node.name, owner.type)
     _report_no_member(scope, owner, node, known)
     return make_bad_expression(node.span)
 
@@ -367,12 +369,12 @@ def _type_param(scope: NameScope, owner: Expr, node: nodes.Member) -> Expr:
     names = scope.declarations.species[owner.type.referent] if owner.type.referent else None
     if names is not None and node.name.text in names.params:
         scope.mark_used("param", f"{names.name}.{node.name.text}")
-        scope.bind(node.name.span, "own", names.name, node.name.text)
+        scope.record_name_use(node.name.span, "own", names.name, node.name.text)
         return ParamRef(names.params[node.name.text], ChangeRate.RUN, node.span, f"{names.name}.{node.name.text}")
-    scope.bind_unreadable(node.name, owner.type)
+    scope.record_possible_use(node.name, owner.type)
     species = owner.type.referent or "species"
     message = f"`{species}` is a whole species, but `{node.name.text}` is a value of one agent"
-    return scope.reject("wrong-kind", message, node.span, f"name one: `nearest({species}).{node.name.text}`")
+    return scope.report_error("wrong-kind", message, node.span, f"name one: `nearest({species}).{node.name.text}`")
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,4 +397,4 @@ def reject_range(scope: NameScope, node: nodes.RangeExpr, expected_type: ValueTy
     scope.type_expression(node.low)
     scope.type_expression(node.high)
     message = f"a range {quote_source(node.span)} is not allowed here"
-    return scope.reject("wrong-kind", message, node.span, "ranges are for arguments such as `from: 0 mm .. 5 mm`")
+    return scope.report_error("wrong-kind", message, node.span, "ranges are for arguments such as `from: 0 mm .. 5 mm`")

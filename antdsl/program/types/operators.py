@@ -9,7 +9,7 @@ from antdsl.program.names.scope import NameScope, find_highest_rate, make_bad_ex
 from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.tables.vocabulary import OPERATION_BY_SIGN
-from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_disagreement, report_mismatch
+from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_mismatch, report_operand_mismatch
 from antdsl.program.types.expressions import OPTIONAL_KINDS, THING_KINDS
 from antdsl.program.types.folding import find_constant, fold_operation
 from antdsl.program.types.states import STATE_WORDS, find_state
@@ -61,8 +61,8 @@ def type_facing_direction(scope: NameScope, node: nodes.Expr) -> Expr:
 
 def type_condition(scope: NameScope, node: nodes.Expr, place: str) -> Expr:
     """Type an expression as a bool. An item, agent or hit is true if it is not none. A set is true if it is not empty."""
-    if not scope.runs_once and _mentions_event(scope, node):
-        scope = scope.with_changes(runs_once=True)
+    if not scope.is_evaluated_once and _mentions_event(scope, node):
+        scope = scope.with_changes(is_evaluated_once=True)
     return convert_to_bool(scope, node, type_value(scope, node, BOOL_TYPE), place)
 
 
@@ -148,7 +148,7 @@ def _type_chance(scope: NameScope, node: nodes.Unary) -> Expr:
     expr = type_value(scope, node.operand)
     site = make_draw_site(scope, "chance", node.span)
     _check_chance(scope, node, expr)
-    if is_compatible(expr.type, PER_SECOND_TYPE) or (scope.runs_once and is_compatible(expr.type, NUMBER_TYPE)):
+    if is_compatible(expr.type, PER_SECOND_TYPE) or (scope.is_evaluated_once and is_compatible(expr.type, NUMBER_TYPE)):
         return OperationExpr(BOOL_TYPE, max(expr.rate, ChangeRate.AGENT), node.span, "chance", (expr,), site)
     if expr.type == NUMBER_TYPE:
         text = " ".join(node.operand.span.text.split())
@@ -169,7 +169,7 @@ def _check_chance(scope: NameScope, node: nodes.Unary, expr: Expr) -> None:
     if known.number < 0:
         message = f"a chance below 0: {quote_source(node.operand.span)}"
         scope.report.error("out-of-range", message, node.operand.span, "write a chance of 0 or more")
-    elif known.type == NUMBER_TYPE and known.number > 1 and scope.runs_once:
+    elif known.type == NUMBER_TYPE and known.number > 1 and scope.is_evaluated_once:
         words = f"a chance above 100 %: {quote_source(node.operand.span)}"
         scope.report.error("out-of-range", words, node.operand.span, "write at most `100 %`")
 
@@ -192,7 +192,7 @@ def type_count(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
     if known is not None and known.type == NUMBER_TYPE and 1 <= known.number <= 64 and known.number == int(known.number):
         return Constant(NUMBER_TYPE, ChangeRate.CONST, node.span, known.number)
     message = f"{subject} needs a whole number from 1 to 64, not {quote_source(node.span)}"
-    return scope.reject("wrong-count", message, node.span, "write a number such as `3`")
+    return scope.report_error("wrong-count", message, node.span, "write a number such as `3`")
 
 
 # --- two operands ----------------------------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ def _type_equality(scope: NameScope, node: nodes.Binary) -> Expr:
         message = f"{quote_source(node.span)} compares values that cannot be compared"
         scope.report.error("kinds-differ", message, node.span, "compare numbers, states, items or agents")
     else:
-        report_disagreement(scope.report, node.op, node.span, (left_node, left), (right_node, right))
+        report_operand_mismatch(scope.report, node.op, node.span, (left_node, left), (right_node, right))
     return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
 
 
@@ -271,7 +271,7 @@ def _type_comparison(scope: NameScope, node: nodes.Binary, left: Expr, right: Ex
     if left.type.kind is TypeKind.NUMBER and is_compatible(left.type, right.type):
         return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
     if left.type.kind is TypeKind.NUMBER or right.type.kind is TypeKind.NUMBER:
-        report_disagreement(scope.report, node.op, node.span, (node.left, left), (node.right, right))
+        report_operand_mismatch(scope.report, node.op, node.span, (node.left, left), (node.right, right))
     else:
         report_mismatch(scope.report, node.left, left.type, NUMBER_TYPE, f"`{node.op}`")
     return make_operation(OPERATION_BY_SIGN[node.op], BOOL_TYPE, node.span, left, right)
@@ -287,7 +287,7 @@ def _type_sum(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> 
     if odd is not None:
         report_mismatch(scope.report, odd[0], odd[1].type, NUMBER_TYPE, f"`{node.op}`")
     else:
-        report_disagreement(scope.report, node.op, node.span, (node.left, left), (node.right, right))
+        report_operand_mismatch(scope.report, node.op, node.span, (node.left, left), (node.right, right))
     return make_bad_expression(node.span)
 
 
@@ -358,10 +358,10 @@ def type_if_else(scope: NameScope, node: nodes.IfElse, expected_type: ValueType 
         then = type_value(inner, node.then, expected_type)
         otherwise = type_value(inner, node.otherwise, then.type)
     if not is_compatible(then.type, otherwise.type):
-        report_disagreement(scope.report, "if … then … else", node.span, (node.then, then), (node.otherwise, otherwise))
+        report_operand_mismatch(scope.report, "if … then … else", node.span, (node.then, then), (node.otherwise, otherwise))
         return make_bad_expression(node.span)
     type = otherwise.type if then.type.kind is TypeKind.BAD else then.type
     if type.kind in THING_KINDS or type.kind is TypeKind.SET:
         message = f"`if` cannot choose {describe_type(type)}"
-        return scope.reject("wrong-kind", message, node.span, "choose between values: numbers, vectors, items, agents")
+        return scope.report_error("wrong-kind", message, node.span, "choose between values: numbers, vectors, items, agents")
     return make_operation("if", type, node.span, test, then, otherwise)

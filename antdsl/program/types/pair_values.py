@@ -22,7 +22,7 @@ def type_pair_index(scope: NameScope, node: nodes.Index, expected_type: ValueTyp
     ):
         name = owner.name.text
         scope.mark_used("attribute", f"{species.name}.{name}")
-        scope.bind(owner.span, "own", species.name, name)
+        scope.record_name_use(owner.span, "own", species.name, name)
         expected = ValueType(TypeKind.AGENT, referent=species.pair_value_species[name])
         if not is_compatible(index.type, expected):
             report_mismatch(scope.report, node.index, index.type, expected, f"`{name}[…]`")
@@ -30,12 +30,12 @@ def type_pair_index(scope: NameScope, node: nodes.Index, expected_type: ValueTyp
     if scope.type_expression(owner).type.kind is TypeKind.BAD:
         return make_bad_expression(node.span)
     advice = "declare a value per pair like this: `likes = 0 for each roach, strongest 8`"
-    return scope.reject("wrong-kind", f"{quote_source(owner.span)} has no value per agent", node.span, advice)
+    return scope.report_error("wrong-kind", f"{quote_source(owner.span)} has no value per agent", node.span, advice)
 
 
 def reject_pair(scope: NameScope, node: nodes.PairOf, expected_type: ValueType | None) -> Expr:
     message = "`… to …` as a pair of two things does not work yet"
-    return scope.reject("not-yet", message, node.span, "a value per pair is written `likes[other]`")
+    return scope.report_error("not-yet", message, node.span, "a value per pair is written `likes[other]`")
 
 
 def check_pair_value(scope: NameScope, attribute: AttributeDecl, rest_value: Expr | None) -> None:

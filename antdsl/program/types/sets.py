@@ -72,7 +72,7 @@ def type_neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinR
             return make_bad_expression(node.span)
         of = species.type.referent
     elif scope.behaviour is None and scope.species is None:
-        return scope.reject("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
+        return scope.report_error("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
     _check_reach(scope, radius, node)
     most = _type_count_limit(scope, name, row, arguments_by_slot, node)
     element = make_element_binding(ValueType(TypeKind.AGENT, Dimension(), of), "it", node)
@@ -122,7 +122,7 @@ def type_all(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> 
     where = None
     if "with" in arguments_by_slot:
         where = type_condition(
-            _enter_set(scope, element).with_changes(element=element), arguments_by_slot["with"][0].value, "`with`"
+            _make_set_scope(scope, element).with_changes(element=element), arguments_by_slot["with"][0].value, "`with`"
         )
     most = _type_count_limit(scope, name, row, arguments_by_slot, node)
     set_expr = SetExpr(
@@ -139,7 +139,7 @@ def type_all(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> 
     return set_expr
 
 
-def _enter_set(scope: NameScope, element: Binding) -> NameScope:
+def _make_set_scope(scope: NameScope, element: Binding) -> NameScope:
     return scope.with_changes(
         set_elements=(*scope.set_elements, element), no_keep_reason="inside a set it is not clear which agent stores it"
     )
@@ -223,7 +223,7 @@ def type_reduction(scope: NameScope, node: nodes.Call, reducer: str) -> Expr:
     if variable is None or not isinstance(argument, nodes.Comprehension):
         if reducer not in ("count", "any"):
             message = f"`{reducer}` needs a value of each element"
-            return scope.reject(
+            return scope.report_error(
                 "wrong-argument", message, node.span, f"write `{reducer}(n in {' '.join(over.span.text.split())}: …)`"
             )
         element = over.element
@@ -240,7 +240,7 @@ def make_element_scope(scope: NameScope, elements: SetExpr, variable: nodes.Name
     """Return the binding of a name to each element of a set, and the scope in which it is visible."""
     element = make_element_binding(elements.element.type, variable.text, variable)
     _check_shadow(scope, variable)
-    return element, _enter_set(scope, element).with_changes(local_names={**scope.local_names, variable.text: element})
+    return element, _make_set_scope(scope, element).with_changes(local_names={**scope.local_names, variable.text: element})
 
 
 def make_complete_set(things: Expr) -> SetExpr:

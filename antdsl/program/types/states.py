@@ -71,7 +71,7 @@ def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr,
     for machine in order:
         index = machine.states.get(node.name.text)
         if index is not None:
-            scope.bind(node.span, "state", species, machine.name, node.name.text)
+            scope.record_name_use(node.span, "state", species, machine.name, node.name.text)
             word = operand.name.partition(".")[2]
             return _type_machine_word(machine, operand.owner, word, operand.span), StateConstant(
                 ValueType(TypeKind.STATE, referent=machine.key), ChangeRate.CONST, node.span, machine.key, index
@@ -98,9 +98,11 @@ def type_clip_test(scope: NameScope, node: nodes.ClipTest, expected_type: ValueT
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
         words = "there is no clip here"
-        return scope.reject("unknown-name", words, node.span, "test it in a state of a species: `when clip done -> …`")
+        return scope.report_error("unknown-name", words, node.span, "test it in a state of a species: `when clip done -> …`")
     if not node.at and node.name.text != "done":
         message = f"`clip {node.name.text}` is not a property of a clip"
-        return scope.reject("unknown-name", message, node.span, f"write `clip done`, or for a mark `clip at {node.name.text}`")
+        return scope.report_error(
+            "unknown-name", message, node.span, f"write `clip done`, or for a mark `clip at {node.name.text}`"
+        )
     machine = scope.machine or next(iter(names.machines.values()))
     return ClipTest(BOOL_TYPE, ChangeRate.AGENT, node.span, machine.name, node.name.text if node.at else "")

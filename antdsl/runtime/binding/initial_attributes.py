@@ -20,10 +20,10 @@ _FULL_TURN = _F(2 * np.pi)
 def write_initial_values(world: World, population: Population, rows: Rows, crowd: CrowdData) -> None:
     """Write the values that a crowd line gives to attributes into registers of `rows`. Values of points override the others."""
     for name, draw in crowd.initial_values.items():
-        if (register := ir.name_birth_register(name)) in population.now:
+        if (register := ir.format_birth_register_name(name)) in population.now:
             population.now[register][rows] = _draw_values(world, population, rows, name, draw)
     for name, column in crowd.place.values.items():
-        if (register := ir.name_birth_register(name)) in population.now:
+        if (register := ir.format_birth_register_name(name)) in population.now:
             point_values = column[population.ids[rows] % len(column)]
             others = population.now[register][rows] if name in crowd.initial_values else np.inf
             population.now[register][rows] = np.where(np.isfinite(point_values), point_values, others)

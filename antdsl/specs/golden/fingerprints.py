@@ -26,7 +26,7 @@ MAX_SAMPLED_AGENTS = 64  # agents of a species that a digest distinguishes
 _MAX_LISTED_VALUES = 8  # maximum number of values that are reported individually
 _PLAIN_NUMBER_TYPE = ValueType(TypeKind.NUMBER)
 _MOTION_VECTORS = ("velocity", "heading", "up", "position")
-_MIX_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+_HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +147,7 @@ def _make_agent_columns(world: World, program: Program, population: Population) 
             continue
         column = _make_column(name, key, type_by_attribute, ids, population.now[key][rows])
         if column is None:
-            rest = rest * _MIX_MULTIPLIER + FingerprintColumn(name, key, 9, ids, population.now[key][rows]).convert_to_bits()
+            rest = rest * _HASH_MULTIPLIER + FingerprintColumn(name, key, 9, ids, population.now[key][rows]).convert_to_bits()
         else:
             agent_columns.append(column)
     stored_arrays = [population.born, population.quarantined, *population.position.T]
@@ -156,7 +156,7 @@ def _make_agent_columns(world: World, program: Program, population: Population) 
     for array in stored_arrays:
         for part in array.T if array.ndim == 2 else (array,):
             rest = (
-                rest * _MIX_MULTIPLIER + FingerprintColumn(name, "", 9, ids, np.ascontiguousarray(part)[rows]).convert_to_bits()
+                rest * _HASH_MULTIPLIER + FingerprintColumn(name, "", 9, ids, np.ascontiguousarray(part)[rows]).convert_to_bits()
             )
     return [*agent_columns, FingerprintColumn(name, "memory", 9, ids, rest, is_opaque=True)]
 
@@ -190,7 +190,7 @@ def digest_agents(world: World, population: Population, program: Program) -> str
     """Return four hexadecimal digits for each of the agents that `choose_sample_indices` names."""
     mixed = np.zeros(len(population), np.uint64)
     for column in _make_agent_columns(world, program, population):
-        mixed = (mixed ^ column.convert_to_bits()) * _MIX_MULTIPLIER
+        mixed = (mixed ^ column.convert_to_bits()) * _HASH_MULTIPLIER
     sample = choose_sample_indices(len(population))
     return (mixed >> np.uint64(48)).astype(">u2")[sample].tobytes().hex()
 
@@ -230,7 +230,9 @@ def find_differences(
     of agents, by species."""
     columns = build_columns(world, program)
     differing_agents = {
-        name: _name_differing(world, program, name, text) for name, text in recorded_digests.items() if name in world.populations
+        name: _find_differing_agents(world, program, name, text)
+        for name, text in recorded_digests.items()
+        if name in world.populations
     }
     ranked_differences: list[tuple[int, StateDifference]] = []
     others = {name: len(world.populations[name]) for name in world.populations if _has_other_agents(columns, recorded_sums, name)}
@@ -293,7 +295,7 @@ def _find_member_name(column: FingerprintColumn, row: int) -> str:
     return f"{column.owner} {column.ids[row]}" if column.attribute else f"cell {column.ids[row]}"
 
 
-def _name_differing(world: World, program: Program, name: str, recorded_digest: str) -> str:
+def _find_differing_agents(world: World, program: Program, name: str, recorded_digest: str) -> str:
     """Return the names of the agents with differing digits in a digest; "" if the digest is about other agents."""
     population = world.populations[name]
     rows, digest = choose_sample_indices(len(population)), digest_agents(world, population, program)

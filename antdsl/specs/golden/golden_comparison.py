@@ -23,10 +23,10 @@ class GoldenComparison:
     update: bool = False
     report: Report = field(default_factory=Report)
     results: list[golden_runs.GoldenResult] = field(default_factory=list)
-    files: dict[Path, golden_runs.Golden | None] = field(default_factory=dict)
+    files: dict[Path, golden_runs.GoldenFile | None] = field(default_factory=dict)
     recorder_by_key: dict[GoldenKey, tuple[SpecRun, golden_runs.GoldenRecorder]] = field(default_factory=dict)
 
-    def make_watch(self, run: SpecRun, frame_count: int) -> golden_runs.GoldenWatch | None:
+    def make_watch(self, run: SpecRun, frame_count: int) -> golden_runs.GoldenFrameObserver | None:
         """Return the recorder or comparer for a run of about `frame_count` frames; None if it is neither recorded nor
         compared."""
         scene = run.cases[0].scene
@@ -46,7 +46,7 @@ class GoldenComparison:
         self.results.append(result)
         return golden_runs.GoldenComparer(run, result, golden, golden_file.made)
 
-    def _read_golden(self, scene: Path) -> golden_runs.Golden | None:
+    def _read_golden(self, scene: Path) -> golden_runs.GoldenFile | None:
         path = golden_runs.find_golden_path(scene)
         if path not in self.files:
             self.files[path] = None
@@ -79,5 +79,5 @@ class GoldenComparison:
         golden_runs.write_golden(path, [*others, *runs])
 
 
-def _find_golden_run(golden_file: golden_runs.Golden, result: golden_runs.GoldenResult) -> golden_runs.GoldenRun | None:
+def _find_golden_run(golden_file: golden_runs.GoldenFile, result: golden_runs.GoldenResult) -> golden_runs.GoldenRun | None:
     return next((run for run in golden_file.runs if run.set == dict(result.changes) and run.seed == result.seed), None)

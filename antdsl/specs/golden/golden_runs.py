@@ -60,7 +60,7 @@ class GoldenRun(GoldenModel):
     frames: list[GoldenFrame]
 
 
-class Golden(GoldenModel):
+class GoldenFile(GoldenModel):
     """The contents of a golden file. `made`: the environment in which it was written."""
 
     golden: Literal[2]
@@ -98,13 +98,13 @@ class GoldenResult:
         return "golden run of " + ", ".join([self.scene.name, *(f"{name} = {text}" for name, text in self.changes.items())])
 
 
-class GoldenWatch(Protocol):
+class GoldenFrameObserver(Protocol):
     """Receives each frame of a run. The run continues at least until `is_over` is true."""
 
     @property
     def is_over(self) -> bool: ...
     def observe_frame(self, world: World) -> None: ...
-    def end(self, world: World) -> None: ...
+    def finish(self, world: World) -> None: ...
 
 
 def find_golden_path(scene: Path) -> Path:
@@ -120,13 +120,13 @@ def describe_environment() -> dict[str, str]:
     }  # fmt: skip
 
 
-def read_golden(path: Path) -> Golden | None:
+def read_golden(path: Path) -> GoldenFile | None:
     """Return the golden runs of a file, None if there is no file. Raises GoldenError if it is not valid."""
     try:
         data = read_size_limited(path, _MAX_FILE_BYTES)
         if _FIRST_FORMAT_PATTERN.match(data):
             raise GoldenError(f"`{path.name}` uses another method of state hashes, so it cannot be compared")
-        return Golden.model_validate_json(data)
+        return GoldenFile.model_validate_json(data)
     except FileNotFoundError:
         return None
     except FileTooLarge:

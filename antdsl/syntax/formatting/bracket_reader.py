@@ -77,24 +77,24 @@ LayoutNode = TokenLeaf | BracketGroup
 class BracketReader:
     """Reads the words and brackets of one statement.
 
-    `take_comment_before`: returns the next comment if it is before an offset, and marks it as used."""
+    `pop_comment_before`: returns the next comment if it is before an offset, and marks it as used."""
 
     def __init__(
         self,
         scan: TokenScan,
         function_ends: frozenset[int],
         unary_minus_offsets: frozenset[int],
-        take_comment_before: Callable[[int], n.Comment | None],
+        pop_comment_before: Callable[[int], n.Comment | None],
     ) -> None:
         self.scan, self.function_ends, self.unary_minus_offsets, self.take_comment_before = (
             scan,
             function_ends,
             unary_minus_offsets,
-            take_comment_before,
+            pop_comment_before,
         )
         self.last: ScannedToken | None = None
 
-    def resume_after(self, token: ScannedToken) -> None:
+    def skip_comments_before(self, token: ScannedToken) -> None:
         """Continue after a block that ended with this token."""
         self.last = token
 
@@ -122,7 +122,7 @@ class BracketReader:
             if sign == "," or (sign == ":" and len(slots) == 1 and _is_comprehension(slot)):
                 slots.append(BracketSlot(leading_comments=left, is_indented=sign == ":"))
         found = BracketGroup(opening, [_place_inner_comments(slot) for slot in slots if slot.nodes], close, left)
-        return _measure_bracket(found), index + 1
+        return _set_flat_text(found), index + 1
 
     def place_comment(
         self, comment: n.Comment, slots: list[BracketSlot], token: ScannedToken, remaining_comments: list[n.Comment]
@@ -199,7 +199,7 @@ def _place_inner_comments(slot: BracketSlot) -> BracketSlot:
         return slot
     cut = split_operands(slot)
     if len(cut) == 1:
-        slot.leading_comments += [*(comment for _, comment, _ in slot.inner_comments), *_take_comments(slot.nodes)]
+        slot.leading_comments += [*(comment for _, comment, _ in slot.inner_comments), *_collect_comments(slot.nodes)]
         slot.leading_comments.sort(key=lambda comment: comment.span.start)
         slot.inner_comments = []
         return slot
@@ -232,29 +232,29 @@ def _place_inner_comments(slot: BracketSlot) -> BracketSlot:
     return slot
 
 
-def _take_comments(nodes: Sequence[LayoutNode]) -> list[n.Comment]:
+def _collect_comments(nodes: Sequence[LayoutNode]) -> list[n.Comment]:
     """Remove and return the comments inside brackets."""
     comments: list[n.Comment] = []
     for node in nodes:
         if isinstance(node, BracketGroup) and node.is_forced_open:
             for slot in node.slots:
-                comments += [*_take_slot_comments(slot), *_take_comments(slot.nodes)]
+                comments += [*_collect_slot_comments(slot), *_collect_comments(slot.nodes)]
             comments += node.end_comments
             node.end_comments = []
-            _measure_bracket(node)
+            _set_flat_text(node)
     return comments
 
 
-def _take_slot_comments(slot: BracketSlot) -> list[n.Comment]:
+def _collect_slot_comments(slot: BracketSlot) -> list[n.Comment]:
     """Remove and return the comments around a slot and between its operands."""
     comments = [*slot.leading_comments, *([slot.trailing_comment] if slot.trailing_comment else [])]
     for operand in slot.operands:
-        comments += _take_slot_comments(operand)
+        comments += _collect_slot_comments(operand)
     slot.leading_comments, slot.trailing_comment, slot.operands = [], None, []
     return comments
 
 
-def _measure_bracket(bracket: BracketGroup) -> BracketGroup:
+def _set_flat_text(bracket: BracketGroup) -> BracketGroup:
     """Record a bracket's flat text and whether it must be broken, so that no later call descends into it again."""
     bracket.is_forced_open = bool(bracket.end_comments) or any(slot.is_broken for slot in bracket.slots)
     bracket.flat_text = (

@@ -48,10 +48,10 @@ def split_cells(statement: LayoutStatement) -> tuple[str, list[Sequence[LayoutNo
     return kind, [parts[:place], parts[place:block], parts[block:end], parts[end:]]
 
 
-MarkFinder = Callable[[Sequence[LayoutNode | LayoutBlock]], int | None]
+AlignmentPointFinder = Callable[[Sequence[LayoutNode | LayoutBlock]], int | None]
 
 
-def _find_sign(sign: str) -> MarkFinder:
+def _find_sign(sign: str) -> AlignmentPointFinder:
     """Return a function that finds the index of a sign outside all brackets."""
 
     def find_sign_index(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
@@ -64,7 +64,7 @@ def _find_second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
     return 1 if len(parts) > 1 else None
 
 
-def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, MarkFinder | None]:
+def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, AlignmentPointFinder | None]:
     """Return the kind of a line, and the function that finds its mark (None: no mark), from its rule and its first words."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
@@ -83,7 +83,7 @@ def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, MarkFinder | 
     return "plain", None
 
 
-def _find_member_alignment(words: Sequence[str]) -> tuple[str, MarkFinder | None]:
+def _find_member_alignment(words: Sequence[str]) -> tuple[str, AlignmentPointFinder | None]:
     """Return the kind and the mark finder of a species line that begins with a name: an attribute or a given property."""
     if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
         return "plain", None
@@ -93,10 +93,10 @@ def _find_member_alignment(words: Sequence[str]) -> tuple[str, MarkFinder | None
 def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
     """Return the lines of a block. Lines are aligned with each other up to the next blank line or comment line."""
     lines: list[str] = []
-    for run in _split_runs(rows):
+    for run in _iterate_row_runs(rows):
         if run[0].has_blank_before:
             lines.append("")
-        texts = [text for _, group in groupby(run, key=lambda row: row.kind) for text in _align_run(list(group))]
+        texts = [text for _, group in groupby(run, key=lambda row: row.kind) for text in _align_row_run(list(group))]
         column = _compute_next_column([text for row, text in zip(run, texts, strict=True) if row.comment], _MIN_COMMENT_BLANKS)
         for row, text in zip(run, texts, strict=True):
             first = (
@@ -108,7 +108,7 @@ def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
     return lines
 
 
-def _split_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
+def _iterate_row_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
     """Yield runs of rows on consecutive lines; a comment line, or a statement of several lines, is a separate run."""
     run: list[LayoutRow] = []
     for row in rows:
@@ -120,7 +120,7 @@ def _split_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
         yield run
 
 
-def _align_run(rows: Sequence[LayoutRow]) -> list[str]:
+def _align_row_run(rows: Sequence[LayoutRow]) -> list[str]:
     """Return the texts of rows of one kind with aligned cells."""
     texts = [row.cells[0] for row in rows]
     for k in range(1, max(len(row.cells) for row in rows)):

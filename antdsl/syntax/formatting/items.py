@@ -15,7 +15,7 @@ from antdsl.syntax import nodes as n
 from antdsl.syntax.blocks import BraceGroup, SourceLine, cut_lines
 from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.formatting.bracket_reader import BracketGroup, BracketReader, LayoutNode, TokenLeaf
-from antdsl.syntax.scan import TokenScan, scan
+from antdsl.syntax.scan import TokenScan, scan_tokens
 from antdsl.syntax.words import BODY_RULE_BY_LINE
 
 
@@ -68,7 +68,7 @@ def needs_own_lines(part: LayoutNode | LayoutBlock) -> bool:
 
 def read_items(file: n.File) -> list[LayoutItem]:
     """Return the items of a file that was parsed without an error."""
-    scanned = scan(file.source, Report())
+    scanned = scan_tokens(file.source, Report())
     tokens = pair_brackets(scanned)
     assert tokens is not None, "a file with too many brackets open was not parsed without an error"
     return _ItemReader(scanned, *_find_call_ends_and_minus_signs(file)).read_lines(
@@ -116,7 +116,7 @@ class _ItemReader:
     unary_minus_offsets: frozenset[int]
     used_comment_count: int = field(default=0)  # number of comments already placed
 
-    def take_comment_before(self, offset: int) -> n.Comment | None:
+    def pop_comment_before(self, offset: int) -> n.Comment | None:
         """Return the next comment if it begins before an offset."""
         comments = self.scan.comments
         if self.used_comment_count < len(comments) and comments[self.used_comment_count].span.start < offset:
@@ -145,7 +145,7 @@ class _ItemReader:
     def add_comments(self, item_list: list[LayoutItem], last: int, end: int) -> int:
         """Add the comments before the offset `end` to the last statement, or as separate lines. Return the end of the last
         one."""
-        while (comment := self.take_comment_before(end)) is not None:
+        while (comment := self.pop_comment_before(end)) is not None:
             text = comment.text.rstrip()
             previous_item = item_list[-1] if item_list else None
             if (
@@ -160,7 +160,7 @@ class _ItemReader:
         return last
 
     def make_statement(self, line: SourceLine, rule: str, blank_before: bool) -> LayoutStatement:
-        reader = BracketReader(self.scan, self.function_ends, self.unary_minus_offsets, self.take_comment_before)
+        reader = BracketReader(self.scan, self.function_ends, self.unary_minus_offsets, self.pop_comment_before)
         parts: list[LayoutNode | LayoutBlock] = []
         groups = iter(line.groups)
         index = 0
@@ -170,7 +170,7 @@ class _ItemReader:
                 first = parts[0].text if isinstance(parts[0], TokenLeaf) else ""
                 parts.append(self.make_block(next(groups), rule, first))
                 index += 2  # skip the closing brace; the tokens between belong to the group
-                reader.resume_after(line.tokens[index - 1])
+                reader.skip_comments_before(line.tokens[index - 1])
             else:
                 node, index = reader.read_node(line.tokens, index)
                 parts.append(node)
@@ -187,7 +187,7 @@ class _ItemReader:
         if self.used_comment_count < len(comments) and not self.count_line_ends(
             start, comments[self.used_comment_count].span.start
         ):
-            comment = self.take_comment_before(limit)
+            comment = self.pop_comment_before(limit)
             if comment is not None:
                 head, start = comment.text.rstrip(), comment.span.end
         item_list = self.read_lines(group.lines, inner, start, end)

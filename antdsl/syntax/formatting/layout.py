@@ -61,7 +61,7 @@ def find_first_difference(first: n.File, second: n.File) -> str | None:
             (f"comment `{a}` became `{b}`" for a, b in zip(first_comments, second_comments, strict=False) if a != b),
             "a comment was lost",
         )
-    left, right = flatten_tree(first), flatten_tree(second)
+    left, right = iterate_tree_texts(first), iterate_tree_texts(second)
     for a, b in zip(left, right, strict=False):
         if a != b:
             return f"`{a}` became `{b}`"
@@ -69,7 +69,7 @@ def find_first_difference(first: n.File, second: n.File) -> str | None:
     return None if rest is None else f"`{rest}` was lost or added"
 
 
-def flatten_tree(node: Any) -> Iterator[str]:
+def iterate_tree_texts(node: Any) -> Iterator[str]:
     """Yield a tree as a flat list of words: each node's kind, and the content of its leaves. Locations and comments are left
     out."""
     stack = [node]

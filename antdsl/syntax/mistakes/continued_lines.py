@@ -36,7 +36,7 @@ _INCOMPLETE_ENDINGS = frozenset(("and", "or", "then", "else", "-", "..", *_CONTI
 _LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
 
 
-def join_lines(scan: TokenScan) -> list[ScannedToken]:
+def join_continued_lines(scan: TokenScan) -> list[ScannedToken]:
     """Return the tokens of a text without line ends inside a continued statement, and report each such statement."""
     tokens, open, indent = list(scan.tokens), 0, 0
     joints: list[int] = []  # indices of line ends inside one statement
@@ -50,7 +50,7 @@ def join_lines(scan: TokenScan) -> list[ScannedToken]:
         if _is_continuation(scan, tokens, index, indent):
             joints.append(index)
             left_out.add(index)
-            scan.blank_out(token.start, token.end)
+            scan.replace_by_blanks(token.start, token.end)
             tokens[index + 1] = replace(tokens[index + 1], indent=-1)
         elif joints:
             _report_continuations(scan, tokens, joints)
@@ -97,4 +97,4 @@ def _report_continuations(scan: TokenScan, tokens: list[ScannedToken], line_end_
     help = "write it on one line, or put a part with several lines in round brackets"
     fix = None if comment else Fix(Span(scan.source, start, end), joined_text)
     scan.report.error("continued-line", f"this line continues the line above: {reason}", span, help, fix=fix)
-    scan.faults.append(following.start)
+    scan.fault_offsets.append(following.start)

@@ -81,7 +81,7 @@ def _report_forbidden(scan: TokenScan) -> None:
             scan.report_error("hidden-direction", message, match.start(), match.end(), help, "")
         else:
             scan.report_error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
-        scan.blank_out(match.start(), match.end())
+        scan.replace_by_blanks(match.start(), match.end())
 
 
 def _report_invisible(scan: TokenScan) -> None:
@@ -108,18 +108,18 @@ def _report_conflicts_and_fences(scan: TokenScan) -> None:
             elif sign in "|=" and drop_from < 0:
                 drop_from = match.start()
             elif sign == ">":
-                blank_text(scan, drop_from, match.end())
+                replace_text_by_blanks(scan, drop_from, match.end())
                 drop_from = -1
-            blank_text(scan, match.start(), match.end())
+            replace_text_by_blanks(scan, match.start(), match.end())
     for index, match in enumerate(_CODE_FENCE_PATTERN.finditer(scan.source.text)):
         if index == 0:
             scan.report_error(
                 "markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", ""
             )
-        blank_text(scan, match.start(), match.end())
+        replace_text_by_blanks(scan, match.start(), match.end())
 
 
-def blank_text(scan: TokenScan, start: int, end: int) -> None:
+def replace_text_by_blanks(scan: TokenScan, start: int, end: int) -> None:
     """Replace text by blanks, but keep the line ends."""
     for offset in range(start, end):
         if scan.clean_characters[offset] != "\n":

@@ -58,7 +58,7 @@ def _lower_chance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     share = lower_scalar(w, argument)
     b = w.b
     if argument.type.dimension.time < 0:
-        share = b("sub", b.add_number(1), b("exp", b("neg", b("mul", share, w.run("dt")))))
+        share = b("sub", b.add_number(1), b("exp", b("neg", b("mul", share, w.read_run_value("dt")))))
     return b("lt", lower_draw(w, e), share)
 
 

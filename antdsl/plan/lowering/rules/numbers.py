@@ -34,7 +34,7 @@ def _make_binary_rule(op: str) -> OperationRule:
     def lower_binary(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         left, right, scalars = _lower_operand_pair(w, e)
         if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
-            return values.zip_with(lambda p, q: w.b(op, p, q), left, right)
+            return values.apply_by_component(lambda p, q: w.b(op, p, q), left, right)
         return w.b(op, *scalars())
 
     return lower_binary
@@ -43,9 +43,9 @@ def _make_binary_rule(op: str) -> OperationRule:
 def _lower_mul(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     left, right, scalars = _lower_operand_pair(w, e)
     if isinstance(left, VectorNodes) and isinstance(right, PlanNode):
-        return values.scale(w.b, left, right)
+        return values.scale_vector(w.b, left, right)
     if isinstance(right, VectorNodes) and isinstance(left, PlanNode):
-        return values.scale(w.b, right, left)
+        return values.scale_vector(w.b, right, left)
     return w.b("mul", *scalars())
 
 
@@ -53,7 +53,7 @@ def _lower_div(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     dividend, divisor = (a for a in e.args if a is not None)
     left, right = lower_expression(w, dividend), lower_scalar(w, divisor)
     if isinstance(left, VectorNodes):
-        return values.zip_with(lambda p: w.b("div", p, right), left)
+        return values.apply_by_component(lambda p: w.b("div", p, right), left)
     return w.b("div", convert_to_node(w, dividend, left), right)
 
 
@@ -61,7 +61,7 @@ def _lower_neg(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     (operand,) = (a for a in e.args if a is not None)
     inner = lower_expression(w, operand)
     if isinstance(inner, VectorNodes):
-        return values.neg(w.b, inner)
+        return values.negate_vector(w.b, inner)
     return w.b("neg", convert_to_node(w, operand, inner))
 
 
@@ -113,7 +113,7 @@ def _lower_mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     first, second = (lower_expression(w, a) for a in e.args[:2] if a is not None)
     t = lower_scalar(w, e.args[2])  # type: ignore[arg-type]
     if isinstance(first, VectorNodes) and isinstance(second, VectorNodes):
-        return values.zip_with(lambda p, q: _lower_interpolation(w, p, q, t), first, second)
+        return values.apply_by_component(lambda p, q: _lower_interpolation(w, p, q, t), first, second)
     if isinstance(first, PlanNode) and isinstance(second, PlanNode):
         return _lower_interpolation(w, first, second, t)
     raise PlanError("mix of two values of different types")
@@ -164,11 +164,11 @@ NUMBER_RULES = {
 
 
 def _lower_length(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.length(w.b, lower_vector(w, e.args[0]))  # type: ignore[arg-type]
+    return values.compute_length(w.b, lower_vector(w, e.args[0]))  # type: ignore[arg-type]
 
 
 def _lower_unit(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.normalise(w.b, lower_vector(w, e.args[0]))  # type: ignore[arg-type]
+    return values.normalise_vector(w.b, lower_vector(w, e.args[0]))  # type: ignore[arg-type]
 
 
 def _lower_vector_pair(w: PlanWriter, e: model.OperationExpr) -> tuple[VectorNodes, VectorNodes]:
@@ -176,31 +176,31 @@ def _lower_vector_pair(w: PlanWriter, e: model.OperationExpr) -> tuple[VectorNod
 
 
 def _lower_dot(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.dot(w.b, *_lower_vector_pair(w, e))
+    return values.compute_dot_product(w.b, *_lower_vector_pair(w, e))
 
 
 def _lower_cross(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.cross(w.b, *_lower_vector_pair(w, e))
+    return values.compute_cross_product(w.b, *_lower_vector_pair(w, e))
 
 
 def _lower_angle(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.angle_between(w.b, *_lower_vector_pair(w, e))
+    return values.compute_angle_between(w.b, *_lower_vector_pair(w, e))
 
 
 def _lower_unit_direction(w: PlanWriter, e: model.Expr) -> VectorNodes:
     """Return a direction of length 1. `up` and `heading` already have this length."""
     if isinstance(e, model.AttributeRef) and e.owner is None and e.name in ("up", "heading"):
         return lower_vector(w, e)
-    return values.normalise(w.b, lower_vector(w, e))
+    return values.normalise_vector(w.b, lower_vector(w, e))
 
 
 def _lower_rotate(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.rotate(w.b, lower_vector(w, e.args[0]), _lower_unit_direction(w, e.args[1]), lower_scalar(w, e.args[2]))  # type: ignore[arg-type]
+    return values.rotate_vector(w.b, lower_vector(w, e.args[0]), _lower_unit_direction(w, e.args[1]), lower_scalar(w, e.args[2]))  # type: ignore[arg-type]
 
 
 def _lower_project(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     direction = _lower_unit_direction(w, e.args[1])  # type: ignore[arg-type]
-    return values.scale(w.b, direction, values.dot(w.b, lower_vector(w, e.args[0]), direction))  # type: ignore[arg-type]
+    return values.scale_vector(w.b, direction, values.compute_dot_product(w.b, lower_vector(w, e.args[0]), direction))  # type: ignore[arg-type]
 
 
 def _lower_limit_length(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:

@@ -27,7 +27,7 @@ def locate_point(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[Pla
         prefix = "" if value.kind is model.TypeKind.ITEM else "position."
         return b.true, VectorNodes(*(b("other", attrs=(prefix + axis,), kind=ValueKind.F32) for axis in AXES))
     is_present, offset = compute_offset(w, value, e)
-    return is_present, values.add(b, w.read_vector("position"), offset)
+    return is_present, values.add_vectors(b, w.read_vector("position"), offset)
 
 
 def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
@@ -37,11 +37,11 @@ def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[P
     if isinstance(value, SetElement):
         return b.true, VectorNodes(b("pair.x"), b("pair.y"), b("pair.z"))
     if isinstance(value, RayHit):
-        return value.hit, values.scale(b, value.direction, value.distance)
+        return value.hit, values.scale_vector(b, value.direction, value.distance)
     if isinstance(value, NamedThing) and value.row.nearest_op == "obstacle.near":
         near = b(value.row.nearest_op, b.add_number(inf), attrs=(value.name,))
         within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
-        return within, values.scale(b, VectorNodes(x, y, z), b("neg", distance))
+        return within, values.scale_vector(b, VectorNodes(x, y, z), b("neg", distance))
     if isinstance(value, NamedThing) and value.row.nearest_op == "curve.closest":
         is_present: PlanNode = b.true
         point = _find_curve_point(w, value.name)
@@ -54,7 +54,7 @@ def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[P
         is_present, point = locate_point(w, value, e)
     else:
         raise PlanError(f"a {type(value).__name__} has no place: {e.span.text!r}")
-    return is_present, _find_nearest_image(w, values.sub(b, point, w.read_vector("position")))
+    return is_present, _find_nearest_image(w, values.subtract_vectors(b, point, w.read_vector("position")))
 
 
 def _find_nearest_image(w: PlanWriter, offset: VectorNodes) -> VectorNodes:
@@ -76,7 +76,7 @@ def compute_distance(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanN
         near = b(value.row.nearest_op, b.add_number(inf), attrs=(value.name,))
         return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.add_number(inf))
     is_present, offset = compute_offset(w, value, e)
-    return b("where", is_present, values.length(b, offset), b.add_number(inf))
+    return b("where", is_present, values.compute_length(b, offset), b.add_number(inf))
 
 
 def _find_nearest_member(w: PlanWriter, value: LoweredValue) -> LoweredValue:
@@ -126,13 +126,15 @@ def _lower_direction(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         return _compute_direction(w, start, start_expr)
     end, end_expr = _lower_point_argument(w, e, 1)
     if isinstance(end, OwnPosition):
-        return values.neg(b, _compute_direction(w, start, start_expr))
+        return values.negate_vector(b, _compute_direction(w, start, start_expr))
     if isinstance(start, OwnPosition):
         return _compute_direction(w, end, end_expr)
     has_start, from_point = locate_point(w, start, start_expr)
     has_end, to_point = locate_point(w, end, end_expr)
     return values.select_or_zero(
-        b, b("and", has_start, has_end), values.normalise(b, _find_nearest_image(w, values.sub(b, to_point, from_point)))
+        b,
+        b("and", has_start, has_end),
+        values.normalise_vector(b, _find_nearest_image(w, values.subtract_vectors(b, to_point, from_point))),
     )
 
 
@@ -141,8 +143,8 @@ def _compute_direction(w: PlanWriter, value: LoweredValue, e: model.Expr) -> Vec
     if isinstance(value, RayHit):
         return values.select_or_zero(b, value.hit, value.direction)
     is_present, offset = compute_offset(w, value, e)
-    size = b("pair.distance") if isinstance(value, SetElement) else values.length(b, offset)
-    return values.select_or_zero(b, is_present, values.divide(b, offset, size))
+    size = b("pair.distance") if isinstance(value, SetElement) else values.compute_length(b, offset)
+    return values.select_or_zero(b, is_present, values.divide_vector(b, offset, size))
 
 
 def _lower_position(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
@@ -161,13 +163,13 @@ def _lower_velocity(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         )
     if isinstance(value, SetElement) and value.kind is model.TypeKind.AGENT:
         return VectorNodes(*(w.b("other", attrs=(f"velocity.{axis}",), kind=ValueKind.F32) for axis in AXES))
-    return values.zero_vector(w.b)
+    return values.make_zero_vector(w.b)
 
 
 def _lower_touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     value, expr = _lower_point_argument(w, e)
     b = w.b
-    radius = w.read("radius")
+    radius = w.read_at_step_start("radius")
     if isinstance(value, NamedThing):
         row = value.row
         if row.touching_op:

@@ -72,26 +72,26 @@ def _lower_strongest(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 def _lower_ray(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     direction, reach = e.args[0], e.args[1]
     assert direction is not None and reach is not None
-    return cast_ray(w, values.normalise(w.b, lower_vector(w, direction)), lower_scalar(w, reach), _get_thing_name(w, e, 2))
+    return cast_ray(w, values.normalise_vector(w.b, lower_vector(w, direction)), lower_scalar(w, reach), _get_thing_name(w, e, 2))
 
 
 def _lower_slope(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    return values.angle_between(w.b, w.read_vector("up"), _read_world_up(w))
+    return values.compute_angle_between(w.b, w.read_vector("up"), _read_world_up(w))
 
 
 def _lower_uphill(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return the world's up minus its component along the agent's up. The length is the sine of the slope."""
     up, sky = w.read_vector("up"), _read_world_up(w)
-    return values.sub(w.b, sky, values.scale(w.b, up, values.dot(w.b, up, sky)))
+    return values.subtract_vectors(w.b, sky, values.scale_vector(w.b, up, values.compute_dot_product(w.b, up, sky)))
 
 
 def _read_world_up(w: PlanWriter) -> VectorNodes:
-    return VectorNodes(w.run("up_x"), w.run("up_y"), w.run("up_z"))
+    return VectorNodes(w.read_run_value("up_x"), w.read_run_value("up_y"), w.read_run_value("up_z"))
 
 
 def _lower_run_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     name = _get_thing_name(w, e)
-    return w.run(name) if name == "dt" else w.b("step", attrs=(name,))
+    return w.read_run_value(name) if name == "dt" else w.b("step", attrs=(name,))
 
 
 def _lower_event(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
@@ -103,9 +103,11 @@ def _lower_match(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     1999, 6)."""
     assert e.args[0] is not None
     b = w.b
-    change = values.sub(b, lower_vector(w, e.args[0]), w.read_vector("velocity"))
-    strength = b("mul", w.read("max_force"), w.run("dt"))
-    return values.limit_length(b, values.scale(b, change, b("div", w.read("mass"), strength)), b.add_number(1))
+    change = values.subtract_vectors(b, lower_vector(w, e.args[0]), w.read_vector("velocity"))
+    strength = b("mul", w.read_at_step_start("max_force"), w.read_run_value("dt"))
+    return values.limit_length(
+        b, values.scale_vector(b, change, b("div", w.read_at_step_start("mass"), strength)), b.add_number(1)
+    )
 
 
 _COMPUTED_SENSES = {

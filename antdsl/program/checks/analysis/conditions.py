@@ -14,7 +14,7 @@ from antdsl.program.checks.analysis.ranges import Interval, compute_range
 from antdsl.program.model import Binding, BindingRef, Constant, Expr, OperationExpr, Param, TypeKind
 
 _MAX_CASES = 48  # conditions with more cases are not analysed
-_SWAPPED_COMPARISONS = {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le", "eq": "eq", "ne": "ne"}
+_MIRRORED_COMPARISON_BY_OPERATION = {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le", "eq": "eq", "ne": "ne"}
 _NEGATED_COMPARISONS = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "ne", "ne": "eq"}
 
 
@@ -44,12 +44,12 @@ class ConditionCase:
 ConditionCases = list[ConditionCase]
 
 
-class TooManyCases(Exception):
+class TooManyCasesError(Exception):
     """Error for a condition with more cases than the analysis allows."""
 
 
 # A condition with too many cases, or with lets nested too deeply, is not analysed.
-UNREADABLE_CONDITION_ERRORS = (TooManyCases, RecursionError)
+UNREADABLE_CONDITION_ERRORS = (TooManyCasesError, RecursionError)
 
 
 @dataclass(slots=True)
@@ -71,7 +71,7 @@ class ConditionReader:
     def read_cases(self, test: Expr | None, is_true: bool = True) -> ConditionCases:
         """Return the cases in which a condition is true, or the cases in which it is false if `is_true` is False.
 
-        Raises TooManyCases."""
+        Raises TooManyCasesError."""
         if test is None:
             return [ConditionCase()] if is_true else []
         if isinstance(test, BindingRef) and test.binding.role in ("let", "argument") and test.binding.value is not None:
@@ -87,7 +87,7 @@ class ConditionReader:
             if test.name in ("and", "or"):
                 left, right = (self.read_cases(arg, is_true) for arg in test.args)
                 return _intersect_cases(left, right) if (test.name == "and") == is_true else _check_case_count(left + right)
-            if test.name in _SWAPPED_COMPARISONS:
+            if test.name in _MIRRORED_COMPARISON_BY_OPERATION:
                 return self._read_comparison(test, test.name if is_true else _NEGATED_COMPARISONS[test.name])
             if test.name == "is_some":
                 return [ConditionCase(truth_by_test={f"is_none({self.make_key(test.args[0])})": not is_true})]
@@ -100,11 +100,11 @@ class ConditionReader:
             same = f"eq({','.join(sorted((self.make_key(left), self.make_key(right))))})"
             return [ConditionCase(truth_by_test={same: name == "eq"})]
         if _find_constant_value(left) is not None:
-            left, right, name = right, left, _SWAPPED_COMPARISONS[name]
+            left, right, name = right, left, _MIRRORED_COMPARISON_BY_OPERATION[name]
         edge = _find_constant_value(right)
         if edge is None:  # with two variables, compare their difference with 0
             if self.make_key(left) > self.make_key(right):
-                left, right, name = right, left, _SWAPPED_COMPARISONS[name]
+                left, right, name = right, left, _MIRRORED_COMPARISON_BY_OPERATION[name]
             key = f"{self.make_key(left)} - {self.make_key(right)}"
             a, b = (
                 compute_range(left, self.params, self.range_by_expr_id),
@@ -170,7 +170,7 @@ def _isolate_variable(subject: Expr, limit: float, name: str) -> tuple[Expr, flo
     while isinstance(subject, OperationExpr) and subject.name in ("neg", "add", "sub", "mul", "div"):
         if subject.name == "neg":
             assert subject.args[0] is not None
-            subject, limit, name = subject.args[0], -limit, _SWAPPED_COMPARISONS[name]
+            subject, limit, name = subject.args[0], -limit, _MIRRORED_COMPARISON_BY_OPERATION[name]
             continue
         left, right = subject.args
         assert left is not None and right is not None
@@ -183,26 +183,26 @@ def _isolate_variable(subject: Expr, limit: float, name: str) -> tuple[Expr, flo
             subject, limit, name = (
                 (left if b is not None else right),
                 limit / factor,
-                _SWAPPED_COMPARISONS[name] if factor < 0 else name,
+                _MIRRORED_COMPARISON_BY_OPERATION[name] if factor < 0 else name,
             )
         elif subject.name == "div" and b:
-            subject, limit, name = left, limit * b, _SWAPPED_COMPARISONS[name] if b < 0 else name
+            subject, limit, name = left, limit * b, _MIRRORED_COMPARISON_BY_OPERATION[name] if b < 0 else name
         else:
             break
     return subject, limit, name
 
 
 def _intersect_cases(left: ConditionCases, right: ConditionCases) -> ConditionCases:
-    """Return the cases in which both conditions hold. Raises TooManyCases."""
+    """Return the cases in which both conditions hold. Raises TooManyCasesError."""
     if len(left) * len(right) > _MAX_CASES:
-        raise TooManyCases
+        raise TooManyCasesError
     return [case for a in left for b in right if (case := a.intersect(b)) is not None]
 
 
 def _check_case_count(cases: ConditionCases) -> ConditionCases:
-    """Return the cases unchanged. Raises TooManyCases if there are more than the analysis allows."""
+    """Return the cases unchanged. Raises TooManyCasesError if there are more than the analysis allows."""
     if len(cases) > _MAX_CASES:
-        raise TooManyCases
+        raise TooManyCasesError
     return cases
 
 
@@ -224,7 +224,7 @@ def is_always_true(reader: ConditionReader, test: Expr | None) -> bool:
         return False
 
 
-def implies(reader: ConditionReader, premise: Expr | None, conclusion: Expr | None) -> bool:
+def does_condition_imply(reader: ConditionReader, premise: Expr | None, conclusion: Expr | None) -> bool:
     """Return whether `conclusion` holds whenever `premise` holds. The result is False if the analysis cannot decide."""
     try:
         return not _intersect_cases(reader.read_cases(premise), reader.read_cases(conclusion, False))

@@ -38,7 +38,7 @@ class Interval(NamedTuple):
         high = min((self.high, not self.is_high_open), (other.high, not other.is_high_open))
         return Interval(low[0], high[0], low[1], not high[1])
 
-    def unite_with(self, other: Interval) -> Interval:
+    def compute_hull(self, other: Interval) -> Interval:
         low = min((self.low, self.is_low_open), (other.low, other.is_low_open))
         high = max((self.high, not self.is_high_open), (other.high, not other.is_high_open))
         return Interval(low[0], high[0], low[1], not high[1])
@@ -127,7 +127,7 @@ _INTERVAL_RULES: dict[str, Callable[[list[Interval]], Interval]] = {
     "min": lambda p: Interval(min(p[0].low, p[1].low), min(p[0].high, p[1].high)),
     "max": lambda p: Interval(max(p[0].low, p[1].low), max(p[0].high, p[1].high)),
     "clamp": lambda p: Interval(p[1].low, p[2].high),
-    "ramp": lambda p: p[3].unite_with(p[4]),
-    "uniform": lambda p: p[0].unite_with(p[1]),
-    "if": lambda p: p[1].unite_with(p[2]),
+    "ramp": lambda p: p[3].compute_hull(p[4]),
+    "uniform": lambda p: p[0].compute_hull(p[1]),
+    "if": lambda p: p[1].compute_hull(p[2]),
 }

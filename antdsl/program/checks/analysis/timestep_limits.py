@@ -36,14 +36,14 @@ class ShortStepValue:
     """The behaviour of a value as the step length `dt` goes to 0.
     - `power`: the value is proportional to `dt ** power`. It vanishes if `power` is above 0. `limit`: its limit, if known.
     - `deviation_exponent`: the exponent of `dt` in the deviation from the limit or previous value; infinite without influence.
-    - `changers`: the first two operations that change the previous value.
+    - `changing_parts`: the first two operations that change the previous value.
     - `cause`: the operation that causes the deviation, or in which the value vanishes."""
 
     influence: StepInfluence = StepInfluence.NONE
     power: float = 0.0
     limit: float | None = None
     deviation_exponent: float = math.inf
-    changers: tuple[Expr, ...] = ()
+    changing_parts: tuple[Expr, ...] = ()
     cause: Expr | None = None
 
     @property
@@ -69,9 +69,9 @@ def find_rate_dependent_operations(value: Expr, target: UpdateTarget, has_other_
     unit `step` instead. `value`: the new value. `has_other_change`: another line also changes the attribute."""
     short = _analyse_value(value, target, has_other_change)
     if short.influence is StepInfluence.CHANGED:
-        makers = short.changers
+        makers = short.changing_parts
     else:
-        is_slow = short.influence is StepInfluence.SAME and not _grows_with_time(short.deviation_exponent, value)
+        is_slow = short.influence is StepInfluence.SAME and not _has_growing_power(short.deviation_exponent, value)
         wrong = is_slow or short.influence is StepInfluence.VANISHING
         makers = (short.cause,) if wrong and short.cause is not None else ()
     return tuple(each for each in makers if not _uses_step_unit(each))
@@ -80,7 +80,7 @@ def find_rate_dependent_operations(value: Expr, target: UpdateTarget, has_other_
 def is_rate(value: Expr, target: UpdateTarget) -> bool:
     """Return whether `value`, which an update multiplies by `dt` and adds, is an amount per second."""
     short = _analyse_value(value, target, False)
-    return short.influence is StepInfluence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
+    return short.influence is StepInfluence.UNSURE or _has_growing_power(short.power + 1, value) or _uses_step_unit(value)
 
 
 def depends_on_step(value: Expr) -> bool:
@@ -100,7 +100,7 @@ def reads_update_target(expr: Expr, target: UpdateTarget) -> bool:
     return any(isinstance(part, Expr) and is_update_target(part, target) for part in iterate_parts(expr))
 
 
-def _grows_with_time(power: float, value: Expr) -> bool:
+def _has_growing_power(power: float, value: Expr) -> bool:
     """Return whether the sum of values proportional to `dt ** power`, added once per step, does not depend on the step length.
     With random draws, this also holds for the power 0.5, because such a sum grows with the root of the time."""
     has_draw = any(isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in iterate_parts(value))
@@ -176,12 +176,12 @@ def _make_vanishing_value(power: float, kind: StepInfluence = StepInfluence.NONE
 
 
 def _collect_changers(operands: Iterable[ShortStepValue], *extra: Expr) -> tuple[Expr, ...]:
-    return tuple(dict.fromkeys([*(each for one in operands for each in one.changers), *extra]))[:2]
+    return tuple(dict.fromkeys([*(each for one in operands for each in one.changing_parts), *extra]))[:2]
 
 
 def _make_changed_value(op: Expr, operands: OperandValues) -> ShortStepValue:
     power = min([0.0, *(each.power for each in operands)])
-    return ShortStepValue(StepInfluence.CHANGED, power, changers=_collect_changers(operands, op))
+    return ShortStepValue(StepInfluence.CHANGED, power, changing_parts=_collect_changers(operands, op))
 
 
 def _make_offset_value(previous_value: ShortStepValue, deviation_power: float, cause: Expr | None) -> ShortStepValue:
@@ -194,7 +194,7 @@ def _find_strongest_influence(operands: OperandValues) -> StepInfluence:
     return max((each.influence for each in operands), default=StepInfluence.NONE)
 
 
-def _is_near(value: float | None, number: float) -> bool:
+def _is_nearly_equal(value: float | None, number: float) -> bool:
     return value is not None and math.isclose(value, number, abs_tol=1e-12)
 
 
@@ -207,14 +207,14 @@ def _analyse_sum(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
         return _UNSURE_VALUE
     if own.influence is StepInfluence.CHANGED:
         extra = () if other.is_vanishing or other.influence is StepInfluence.UNSURE else (op,)
-        return replace(own, changers=_collect_changers(operands, *extra))
+        return replace(own, changing_parts=_collect_changers(operands, *extra))
     if own.influence is StepInfluence.SAME:
         if other.influence is StepInfluence.SAME or not other.is_vanishing or (op.name == "sub" and own is b):
             return _make_changed_value(op, operands)
         return _make_offset_value(own, other.power, op)
     off = min(a.deviation_exponent, b.deviation_exponent)
     to = None if a.limit is None or b.limit is None else a.limit - b.limit if op.name == "sub" else a.limit + b.limit
-    if _is_near(to, 0):
+    if _is_nearly_equal(to, 0):
         return _make_vanishing_value(off, own.influence, own.cause)
     return ShortStepValue(power=min(a.power, b.power, 0.0), limit=to, deviation_exponent=off)
 
@@ -231,7 +231,7 @@ def _analyse_product(op: OperationExpr, operands: OperandValues) -> ShortStepVal
     if own.influence is StepInfluence.NONE:
         to = a.limit * b.limit if a.limit is not None and b.limit is not None and power == 0 else None
         return ShortStepValue(power=power, limit=to, deviation_exponent=min(a.deviation_exponent, b.deviation_exponent))
-    if own.influence >= StepInfluence.SAME and other.influence is StepInfluence.NONE and _is_near(other.limit, 1):
+    if own.influence >= StepInfluence.SAME and other.influence is StepInfluence.NONE and _is_nearly_equal(other.limit, 1):
         return _make_offset_value(own, other.deviation_exponent, op)
     return replace(_make_changed_value(op, operands), power=power)
 
@@ -259,7 +259,7 @@ def _analyse_power(op: OperationExpr, operands: OperandValues) -> ShortStepValue
     if StepInfluence.UNSURE in (a.influence, b.influence) or b.influence is StepInfluence.VANISHING:
         return _UNSURE_VALUE
     if b.influence > StepInfluence.VANISHING or a.influence > StepInfluence.VANISHING:
-        if a.influence is StepInfluence.SAME and _is_near(b.limit, 1):
+        if a.influence is StepInfluence.SAME and _is_nearly_equal(b.limit, 1):
             return a if b.deviation_exponent == math.inf else _UNSURE_VALUE
         return _UNSURE_VALUE if b.depends_on_dt else _make_changed_value(op, operands)
     if b.limit is None:
@@ -290,7 +290,7 @@ def _make_function_rule(function: Callable[[float], float]) -> Callable[[Operati
             return _UNSURE_VALUE
         limit = None if a.limit is None else _evaluate_function(function, a.limit)
         vanishing = _make_vanishing_value(a.deviation_exponent, a.influence, a.cause)
-        return vanishing if _is_near(limit, 0) else ShortStepValue(limit=limit, deviation_exponent=a.deviation_exponent)
+        return vanishing if _is_nearly_equal(limit, 0) else ShortStepValue(limit=limit, deviation_exponent=a.deviation_exponent)
 
     return apply_function
 
@@ -300,7 +300,7 @@ def _analyse_mix(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
     if share.influence is StepInfluence.UNSURE:
         return _UNSURE_VALUE
     for side, end in ((a, 0), (b, 1)):
-        if share.influence <= StepInfluence.VANISHING and _is_near(share.limit, end):
+        if share.influence <= StepInfluence.VANISHING and _is_nearly_equal(share.limit, end):
             if side.influence is StepInfluence.NONE:
                 power = min(side.power, share.deviation_exponent) if side.power else 0.0
                 return replace(side, deviation_exponent=min(side.deviation_exponent, share.deviation_exponent), power=power)
@@ -338,7 +338,7 @@ def _analyse_first_operand(op: OperationExpr, operands: OperandValues) -> ShortS
 def _analyse_pass_through(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
     influence = _find_strongest_influence(operands)
     if influence is StepInfluence.CHANGED:
-        return replace(next(each for each in operands if each.influence is influence), changers=_collect_changers(operands))
+        return replace(next(each for each in operands if each.influence is influence), changing_parts=_collect_changers(operands))
     if influence is StepInfluence.SAME:
         return min((each for each in operands if each.influence is influence), key=lambda operand: operand.deviation_exponent)
     return _analyse_unknown(op, operands)
@@ -353,7 +353,7 @@ def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue
     left = [each for each in operands if each.limit == to]
     off = min(each.deviation_exponent for each in left)
     how, by = _find_strongest_influence(left), next((each.cause for each in left if each.cause), None)
-    return _make_vanishing_value(off, how, by) if _is_near(to, 0) else ShortStepValue(limit=to, deviation_exponent=off)
+    return _make_vanishing_value(off, how, by) if _is_nearly_equal(to, 0) else ShortStepValue(limit=to, deviation_exponent=off)
 
 
 def _analyse_if(op: OperationExpr, operands: OperandValues, target: UpdateTarget, has_other_change: bool) -> ShortStepValue:
@@ -371,7 +371,7 @@ def _analyse_if(op: OperationExpr, operands: OperandValues, target: UpdateTarget
     lost = [each.cause for each in branches if each.influence is StepInfluence.VANISHING and each.cause is not None]
     if not lost or influence is StepInfluence.UNSURE:
         return _analyse_pass_through(op, branches)
-    return ShortStepValue(StepInfluence.CHANGED, changers=_collect_changers(branches, *lost))
+    return ShortStepValue(StepInfluence.CHANGED, changing_parts=_collect_changers(branches, *lost))
 
 
 def _analyse_query(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
