@@ -115,7 +115,7 @@ class LoadedSources:
             return None
         try:
             roots.measure_file_size(text)
-            return roots.path(text)
+            return roots.resolve_path(text)
         except PathRefused as error:
             self.report.error(error.code, str(error), span, error.help)
             return None

@@ -221,7 +221,7 @@ def _read_scene(
     `data`: the text of the scene in an editor; None to read the file. `texts`: texts that override files on disk."""
     from antdsl.measures.scene_measures import check_until
     from antdsl.scene.checks.scene_checks import match_scene
-    from antdsl.scene.load import load_scene, load_text
+    from antdsl.scene.load import load_scene, load_scene_text
     from antdsl.scene.overrides import read_overrides
     from antdsl.scene.paths import Roots
     from antdsl.scene.scene_values import select_params
@@ -230,7 +230,7 @@ def _read_scene(
         scene, report = load_scene(path, choices.grants, choices.notes, choices.params)
     else:
         roots = Roots(resolve_path(path).parent, dict(choices.grants))
-        scene, report = load_text(data, str(path), roots, texts, values=choices.params)
+        scene, report = load_scene_text(data, str(path), roots, texts, values=choices.params)
     loaded = LoadedSources(resolve_path(path).parent, parse_cache={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
@@ -239,12 +239,12 @@ def _read_scene(
     scene = scene.replace_values(frames=choices.frames, seed=choices.seed, until=choices.until)
     for number, line in enumerate(scene.model.crowd):
         if line.source not in {other.source for other in scene.model.crowd[:number]}:
-            loaded.add_scene_program(line.source, scene.roots, scene.span("crowd", number, "from"))
+            loaded.add_scene_program(line.source, scene.roots, scene.find_span("crowd", number, "from"))
     if not scene.model.crowd:
         report.error(
             "no-crowd",
             "the scene has no crowd, so there is nothing to simulate",
-            scene.span("antdsl", key=True),
+            scene.find_span("antdsl", key=True),
             _MISSING_CROWD_HELP,
         )
     program, findings = _check_loaded_sources(loaded, strict)

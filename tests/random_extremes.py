@@ -32,8 +32,8 @@ from antdsl.program.tables.vocabulary import (
 )
 from antdsl.program.traverse import iterate_parts
 from antdsl.runtime import FieldStartData, MeshData, World, WorldSetting, set_param
-from antdsl.scene.setting import CameraData, DetailData, FlowTarget, GeometryMoves, PaintedValues, SolidData, SpreadFlowData
-from antdsl.scene.staging.motion import MeshMoves
+from antdsl.scene.setting import CameraData, DetailLevelData, FlowTarget, GeometryMotion, PaintedValues, SolidData, SpreadFlowData
+from antdsl.scene.staging.motion import MeshMotion
 
 ODD = (np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 1e-40, -1e-45, 1e-30, -0.0, 0.0, 1.0, -1.0, 16777217.0, 2147483648.0)
 LAMP = replace(item("f", 20, -20, 8, load=5), look="light")
@@ -220,9 +220,9 @@ def setting(extremes: Extremes, agents: int = 21) -> WorldSetting:
     if extremes.kind == "moving":
         poses = np.repeat(np.eye(3, 4)[None], 30, axis=0)
         poses[:, 0, 3] = np.arange(30) * 0.5
-        optional_parts["motion"] = GeometryMoves(meshes={"ground": MeshMoves.from_transforms(poses, len(ground.vertices))})
+        optional_parts["motion"] = GeometryMotion(meshes={"ground": MeshMotion.from_transforms(poses, len(ground.vertices))})
     if extremes.kind == "detail":
-        optional_parts["level_of_detail"] = DetailData(np.array([[0.0, 60.0, 0.0]]), 70.0, 90.0)
+        optional_parts["level_of_detail"] = DetailLevelData(np.array([[0.0, 60.0, 0.0]]), 70.0, 90.0)
     return WorldSetting(
         fps=Fraction(10),
         seed=extremes.seed,

@@ -56,9 +56,9 @@ def open_shot(path: Path, agents: int | None, *, frames: int = MAX_MEASURED_FRAM
     may have."""
     from antdsl.bench.scaling import scale_setting
     from antdsl.pipeline import RunChoices, open_scene
-    from antdsl.scene.values import parse_frames
+    from antdsl.scene.values import parse_frame_range
 
-    shot, report = open_scene(path, RunChoices(frames=parse_frames(f"1..{frames}")))
+    shot, report = open_scene(path, RunChoices(frames=parse_frame_range(f"1..{frames}")))
     if shot is None:
         raise CaseError(f"`{path}` cannot be opened", report)
     if agents is None or agents == sum(crowd.count for crowd in shot.setting.crowds):

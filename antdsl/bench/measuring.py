@@ -229,9 +229,9 @@ def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRunCost:
     """Return the cost of `frames` frames of a run, and of the same steps without writing, after WARM_UP_STEPS uncounted
     frames."""
     from antdsl.outputs.recording import begin_recording, record_frames
-    from antdsl.scene.values import parse_frames
+    from antdsl.scene.values import parse_frame_range
 
-    shot = replace(shot, scene=shot.scene.replace_values(frames=parse_frames(f"1..{WARM_UP_STEPS + frames}")))
+    shot = replace(shot, scene=shot.scene.replace_values(frames=parse_frame_range(f"1..{WARM_UP_STEPS + frames}")))
     with tempfile.TemporaryDirectory() as folder:
         began = (0.0, 0.0)
         recording = begin_recording(shot, Path(folder, "cache"), options, resume=False, force=False)

@@ -167,7 +167,7 @@ def _check_layers(
         named = layers.setdefault(line.species, {each.layer for each in appearances if isinstance(each, Wear)})
         dressed = tuple(dict.fromkeys(name for part in line.list_worn_layers() for name in part if name))
         named |= set(dressed)
-        place = scene.span("crowd", number, "wear")
+        place = scene.find_span("crowd", number, "wear")
         for key in keys_by_species[line.species]:
             if key in definitions:
                 _check_worn_layers(line.species, definitions[key], dressed, len(keys_by_species[line.species]) > 1, place, report)
@@ -243,9 +243,9 @@ def list_named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBo
     for number, line in enumerate(scene.model.crowd):
         if line.species not in lines:
             lines[line.species] = number
-            span = scene.span("crowd", number, "species")
+            span = scene.find_span("crowd", number, "species")
             bodies.append(NamedBody(line.species, line.species, find_body_for_species(line.species), span))
-    scene_start = scene.span("antdsl", key=True)
+    scene_start = scene.find_span("antdsl", key=True)
     return bodies + [NamedBody(name, name, find_body_for_species(name), scene_start) for name in species if name not in lines]
 
 

@@ -88,10 +88,10 @@ def parse_frame_range(text: str | None, flag: str = "--frames") -> FrameRange | 
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError
-    from antdsl.scene.values import parse_frames
+    from antdsl.scene.values import parse_frame_range
 
     try:
-        return parse_frames(text)
+        return parse_frame_range(text)
     except QuantityError as error:
         raise typer.BadParameter(f"`{text}` {error}: {error.help or 'write A..B'}", param_hint=flag) from None
 

@@ -68,7 +68,7 @@ def _find_work_span(shot: Shot, work: WorkEstimate) -> Span:
     kind, _, name = work.thing.partition(" ")
     if kind == "field":
         return shot.program.fields[name].span
-    return shot.scene.span("crowd") if kind == "species" else shot.scene.span("world", name)
+    return shot.scene.find_span("crowd") if kind == "species" else shot.scene.find_span("world", name)
 
 
 def format_bytes(bytes: int) -> str:

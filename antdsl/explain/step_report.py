@@ -128,7 +128,7 @@ def _list_scene_notes(replay: StepReplay, world: World, population: Population, 
     for active in world.notes.active if world.notes is not None else ():
         at = np.flatnonzero(active.rows.get(population.name, np.empty(0, np.intp)) == row)
         if len(at):
-            where = locate_span(scene.span("notes", scene.model.notes.index(active.note)))
+            where = locate_span(scene.find_span("notes", scene.model.notes.index(active.note)))
             agents = NoteAgents(world, active, population).select(at)
             words = f"the scene directs it by {where.text} in {Path(where.file).name}:{where.line}, "
             later = f", {agents.delays[0]} frames later than the note" if agents.delays[0] else ""

@@ -20,7 +20,7 @@ def check_until(scene: Scene, loaded: LoadedSources, *, is_option: bool = False)
     try:
         check_condition(loaded, text, allows_each=False)
     except ConditionError as error:
-        span = None if is_option else scene.span("until")
+        span = None if is_option else scene.find_span("until")
         report.error("wrong-argument", f"`{'--until' if is_option else 'until'}`: {error}", span, error.help or None)
     return report
 
@@ -37,5 +37,5 @@ def lower_scene_measures(
         try:
             until = compile_condition(loaded, plan, scene.model.until)
         except ConditionError as error:
-            report.error("wrong-argument", f"`until`: {error}", scene.span("until"), error.help or None)
+            report.error("wrong-argument", f"`until`: {error}", scene.find_span("until"), error.help or None)
     return measures, until, report

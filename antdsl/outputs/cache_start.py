@@ -38,7 +38,7 @@ def find_start_cache(shot: Shot) -> Path | None:
     if start is None:
         return None
     try:
-        return shot.scene.roots.path(start.cache)
+        return shot.scene.roots.resolve_path(start.cache)
     except PathRefused as error:
         raise _make_error(shot, error.code, str(error), "cache", error.help) from None
 
@@ -125,5 +125,5 @@ def _make_missing_error(shot: Shot, folder: Path) -> StartError:
 def _make_error(shot: Shot, code: str, message: str, key: str, help: str | None) -> StartError:
     """Return the error with this code and message, located at the key `key` of the scene's `from`."""
     report = Report()
-    report.error(code, message, shot.scene.span("from", key), help)
+    report.error(code, message, shot.scene.find_span("from", key), help)
     return StartError(report)

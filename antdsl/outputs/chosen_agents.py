@@ -10,8 +10,8 @@ from pydantic_core import PydanticCustomError
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.cache_selection import list_selector_names
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
-from antdsl.scene.crowds.line_ids import LineIds
-from antdsl.scene.notes.selectors import AgentName, find_problems, parse_agent_name
+from antdsl.scene.crowds.line_ids import CrowdLineIds
+from antdsl.scene.notes.selectors import AgentName, find_selector_problems, parse_agent_name
 from antdsl.scene.quantities import QuantityError, parse_integer_range
 
 _MAX_IDS = 1_000_001  # of one range
@@ -66,11 +66,11 @@ def _find_agents_of_word(word: str, manifest: Manifest) -> Iterator[ChosenAgent]
         name = parse_agent_name(word)
     except PydanticCustomError as why:
         raise UnknownAgent(str((why.context or {})["words"]), "write an id, `17`, or a name, `guards.17`") from None
-    for problem in find_problems(name, list_selector_names(manifest)):
+    for problem in find_selector_problems(name, list_selector_names(manifest)):
         raise UnknownAgent(problem.message, problem.help)
     line = next((each for each in manifest.lines if each.name == name.name), None)
     if line is not None:
-        for agent in LineIds(line.species, line.ranges).take(name.first or 0, name.last).tolist():
+        for agent in CrowdLineIds(line.species, line.ranges).list_ids_between(name.first or 0, name.last).tolist():
             yield ChosenAgent(line.species, agent)
     elif name.first is None:
         raise UnknownAgent(f"`{word}` is a species", f"write the ids of its agents, such as `{word}.0..9`")

@@ -32,7 +32,7 @@ from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.render import Renderer
 from antdsl.outputs.scene_cameras import SceneCameras, choose_direction, compute_aperture, make_stable_track, read_track
 from antdsl.safe_read import read_size_limited
-from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.camera_models import DEFAULT_CAMERA_NAME
 from antdsl.scene.setting import DEFAULT_FOCAL_MM
 
 _PNG_HASH_KEYWORD = "antdsl"  # the key of the hash among the texts of a PNG file
@@ -108,7 +108,7 @@ class FrameDrawer:
         )
         self._aspect = self._renderer.width / self._renderer.height
         self._cameras, self._up = SceneCameras(gallery), np.asarray(first.up, np.float64)
-        self._name = DEFAULT_CAMERA if request.camera == "scene" else request.camera
+        self._name = DEFAULT_CAMERA_NAME if request.camera == "scene" else request.camera
         self._find_camera = self._choose_camera(first)
 
     def draw(self, frame: int) -> NDArray[np.uint8]:

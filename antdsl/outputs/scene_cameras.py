@@ -26,8 +26,8 @@ from antdsl.outputs.pictures.following import (
     measure_body,
 )
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
-from antdsl.scene.camera_models import DEFAULT_CAMERA
-from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.camera_models import DEFAULT_CAMERA_NAME
+from antdsl.scene.crowds.line_ids import CrowdLineIds
 from antdsl.scene.notes.selectors import parse_agent_name
 from antdsl.scene.setting import DEFAULT_FOCAL_MM
 from antdsl.scene.thing_models import UNIT_MM, UP_VECTORS
@@ -52,17 +52,17 @@ class SceneCameras:
         """Return the names of the cameras in the scene."""
         return list(self._entries)
 
-    def is_fitted(self, name: str = DEFAULT_CAMERA) -> bool:
+    def is_fitted(self, name: str = DEFAULT_CAMERA_NAME) -> bool:
         """Return whether a camera shows the complete crowd in all drawn frames."""
         return self._entries.get(name) == "fit"
 
-    def is_moving(self, name: str = DEFAULT_CAMERA) -> bool:
+    def is_moving(self, name: str = DEFAULT_CAMERA_NAME) -> bool:
         """Return whether a camera changes between frames."""
         entry = self._entries.get(name)
         has_moving_focus = isinstance(entry, LensEntry) and isinstance(entry.focus, str)
         return isinstance(entry, FollowEntry) or has_moving_focus or (isinstance(entry, CameraEntry) and entry.moves)
 
-    def make_camera(self, frame: int, name: str = DEFAULT_CAMERA) -> Camera | None:
+    def make_camera(self, frame: int, name: str = DEFAULT_CAMERA_NAME) -> Camera | None:
         """Return a camera at a frame. Return None if the scene has no such camera, or if it depends on the drawn frames."""
         entry = self._entries.get(name)
         if isinstance(entry, FollowEntry):
@@ -109,7 +109,7 @@ class SceneCameras:
             except PictureUnavailable:
                 exists = False
             if exists:
-                names[name] = "camera" if name == DEFAULT_CAMERA else name
+                names[name] = "camera" if name == DEFAULT_CAMERA_NAME else name
         return names
 
 
@@ -137,7 +137,7 @@ def find_agent(manifest: Manifest, text: str) -> tuple[int, int]:
     species, ids = name.name, np.array([] if name.first is None else [name.first], np.int64)
     if name.name in lines and name.first is not None:
         line = lines[name.name]
-        species, ids = line.species, LineIds(line.species, line.ranges).take(name.first, name.first)
+        species, ids = line.species, CrowdLineIds(line.species, line.ranges).list_ids_between(name.first, name.first)
     numbers = [number for number, each in enumerate(manifest.species) if each.name == species]
     if not numbers or not len(ids):
         raise PictureUnavailable(f"the cache has no agent `{text}`")

@@ -17,8 +17,8 @@ from antdsl.outputs.feelers import list_feelers
 from antdsl.outputs.pictures.camera import to_tuple
 from antdsl.pipeline import Shot
 from antdsl.runtime import World
-from antdsl.scene.camera_models import Camera, FollowCamera, LensCamera
-from antdsl.scene.looks import LAMP_LOOK
+from antdsl.scene.camera_models import FollowCamera, LensCamera, PlacedCamera
+from antdsl.scene.looks import LAMP_LOOK_WORD
 from antdsl.scene.notes.selectors import AgentName
 from antdsl.scene.scene_model import SceneModel
 from antdsl.scene.setting import CameraData
@@ -57,7 +57,7 @@ def make_shot_manifest(shot: Shot, world: World, attributes: tuple[str, ...], st
 def _list_notes(shot: Shot) -> tuple[str, ...]:
     """Return the notes that are not off, each on one line without its braces."""
     scene = shot.scene
-    lines = (scene.span("notes", k) for k, note in enumerate(scene.model.notes) if note.off == "no")
+    lines = (scene.find_span("notes", k) for k, note in enumerate(scene.model.notes) if note.off == "no")
     return tuple(shorten_line(join_line(span.text)) for span in lines)
 
 
@@ -67,7 +67,9 @@ def _make_camera_entries(shot: Shot, origin: NDArray[np.float64]) -> dict[str, A
     for name, value in model.named_cameras.items():
         if name in shot.setting.cameras:
             placed = _make_placed_entry(shot.setting.cameras[name], origin, 1.0 / model.unit_mm)
-            entries[name] = placed.model_copy(update=_read_lens(value, model.unit_mm)) if isinstance(value, Camera) else placed
+            entries[name] = (
+                placed.model_copy(update=_read_lens(value, model.unit_mm)) if isinstance(value, PlacedCamera) else placed
+            )
         elif isinstance(value, FollowCamera):
             by = None if value.by is None else to_tuple(np.array(convert_point(value.by, model.unit_mm)) / model.unit_mm)
             smooth = None if value.smooth is None else value.smooth.to_base_units(model.unit_mm, float(1 / model.fps))
@@ -90,7 +92,7 @@ def _make_placed_entry(camera: CameraData, origin: NDArray[np.float64], scale: f
     """Return the manifest's entry for a camera that does not depend on agents, with the values of the first frame."""
     at, look_at, up = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
     focal = float(camera.focal[0]) or None
-    return CameraEntry(at=to_tuple(at), look_at=to_tuple(look_at), focal=focal, up=to_tuple(up), moves=camera.moves)
+    return CameraEntry(at=to_tuple(at), look_at=to_tuple(look_at), focal=focal, up=to_tuple(up), moves=camera.is_moving)
 
 
 def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
@@ -103,7 +105,7 @@ def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
             own = {item: placed.look for item, placed in thing.items() if placed.look is not None}
             looks |= {name: own} if own else {}
         elif isinstance(thing, LampThing):
-            looks[name] = LAMP_LOOK
+            looks[name] = LAMP_LOOK_WORD
         elif isinstance(thing, PlacedThing) and thing.look is not None:
             looks[name] = thing.look
     return looks

@@ -45,7 +45,7 @@ class PrecompiledShot:
         roots = self.shot.scene.roots
         for name, known in self.shot.inputs.items():
             try:
-                place = roots.path(name)
+                place = roots.resolve_path(name)
             except PathRefused:
                 continue  # a value set by hand, or a file of the library
             if place.suffix == ".ant" or name in ("antdsl", "scene") or name.startswith(("--set ", "--note ", "set ")):

@@ -89,7 +89,7 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
         return
     for crowd, line in zip(world.setting.crowds, world.crowd_lines, strict=True):
         if crowd.species == name and (crowd.place.values or crowd.initial_values):
-            write_initial_values(world, population, np.flatnonzero(line.find_numbers(population.ids) >= 0), crowd)
+            write_initial_values(world, population, np.flatnonzero(line.find_positions_in_line(population.ids) >= 0), crowd)
     initialise_newborn(world, {name: np.arange(len(population))})
     population.effects = EffectRequests()
     write_registers(population, values)

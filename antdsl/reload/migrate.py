@@ -25,7 +25,7 @@ from antdsl.runtime.line_tables import count_released, list_line_names, match_li
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_geometry
 from antdsl.runtime.world import World
-from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import CrowdLineIds
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 _NO_IDS = np.empty(0, np.int64)
@@ -94,7 +94,7 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
     lines, created_ids = [], []
     for crowd, old in _match_crowds(old_world, world.setting):
         population = world.populations[crowd.species]
-        line = LineIds(crowd.species) if old is None else old[1]
+        line = CrowdLineIds(crowd.species) if old is None else old[1]
         released = 0 if old is None else count_released(*old, world.frame)
         due = crowd.count_created(world.frame)
         joining_count = due - (0 if old is None else old[0].count_created(world.frame))
@@ -103,7 +103,7 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
         total = released + joining_count + crowd.count - due
         lines.append(line.resize(total, population.next_id))
         population.next_id += max(0, total - len(line))
-        created_ids.append(lines[-1].take(released, released + joining_count - 1) if joining_count > 0 else _NO_IDS)
+        created_ids.append(lines[-1].list_ids_between(released, released + joining_count - 1) if joining_count > 0 else _NO_IDS)
     world.crowd_lines = tuple(lines)
     for name, known in values.items():
         fill_registers(world, name, known)
@@ -116,7 +116,7 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
     return joining
 
 
-def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, tuple[CrowdData, LineIds] | None]]:
+def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, tuple[CrowdData, CrowdLineIds] | None]]:
     """Return the crowd lines of the new setting. Each has the corresponding old line with the ids of its agents; None without
     one."""
     matches = match_lines(list_line_names(old_world.setting), list_line_names(setting))

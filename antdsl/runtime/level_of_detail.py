@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.geometry.live_faces import number_components
-from antdsl.scene.setting import DetailData, MeshData
+from antdsl.scene.geometry.live_faces import number_connected_components
+from antdsl.scene.setting import DetailLevelData, MeshData
 
 BoxArrays = tuple[NDArray[np.float32], NDArray[np.float32]]  # least and greatest corners
 
@@ -35,7 +35,7 @@ class DetailLevels:
     `counts` int64[4]: the number of steps so far, then the number of agents at each of `DETAIL_LEVELS`, summed over these
     steps."""
 
-    def __init__(self, data: DetailData, origin: NDArray[np.float64], obstacles: Mapping[str, MeshData]) -> None:
+    def __init__(self, data: DetailLevelData, origin: NDArray[np.float64], obstacles: Mapping[str, MeshData]) -> None:
         self._camera = np.asarray(data.camera, np.float64).reshape(-1, 3) - origin
         self._near_distance, self._far_distance, self._start_frame = (
             data.near_distance,
@@ -149,7 +149,7 @@ def _number_pieces(mesh: MeshData, used_vertices: NDArray[np.int32]) -> NDArray[
         return np.zeros(0, np.int64)
     points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = same.reshape(-1)[mesh.faces]
-    of_place = number_components(np.concatenate([faces[:, :2], faces[:, 1:]]), len(points))
+    of_place = number_connected_components(np.concatenate([faces[:, :2], faces[:, 1:]]), len(points))
     numbers: NDArray[np.int64] = np.unique(of_place[same.reshape(-1)[used_vertices]], return_inverse=True)[1].reshape(-1)
     return numbers
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.world import World
-from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import CrowdLineIds
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 _NAMES, _RANGES, _CREATED = "lines.names", "lines.ranges", "lines.created"
@@ -23,29 +23,29 @@ def list_line_names(setting: WorldSetting) -> list[LineName]:
     return [(crowd.species, crowd.name) for crowd in setting.crowds]
 
 
-def reserve_ids(setting: WorldSetting) -> tuple[LineIds, ...]:
+def reserve_ids(setting: WorldSetting) -> tuple[CrowdLineIds, ...]:
     """Return the ids of each crowd line. Lines of one species get consecutive ids."""
     next_ids: dict[str, int] = {}
     lines = []
     for crowd in setting.crowds:
-        lines.append(LineIds(crowd.species).resize(crowd.count, next_ids.get(crowd.species, 0)))
+        lines.append(CrowdLineIds(crowd.species).resize(crowd.count, next_ids.get(crowd.species, 0)))
         next_ids[crowd.species] = next_ids.get(crowd.species, 0) + crowd.count
     return tuple(lines)
 
 
-def count_released(crowd: CrowdData, line: LineIds, frame: int) -> int:
+def count_released(crowd: CrowdData, line: CrowdLineIds, frame: int) -> int:
     """Return how many of the ids in a line's table belong to agents that were created up to a frame.
 
     The last ids are for agents still to be created. The first ids may be of another scene that this one continues."""
     return len(line) - crowd.count + crowd.count_created(frame)
 
 
-def take_created_ids(crowd: CrowdData, line: LineIds, previous_frame: int | None, frame: int) -> NDArray[np.int64]:
+def take_created_ids(crowd: CrowdData, line: CrowdLineIds, previous_frame: int | None, frame: int) -> NDArray[np.int64]:
     """Return the ids of the agents of a line that are created after `previous_frame` and up to `frame`.
 
     Without a previous frame, they are those created in any frame up to `frame`."""
     first = 0 if previous_frame is None else count_released(crowd, line, previous_frame)
-    return line.take(first, count_released(crowd, line, frame) - 1)
+    return line.list_ids_between(first, count_released(crowd, line, frame) - 1)
 
 
 def match_lines(old: Sequence[LineName], new: Sequence[LineName]) -> list[int]:
@@ -93,7 +93,7 @@ def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]], *, as_start:
     lines = []
     matches = match_lines(old, list_line_names(world.setting))
     for crowd, number, line in zip(world.setting.crowds, matches, world.crowd_lines, strict=True):
-        stored = LineIds(crowd.species, tuple(ranges[number])) if number >= 0 else LineIds(crowd.species)
+        stored = CrowdLineIds(crowd.species, tuple(ranges[number])) if number >= 0 else CrowdLineIds(crowd.species)
         if as_start:
             population = world.populations[crowd.species]
             stored = stored.resize(min(created[number], len(stored)) if number >= 0 else 0, 0)

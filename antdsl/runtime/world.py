@@ -20,7 +20,7 @@ from antdsl.numerics.sorting import invert_order, sort_stably
 from antdsl.plan import ir
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME, REGISTER_COLUMN_BY_NAME
 from antdsl.runtime.requests import EffectRequests
-from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import CrowdLineIds
 from antdsl.scene.setting import WorldSetting
 
 if TYPE_CHECKING:
@@ -247,7 +247,7 @@ class World:
     backend: StepBackend
     faults: FaultLog
     motion: MotionMeasures
-    crowd_lines: tuple[LineIds, ...]  # by the index of the crowd line
+    crowd_lines: tuple[CrowdLineIds, ...]  # by the index of the crowd line
     timings: dict[str, float] = field(default_factory=dict)  # wall time (s) by phase, over all steps
     cpu_seconds: dict[str, float] = field(default_factory=dict)  # CPU time (s) of all threads by phase, over all steps
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step

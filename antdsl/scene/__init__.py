@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 from antdsl.scene.paths import PathRefused, Roots
 
 if TYPE_CHECKING:
-    from antdsl.scene.load import Scene, load_text
+    from antdsl.scene.load import Scene, load_scene_text
 
-__all__ = ["PathRefused", "Roots", "Scene", "load_text"]
+__all__ = ["PathRefused", "Roots", "Scene", "load_scene_text"]
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("Scene", "load_text"):  # loaded on first use: the reader process needs only `geometry`
+    if name in ("Scene", "load_scene_text"):  # loaded on first use: the reader process needs only `geometry`
         return getattr(import_module("antdsl.scene.load"), name)
     raise AttributeError(f"module `antdsl.scene` has no `{name}`")

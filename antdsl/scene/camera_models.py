@@ -17,13 +17,13 @@ from antdsl.scene.values import (
     SceneName,
     ScenePart,
     SceneWord,
-    make_error,
+    make_value_error,
     parse_integer_between,
     parse_number_between,
     parse_one_of,
 )
 
-DEFAULT_CAMERA = "shot"  # the name of the camera that pictures have by default
+DEFAULT_CAMERA_NAME = "shot"  # the name of the camera that pictures have by default
 F_STOP_RANGE = 0.1, 10_000.0
 CAMERA_VIEWS = ("scene", "fit", "above", "top", "eye", "close")  # words of `render --camera` that name no camera of the scene
 
@@ -45,7 +45,7 @@ CameraKeys = dict[FrameNumber, CameraKey]
 def _parse_single_agent(value: Any) -> AgentName:
     name = parse_agent_name(value)
     if name.first is None or name.last != name.first:
-        raise make_error(f"`{name}` is not a single agent", f"write `{name.name}.{name.first or 0}`")
+        raise make_value_error(f"`{name}` is not a single agent", f"write `{name.name}.{name.first or 0}`")
     return name
 
 
@@ -55,9 +55,9 @@ def _find_focus_tag(value: Any) -> str:
 
 _SingleAgent = Annotated[AgentName, BeforeValidator(_parse_single_agent)]
 if TYPE_CHECKING:
-    Focus = Quantity | AgentName
+    FocusValue = Quantity | AgentName
 else:
-    Focus = Annotated[
+    FocusValue = Annotated[
         Annotated[PositiveLength, Tag("focus-distance")] | Annotated[_SingleAgent, Tag("focus-agent")],
         Discriminator(_find_focus_tag),
     ]
@@ -71,10 +71,10 @@ class LensCamera(ScenePart):
 
     focal: PositiveLength | None = None
     f_stop: Annotated[float, BeforeValidator(parse_number_between(*F_STOP_RANGE))] | None = None
-    focus: Focus | None = None
+    focus: FocusValue | None = None
 
 
-class Camera(LensCamera):
+class PlacedCamera(LensCamera):
     """A camera at a point, which looks at another point. `keys`: by frame, the values that change over time."""
 
     at: PointValue
@@ -103,7 +103,7 @@ class FollowCamera(LensCamera):
 
 FitWord = Annotated[str, BeforeValidator(parse_one_of("fit"))]
 CAMERA_MODEL_BY_TYPE_TAG: dict[str, type[ScenePart]] = {
-    "camera-here": Camera, "usd-camera": UsdCamera, "follow-camera": FollowCamera,
+    "camera-here": PlacedCamera, "usd-camera": UsdCamera, "follow-camera": FollowCamera,
 }  # fmt: skip
 
 
@@ -114,10 +114,10 @@ def _find_camera_type_tag(value: Any) -> str:
 
 
 if TYPE_CHECKING:
-    CameraValue = Camera | UsdCamera | FollowCamera | str
+    CameraValue = PlacedCamera | UsdCamera | FollowCamera | str
 else:
     CameraValue = Annotated[
-        Annotated[Camera, Tag("camera-here")]
+        Annotated[PlacedCamera, Tag("camera-here")]
         | Annotated[UsdCamera, Tag("usd-camera")]
         | Annotated[FollowCamera, Tag("follow-camera")]
         | Annotated[FitWord, Tag("camera-word")],

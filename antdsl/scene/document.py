@@ -12,7 +12,7 @@ from typing import Any
 
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Label, Report
-from antdsl.scene.flow_mistakes import explain_lone_key, find_closing_parenthesis, suggest_mapping
+from antdsl.scene.flow_mistakes import explain_key_without_value, find_closing_parenthesis, suggest_flow_mapping
 from antdsl.scene.indentation import explain_indentation, explain_missing_colon
 from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import find_comma_number, make_comma_diagnostic
@@ -82,10 +82,10 @@ class _DocumentError(Exception):
 
 
 # Invisible characters and characters that look like a blank. YAML reads them as letters. Joiners belong to the spelling of words.
-_ODD_BLANK_PATTERN = re.compile("[\u00a0\u00ad\u1680\u180e\u2000-\u200b\u200e\u200f\u202f\u205f-\u2064\u3000]")
+_UNUSUAL_BLANK_PATTERN = re.compile("[\u00a0\u00ad\u1680\u180e\u2000-\u200b\u200e\u200f\u202f\u205f-\u2064\u3000]")
 _QUOTED_TEXT_PATTERN = re.compile(r"""'[^'\n]*'|"(?:\\.|[^"\\\n])*"|(?:^|(?<=\s))#[^\n]*""", re.MULTILINE)
 _CALL_PATTERN = re.compile(r"[A-Za-z_]\w*\([^()\n]*\)", re.ASCII)
-_MAX_LINE = 500  # characters around an error that are read for its message
+_MAX_QUOTED_LINE_CHARACTERS = 500  # characters around an error that are read for its message
 _FORBIDDEN_CHARACTERS = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
@@ -133,7 +133,7 @@ def read_document(
 
 
 @dataclass(slots=True)
-class _OpenNode:
+class _UnfinishedNode:
     """A mapping or sequence under construction."""
 
     start: int
@@ -156,12 +156,12 @@ class _DocumentReader:
         start: int = self.lines[min(mark.line, len(self.lines) - 1)]
         return min(start + int(mark.column), len(self.source.text))
 
-    def span(self, event: Any) -> Span:
+    def find_span(self, event: Any) -> Span:
         """Return the location of a YAML event."""
         start, end = self.find_offset(event.start_mark), self.find_offset(event.end_mark)
         return Span(self.source, start, max(end, start))
 
-    def reject(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentError:
+    def make_error(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentError:
         """Report an error, and return the exception to raise."""
         self.report.error(code, message, span, help, labels=labels)
         return _DocumentError()
@@ -177,14 +177,14 @@ class _DocumentReader:
             raise self.reject_syntax(problem) from None
         start_span = Span(self.source, 0, min(len(self.source.text), 1))
         if root is None or (isinstance(root, ScalarNode) and not root.text):
-            raise self.reject("empty-scene", f"{self.subject} is empty", start_span, self.example)
+            raise self.make_error("empty-scene", f"{self.subject} is empty", start_span, self.example)
         if not isinstance(root, MappingNode):
-            raise self.reject("wrong-value", f"{self.subject} is a list of `key: value` lines", root.span, self.example)
+            raise self.make_error("wrong-value", f"{self.subject} is a list of `key: value` lines", root.span, self.example)
         return root
 
     def reject_depth(self, span: Span) -> _DocumentError:
         """Report too deep nesting, and return the exception to raise."""
-        return self.reject("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
+        return self.make_error("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
         """Report the first character that looks like a blank but is not one."""
@@ -193,7 +193,7 @@ class _DocumentReader:
         character = match[0]
         is_blank = unicodedata.category(character) == "Zs"
         message = f"{unicodedata.name(character).lower()} (U+{ord(character):04X})"
-        count = len(_ODD_BLANK_PATTERN.findall(self.source.text))
+        count = len(_UNUSUAL_BLANK_PATTERN.findall(self.source.text))
         help = "type a space instead" if is_blank else "delete it"
         help += f"; the file has {count} such characters" if count > 1 else ""
         help += "; if a name contains one, put the name in quotes"
@@ -211,7 +211,7 @@ class _DocumentReader:
         if "nesting depth" in words:  # recent YAML readers look ahead beyond the events that they have returned
             return self.reject_depth(Span(self.source, start, min(start + 1, len(self.source.text))))
         if not text.isascii():
-            odd = _ODD_BLANK_PATTERN.search(_QUOTED_TEXT_PATTERN.sub(lambda quoted: "." * len(quoted[0]), text))
+            odd = _UNUSUAL_BLANK_PATTERN.search(_QUOTED_TEXT_PATTERN.sub(lambda quoted: "." * len(quoted[0]), text))
             if odd is not None:
                 self.report_odd_blank(odd)
                 return _DocumentError()
@@ -235,14 +235,14 @@ class _DocumentReader:
             help = self.find_call_help(start) or help
             labels = [Label(Span(self.source, opened, opened + 1), "this is still open")]
         place = Span(self.source, start, min(start + 1, len(text)))
-        return self.reject("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
+        return self.make_error("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
 
     def find_call_help(self, position: int) -> str | None:
         """Return what to write instead of the call around a position, such as `all(ant, within: 9 mm)`; None without one."""
-        line = self.source.text[max(0, position - _MAX_LINE) : position + _MAX_LINE]
+        line = self.source.text[max(0, position - _MAX_QUOTED_LINE_CHARACTERS) : position + _MAX_QUOTED_LINE_CHARACTERS]
         calls = _CALL_PATTERN.finditer(line)
-        at = min(position, _MAX_LINE)
-        return next((suggest_mapping(call[0]) for call in calls if call.start() <= at < call.end()), None)
+        at = min(position, _MAX_QUOTED_LINE_CHARACTERS)
+        return next((suggest_flow_mapping(call[0]) for call in calls if call.start() <= at < call.end()), None)
 
     def explain_problem(self, problem: Any, start: int) -> Diagnostic | None:
         """Return a more precise message for a YAML error in a line, or None. `start`: the offset of the error."""
@@ -259,7 +259,7 @@ class _DocumentReader:
         """Return the tree built from YAML's stream of events.
 
         The stack is explicit, so that depth and size are checked before they become expensive."""
-        stack: list[_OpenNode] = []
+        stack: list[_UnfinishedNode] = []
         root: DocumentNode | None = None
         count = documents = 0
         for event in events:
@@ -267,40 +267,47 @@ class _DocumentReader:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if event.version or event.tags:
-                    raise self.reject(
-                        "yaml-tag", "directives such as `%YAML` and `%TAG` are not supported", self.span(event), "delete the line"
+                    raise self.make_error(
+                        "yaml-tag",
+                        "directives such as `%YAML` and `%TAG` are not supported",
+                        self.find_span(event),
+                        "delete the line",
                     )
                 if documents > 1:
-                    raise self.reject(
+                    raise self.make_error(
                         "scene-syntax",
                         "the scene contains a second document",
-                        self.span(event),
+                        self.find_span(event),
                         "delete `---` and everything after it",
                     )
                 continue
             if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-                raise self.reject(
+                raise self.make_error(
                     "yaml-alias",
                     "anchors and aliases are not supported",
-                    self.span(event),
+                    self.find_span(event),
                     "write the value wherever it is needed",
                 )
             if getattr(event, "tag", None) not in (None, "!"):
-                raise self.reject("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write only the value")
+                raise self.make_error(
+                    "yaml-tag", "tags such as `!name` are not supported", self.find_span(event), "write only the value"
+                )
             if isinstance(event, yaml.NodeEvent):
                 count += 1
                 if count > limits.MAX_YAML_NODES:
-                    raise self.reject("too-large", f"the scene has more than {limits.MAX_YAML_NODES:,} values", self.span(event))
+                    raise self.make_error(
+                        "too-large", f"the scene has more than {limits.MAX_YAML_NODES:,} values", self.find_span(event)
+                    )
             if isinstance(event, yaml.ScalarEvent):
-                node = ScalarNode(event.value, bool(event.style), self.span(event))
-                odd = None if event.style or event.value.isascii() else _ODD_BLANK_PATTERN.search(event.value)
+                node = ScalarNode(event.value, bool(event.style), self.find_span(event))
+                odd = None if event.style or event.value.isascii() else _UNUSUAL_BLANK_PATTERN.search(event.value)
                 if odd is not None:
-                    self.report_odd_blank(_ODD_BLANK_PATTERN.search(self.source.text, node.span.start) or odd)
+                    self.report_odd_blank(_UNUSUAL_BLANK_PATTERN.search(self.source.text, node.span.start) or odd)
                     raise _DocumentError
             elif isinstance(event, yaml.CollectionStartEvent):
-                stack.append(_OpenNode(self.find_offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
+                stack.append(_UnfinishedNode(self.find_offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
                 if len(stack) > limits.MAX_YAML_DEPTH:
-                    raise self.reject_depth(self.span(event))
+                    raise self.reject_depth(self.find_span(event))
             elif isinstance(event, yaml.CollectionEndEvent):
                 node = self.finish_node(stack.pop(), self.find_offset(event.end_mark))
             if node is not None:
@@ -310,7 +317,7 @@ class _DocumentReader:
                     root = node
         return root
 
-    def report_cut_call(self, open_node: _OpenNode) -> None:
+    def report_call_with_comma(self, open_node: _UnfinishedNode) -> None:
         """Report a comma in parentheses, which ends a value in `{…}` and `[…]`: `{kill: all(ant, within: 9 mm)}`."""
         for item in open_node.items:
             if not isinstance(item, ScalarNode) or item.is_quoted or item.text.count("(") <= item.text.count(")"):
@@ -321,10 +328,10 @@ class _DocumentReader:
                 continue
             call = Span(self.source, item.span.start, end)
             message = "the comma in these parentheses ends the value here"
-            self.report.error("scene-syntax", message, call, suggest_mapping(call.text))
+            self.report.error("scene-syntax", message, call, suggest_flow_mapping(call.text))
             raise _DocumentError
 
-    def finish_node(self, open_node: _OpenNode, end: int) -> DocumentNode:
+    def finish_node(self, open_node: _UnfinishedNode, end: int) -> DocumentNode:
         """Return the node of a finished mapping or sequence. `end`: the offset of its end."""
         text = self.source.text
         while end > open_node.start + 1 and text[end - 1 : end].isspace():
@@ -332,11 +339,11 @@ class _DocumentReader:
         span = Span(self.source, open_node.start, end)
         if not open_node.is_mapping:
             if text[open_node.start : open_node.start + 1] == "[":
-                self.report_cut_call(open_node)
+                self.report_call_with_comma(open_node)
             return SequenceNode(tuple(open_node.items), span)
         is_flow = text[open_node.start : open_node.start + 1] == "{"
         if is_flow:
-            self.report_cut_call(open_node)
+            self.report_call_with_comma(open_node)
         entries: dict[str, DocumentNode] = {}
         keys: dict[str, Span] = {}
         folded: dict[str, str] = {}
@@ -352,7 +359,7 @@ class _DocumentReader:
                 if is_flow and not key.is_quoted and not text[key.span.end : value.span.start + 1].lstrip().startswith(":"):
                     previous = open_node.items[2 * number - 1] if number else None
                     entry = (list(entries)[-1], previous.text) if isinstance(previous, ScalarNode) and entries else None
-                    message, help = explain_lone_key(key.text, entry)
+                    message, help = explain_key_without_value(key.text, entry)
                     self.report.error("scene-syntax", message, key.span, help)
                     raise _DocumentError
             if key.text == "<<":

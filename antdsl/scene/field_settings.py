@@ -17,7 +17,7 @@ from antdsl.program.types.folding import find_constant
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 
-FADE_SETTINGS = ("half_life", "evaporate", "keeps")  # a field has exactly one of these
+DECAY_SETTING_NAMES = ("half_life", "evaporate", "keeps")  # a field has exactly one of these
 _SETTING_DIMENSIONS = {
     "half_life": Dimension(time=1),
     "evaporate": Dimension(time=-1),
@@ -38,10 +38,10 @@ def list_settable_names(program: Program) -> list[str]:
     return [f"{field}.{word}" for field in program.fields for word in _SETTING_DIMENSIONS]
 
 
-def suggest_setting_value(name: str, value: Quantity) -> str:
+def format_suggested_setting(name: str, value: Quantity) -> str:
     """Return a help text for an invalid value of a setting: the value to write instead. Empty if the value is valid."""
     word = name.partition(".")[2]
-    if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
+    if word == "keeps" and (value.decimal_step != -1 or not 0 <= value.number <= 1):
         return "write a share from `0 %/step` to `100 %/step`"
     above = word in ("half_life", "limit")
     if value.number < 0 or (above and value.number == 0):
@@ -57,14 +57,14 @@ def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, 
         if dim is None:
             continue
         field, _, word = name.partition(".")
-        place = scene.span("set", name) if name in scene.model.set else fields[field].span
+        place = scene.find_span("set", name) if name in scene.model.set else fields[field].span
         const = Constant(
             ValueType(TypeKind.NUMBER, dim),
             ChangeRate.CONST,
             place,
             value.number,
             unit_power=value.length_exponent,
-            step=value.step,
+            step=value.decimal_step,
         )
         fields[field] = replace_field_setting(fields[field], word, const)
     return replace(program, fields=fields)
@@ -72,7 +72,7 @@ def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, 
 
 def replace_field_setting(field: Field, setting_name: str, value: Expr) -> Field:
     """Return a field with another value for one setting. A new setting for fading removes the other settings for fading."""
-    values: dict[str, Any] = dict.fromkeys(FADE_SETTINGS) if setting_name in FADE_SETTINGS else {}
+    values: dict[str, Any] = dict.fromkeys(DECAY_SETTING_NAMES) if setting_name in DECAY_SETTING_NAMES else {}
     return replace(field, **{**values, setting_name: value})
 
 

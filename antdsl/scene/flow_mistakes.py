@@ -26,7 +26,7 @@ def find_closing_parenthesis(text: str, start: int, end: int) -> int | None:
     return None
 
 
-def suggest_mapping(call: str) -> str:
+def suggest_flow_mapping(call: str) -> str:
     """Return what to write instead of a call such as `all(ant, within: 9 mm)`: a selector if it fits, else the text in quotes."""
     quote = "'" if '"' in call else '"'
     return suggest_selector(call) or f"put it in quotes: `{quote}{call}{quote}`"
@@ -56,7 +56,7 @@ def explain_joined_entry(text: str) -> tuple[str, str] | None:
     return None
 
 
-def explain_lone_key(text: str, previous: tuple[str, str] | None) -> tuple[str, str]:
+def explain_key_without_value(text: str, previous: tuple[str, str] | None) -> tuple[str, str]:
     """Return the message and the advice for an entry of `{…}` that is only a text. `previous`: the entry before it."""
     joined = explain_joined_entry(text)
     if joined is not None:

@@ -20,7 +20,7 @@ _DISPLAY_WIDTH = 40
 
 
 @dataclass(slots=True)
-class _Line:
+class _IndentedLine:
     """A line of a block: its indent, its text without comment, and the location of the text."""
 
     start: int
@@ -40,15 +40,15 @@ class _IndentLevel:
 
     indent: int
     is_list: bool
-    line: _Line | None
+    line: _IndentedLine | None
     text: str = ""
 
 
 @dataclass(slots=True)
-class _OddLine:
+class _MisindentedLine:
     """A line with an indent that fits no level, and the nearest level."""
 
-    line: _Line
+    line: _IndentedLine
     level: _IndentLevel
 
 
@@ -56,7 +56,7 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
     """Return the error about the first line with a wrong indent, or None. Lines after the offset `stop` are ignored.
 
     If shifting the previous line solves the problem, the error is about that line."""
-    odd = _find_odd_line(source.text, stop)
+    odd = _find_misindented_line(source.text, stop)
     if odd is None:
         return None
     line, level, shift = odd.line, odd.level, odd.level.indent - odd.line.indent
@@ -64,11 +64,11 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
     previous_line = level.line
     if (
         previous_line is not None
-        and _find_odd_line(source.text[:start] + text + source.text[end:])
+        and _find_misindented_line(source.text[:start] + text + source.text[end:])
         and previous_line.indent >= shift
     ):
         other = _shift_line(source.text, previous_line, -shift, only_line=True)
-        if _find_odd_line(source.text[: other[0]] + other[2] + source.text[other[1] :]) is None:
+        if _find_misindented_line(source.text[: other[0]] + other[2] + source.text[other[1] :]) is None:
             line, level, shift, (start, end, text) = (
                 previous_line,
                 _IndentLevel(previous_line.indent - shift, previous_line.is_item, None),
@@ -84,7 +84,7 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
     return Diagnostic(_DIAGNOSTIC_CODE, message, span, help=help, fix=Fix(Span(source, start, end), text))
 
 
-def _find_odd_line(text: str, stop: int | None = None) -> _OddLine | None:
+def _find_misindented_line(text: str, stop: int | None = None) -> _MisindentedLine | None:
     """Return the first line with an indent that fits no level, or None. Lines after the offset `stop` are ignored."""
     levels: list[_IndentLevel] = []
     opened = False  # the previous line has a key without a value
@@ -93,7 +93,7 @@ def _find_odd_line(text: str, stop: int | None = None) -> _OddLine | None:
             return None
         expected_level = _find_level(levels, line, opened)
         if expected_level is not None:
-            return _OddLine(line, expected_level)
+            return _MisindentedLine(line, expected_level)
         while levels and (
             levels[-1].indent > line.indent or (levels[-1].indent == line.indent and levels[-1].is_list > line.is_item)
         ):
@@ -102,7 +102,7 @@ def _find_odd_line(text: str, stop: int | None = None) -> _OddLine | None:
     return None
 
 
-def _enter_line(levels: list[_IndentLevel], line: _Line) -> bool:
+def _enter_line(levels: list[_IndentLevel], line: _IndentedLine) -> bool:
     """Add a line to the levels. Return whether its last key has no value, so that a block may follow."""
     indent, text = line.indent, line.text
     while True:
@@ -122,7 +122,7 @@ def _enter_line(levels: list[_IndentLevel], line: _Line) -> bool:
     return key is not None and not text[key.end() :].strip()
 
 
-def _find_level(levels: list[_IndentLevel], line: _Line, can_nest: bool) -> _IndentLevel | None:
+def _find_level(levels: list[_IndentLevel], line: _IndentedLine, can_nest: bool) -> _IndentLevel | None:
     """Return the level to which a line with a wrong indent should belong. None if its indent is right."""
     if not levels:
         return _IndentLevel(0, line.is_item, None) if line.indent else None
@@ -135,7 +135,7 @@ def _find_level(levels: list[_IndentLevel], line: _Line, can_nest: bool) -> _Ind
     return min(reversed(fitting), key=lambda level: abs(level.indent - line.indent))
 
 
-def _shift_line(text: str, line: _Line, shift: int, *, only_line: bool = False) -> tuple[int, int, str]:
+def _shift_line(text: str, line: _IndentedLine, shift: int, *, only_line: bool = False) -> tuple[int, int, str]:
     """Return how to shift a line by `shift` blanks: start and end of the text to replace, and the replacement.
 
     Lines that belong to it are shifted too, unless `only_line`."""
@@ -147,7 +147,7 @@ def _shift_line(text: str, line: _Line, shift: int, *, only_line: bool = False) 
     return start, end, "\n".join(moved)
 
 
-def _find_block_end(text: str, line: _Line) -> int:
+def _find_block_end(text: str, line: _IndentedLine) -> int:
     """Return the end of the block that consists of a line and the following lines with a larger indent."""
     last = _find_line_end(text, line.start)
     while last < len(text):
@@ -170,7 +170,7 @@ def _find_line_end(text: str, start: int) -> int:
     return len(text) if end < 0 else end
 
 
-def _iterate_lines(text: str, stop: int) -> Iterator[_Line]:
+def _iterate_lines(text: str, stop: int) -> Iterator[_IndentedLine]:
     """Yield the non-empty lines up to the offset `stop`, without lines that continue a bracket, a quoted text or a block of
     text."""
     position, depth, quote, block = 0, 0, "", -1
@@ -185,7 +185,7 @@ def _iterate_lines(text: str, stop: int) -> Iterator[_Line]:
         content, depth, quote = _strip_comment(line, depth, quote) if block < 0 else (line, 0, "")
         content = content.strip(" \t")
         if not inside and content and content not in ("---", "..."):
-            yield _Line(position + indent, indent, content)
+            yield _IndentedLine(position + indent, indent, content)
             if re.search(r"[:-]\s+[|>][+-]?[0-9]?$", content):
                 block = indent
         position = end + 1

@@ -61,7 +61,7 @@ def _read_parent(
         return None
     scene_names.append(text)
     try:
-        held = unsaved_texts.get(roots.path(text))
+        held = unsaved_texts.get(roots.resolve_path(text))
         data = roots.read_file(text, limits.MAX_SCENE_BYTES) if held is None else held
     except PathRefused as error:
         report.error(error.code, str(error), node.span, error.help)

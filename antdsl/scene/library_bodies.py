@@ -27,7 +27,7 @@ class TrunkCapsule:
 _BODY_ROWS = json.loads(resources.body_file("bodies.json").read_text("utf-8"))
 CAPSULE_BY_BODY = {name: TrunkCapsule(**row["capsule"]) for name, row in _BODY_ROWS.items()}
 # Capsules of bodies with head and abdomen, where these are larger than the trunk of most bodies
-WHOLE_CAPSULE_BY_BODY = {name: TrunkCapsule(**row.get("whole", row["capsule"])) for name, row in _BODY_ROWS.items()}
+COMPLETE_CAPSULE_BY_BODY = {name: TrunkCapsule(**row.get("whole", row["capsule"])) for name, row in _BODY_ROWS.items()}
 LOAD_FRONT_BY_BODY: dict[str, float] = {  # body lengths from the feet to the front of a carried load
     name: row["load"] for name, row in _BODY_ROWS.items() if "load" in row
 }

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from antdsl.program.model import Dimension
-from antdsl.scene.values import Angle, ScenePart, make_error, parse_any_quantity, parse_number_between
+from antdsl.scene.values import Angle, ScenePart, make_value_error, parse_any_quantity, parse_number_between
 
-MAX_STRENGTH = 1000.0  # times the usual light
-_Factor = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+MAX_LIGHT_STRENGTH = 1000.0  # times the usual light
+_LightFactor = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Degrees = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -21,10 +21,10 @@ class LightSettings:
     """The light of a picture, as caches store it: strengths of sun, sky, haze and lamps, and the direction to the sun in
     degrees."""
 
-    sun: _Factor = 1.0
-    sky: _Factor = 1.0
-    haze: _Factor = 1.0
-    lamps: _Factor = 1.0
+    sun: _LightFactor = 1.0
+    sky: _LightFactor = 1.0
+    haze: _LightFactor = 1.0
+    lamps: _LightFactor = 1.0
     elevation: _Degrees = 40.0
     azimuth: _Degrees = 280.0
 
@@ -35,17 +35,17 @@ DEFAULT_LIGHT = LightSettings()
 def _parse_strength(value: Any) -> float:
     """Return a strength such as `50 %` or `300 %` as a factor."""
     quantity = parse_any_quantity(value)
-    if quantity.dim != Dimension() or not 0 <= quantity.number <= MAX_STRENGTH:
-        raise make_error(f"`{quantity.text}` is not a strength", f"write `50 %`, at most `{MAX_STRENGTH * 100:g} %`")
+    if quantity.dimension != Dimension() or not 0 <= quantity.number <= MAX_LIGHT_STRENGTH:
+        raise make_value_error(f"`{quantity.text}` is not a strength", f"write `50 %`, at most `{MAX_LIGHT_STRENGTH * 100:g} %`")
     return quantity.number
 
 
-_Channel = Annotated[float, BeforeValidator(parse_number_between(0, 1))]
-LightColour = tuple[_Channel, _Channel, _Channel]  # display values of red, green and blue
+_ColourChannel = Annotated[float, BeforeValidator(parse_number_between(0, 1))]
+LightColour = tuple[_ColourChannel, _ColourChannel, _ColourChannel]  # display values of red, green and blue
 LightStrength = Annotated[float, BeforeValidator(_parse_strength)]
 
 
-class Light(ScenePart):
+class LightModel(ScenePart):
     """The light of pictures. 100 % is the light that pictures have without this key.
 
     `sun`, `sky`, `haze`, `lamps`: strengths. Lamps are items with `look: light`; at a distance of ten radii a lamp of 100 % is as

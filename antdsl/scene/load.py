@@ -56,7 +56,7 @@ class Scene:
     roots: Roots
     added_notes: int = 0
 
-    def span(self, *path: PathKey, key: bool = False) -> Span:
+    def find_span(self, *path: PathKey, key: bool = False) -> Span:
         """Return the location in the text of a value, or of its nearest existing ancestor. With `key`, return the location of its
         key."""
         return find_span(self.document, path, key=key)[0]
@@ -100,10 +100,10 @@ def load_scene(
         report = Report()
         report.error(error.code, str(error), None, error.help)
         return None, report
-    return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})), notes=notes, values=values)
+    return load_scene_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})), notes=notes, values=values)
 
 
-def load_text(
+def load_scene_text(
     data: bytes,
     name: str,
     roots: Roots,
@@ -135,8 +135,8 @@ def load_text(
     try:
         model = SceneModel.model_validate(to_plain_tree(document))
     except ValidationError as problem:
-        outside = _find_outdented_lines(document)
-        for error in drop_consequent_errors(problem.errors(include_url=False, include_input=False)):
+        outside = _find_lines_at_wrong_level(document)
+        for error in drop_cascading_errors(problem.errors(include_url=False, include_input=False)):
             path = tuple(error["loc"])
             if path[:1] and path[0] in outside and len(path) == 1:
                 report.add(outside[path[0]])
@@ -149,7 +149,7 @@ def load_text(
 _KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "cameras", "lod", "output"))
 
 
-def _find_outdented_lines(document: MappingNode) -> dict[PathKey, Diagnostic]:
+def _find_lines_at_wrong_level(document: MappingNode) -> dict[PathKey, Diagnostic]:
     """Return the error about lines at the left edge that belong below the previous key, which has no value.
 
     The error for the first of these lines is listed under every key without another error."""
@@ -175,7 +175,7 @@ def _find_outdented_lines(document: MappingNode) -> dict[PathKey, Diagnostic]:
     return diagnostics
 
 
-def drop_consequent_errors(errors: list[Any]) -> list[Any]:
+def drop_cascading_errors(errors: list[Any]) -> list[Any]:
     """Return the errors, without errors that only follow from a misspelled key.
 
     A misspelled key is unknown, and the intended key is missing. Where any key is allowed, the misspelled key's value has the
@@ -245,7 +245,7 @@ _EXAMPLE_VALUES = {
     "mesh": "FILE.ply",
     "any": "[LAYER, none]",
 }
-_SHAPE_MESSAGES = {
+_MESSAGE_BY_TYPE_ERROR = {
     "tuple_type": "expected a list here",
     "dict_type": "expected a mapping here",
     "model_type": "expected a mapping here",
@@ -259,7 +259,7 @@ _LIST_HELP = {"wear": "write `wear: [LAYER]`", "any": "write `{any: [LAYER, LAYE
 
 
 def _describe_error(kind: str, error: Any) -> str:
-    return _SHAPE_MESSAGES.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
+    return _MESSAGE_BY_TYPE_ERROR.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
 
 
 def _report_unknown_key(
@@ -293,7 +293,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     from antdsl.scene.camera_models import CAMERA_MODEL_BY_TYPE_TAG, CameraKey
     from antdsl.scene.crowds.casting_model import RANDOM_VALUE_MODELS
     from antdsl.scene.crowds.crowd_model import LayerChoice
-    from antdsl.scene.notes.note_regions import Band
+    from antdsl.scene.notes.note_regions import RegionBand
     from antdsl.scene.notes.notes_model import NOTE_MODELS, make_note_tag
     from antdsl.scene.notes.selectors import AgentConditions, Ball, Box, View
     from antdsl.scene.notes.stagger import Stagger
@@ -308,7 +308,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
         "mapping-selector": AgentConditions,
         "box-region": Box,
         "ball-region": Ball,
-        "band-region": Band,
+        "band-region": RegionBand,
         "view-region": View,
         "stagger": Stagger,
         **{f"{key}-draw": each for key, each in RANDOM_VALUE_MODELS.items()},

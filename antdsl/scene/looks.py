@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 
-class SurfaceKind(NamedTuple):
+class SurfaceLook(NamedTuple):
     """A kind of surface.
 
     `colour`: the mean colour, sRGB display values 0..1, for files without the pattern of pictures.
@@ -27,33 +27,33 @@ class SurfaceKind(NamedTuple):
     words: tuple[str, ...] = ()
 
 
-SURFACE_KINDS: dict[str, SurfaceKind] = {
-    "ground": SurfaceKind((0.70, 0.65, 0.53), 0.95, bumps=1.0),
-    "stone": SurfaceKind((0.57, 0.56, 0.55), 0.9, bumps=0.8, shows_fields=False, look="stone", words=("stone",)),
-    "boulder": SurfaceKind((0.60, 0.575, 0.545), 0.9, bumps=0.9, words=("boulder", "rock")),
-    "hill": SurfaceKind((0.55, 0.42, 0.30), 0.95, bumps=1.2, look="soil", words=("hill",)),
-    "table": SurfaceKind((0.80, 0.80, 0.79), 0.6, shows_fields=False),
-    "edge": SurfaceKind((0.42, 0.33, 0.25), 0.95, bumps=0.9, shows_fields=False),
-    "grain": SurfaceKind((0.64, 0.58, 0.49), 0.9, bumps=0.8, shows_fields=False),
-    "figure": SurfaceKind((0.80, 0.73, 0.64), 0.8, bumps=0.45),
-    "metal": SurfaceKind((0.70, 0.71, 0.73), 0.25, 1.0, bumps=0.05, look="metal"),
-    "leaf": SurfaceKind((0.35, 0.51, 0.19), 0.5, bumps=0.25, look="leaf", words=("leaf",)),
-    "light": SurfaceKind((1.0, 0.93, 0.78), 1.0, shows_fields=False, look="light"),
-    "wood": SurfaceKind((0.65, 0.48, 0.30), 0.6, bumps=0.15, look="wood", words=("plank", "wood")),
-    "bark": SurfaceKind((0.40, 0.31, 0.24), 0.95, bumps=1.2, look="bark", words=("bark", "trunk", "twig", "branch")),
-    "sand": SurfaceKind((0.80, 0.71, 0.54), 0.95, bumps=0.7, look="sand", words=("sand", "dune")),
-    "grass": SurfaceKind((0.44, 0.48, 0.22), 0.8, bumps=1.0, look="grass", words=("grass", "meadow", "lawn")),
-    "food": SurfaceKind((0.83, 0.66, 0.41), 0.7, bumps=0.5, look="food"),
+SURFACE_KINDS: dict[str, SurfaceLook] = {
+    "ground": SurfaceLook((0.70, 0.65, 0.53), 0.95, bumps=1.0),
+    "stone": SurfaceLook((0.57, 0.56, 0.55), 0.9, bumps=0.8, shows_fields=False, look="stone", words=("stone",)),
+    "boulder": SurfaceLook((0.60, 0.575, 0.545), 0.9, bumps=0.9, words=("boulder", "rock")),
+    "hill": SurfaceLook((0.55, 0.42, 0.30), 0.95, bumps=1.2, look="soil", words=("hill",)),
+    "table": SurfaceLook((0.80, 0.80, 0.79), 0.6, shows_fields=False),
+    "edge": SurfaceLook((0.42, 0.33, 0.25), 0.95, bumps=0.9, shows_fields=False),
+    "grain": SurfaceLook((0.64, 0.58, 0.49), 0.9, bumps=0.8, shows_fields=False),
+    "figure": SurfaceLook((0.80, 0.73, 0.64), 0.8, bumps=0.45),
+    "metal": SurfaceLook((0.70, 0.71, 0.73), 0.25, 1.0, bumps=0.05, look="metal"),
+    "leaf": SurfaceLook((0.35, 0.51, 0.19), 0.5, bumps=0.25, look="leaf", words=("leaf",)),
+    "light": SurfaceLook((1.0, 0.93, 0.78), 1.0, shows_fields=False, look="light"),
+    "wood": SurfaceLook((0.65, 0.48, 0.30), 0.6, bumps=0.15, look="wood", words=("plank", "wood")),
+    "bark": SurfaceLook((0.40, 0.31, 0.24), 0.95, bumps=1.2, look="bark", words=("bark", "trunk", "twig", "branch")),
+    "sand": SurfaceLook((0.80, 0.71, 0.54), 0.95, bumps=0.7, look="sand", words=("sand", "dune")),
+    "grass": SurfaceLook((0.44, 0.48, 0.22), 0.8, bumps=1.0, look="grass", words=("grass", "meadow", "lawn")),
+    "food": SurfaceLook((0.83, 0.66, 0.41), 0.7, bumps=0.5, look="food"),
 }
-INVISIBLE_LOOK, LAMP_LOOK = "none", "light"
+INVISIBLE_LOOK, LAMP_LOOK_WORD = "none", "light"
 LAMP_SHAPE = "globe"  # of things of the kind `lamp`
 KIND_BY_LOOK = {row.look: name for name, row in SURFACE_KINDS.items() if row.look is not None}
-LOOKS = (*KIND_BY_LOOK, INVISIBLE_LOOK)
+LOOK_WORDS = (*KIND_BY_LOOK, INVISIBLE_LOOK)
 
 
 def is_lamp_look(look: str | None) -> bool:
     """Return whether items with a look emit light."""
-    return look == LAMP_LOOK
+    return look == LAMP_LOOK_WORD
 
 
 def compute_remaining_share(amounts: Iterable[tuple[float, float]]) -> float:

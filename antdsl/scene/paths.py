@@ -64,7 +64,7 @@ class Roots:
     folder: Path
     folder_by_name: Mapping[str, Path] = field(default_factory=dict)
 
-    def locate(self, text: str) -> tuple[Path, tuple[str, ...]]:
+    def split_path(self, text: str) -> tuple[Path, tuple[str, ...]]:
         """Return the root of a path, and its components below the root. The disk is not accessed.
 
         Raises PathRefused if the text names anything else."""
@@ -81,9 +81,9 @@ class Roots:
             return self.folder_by_name[name], _split_path(text, rest)
         return self.folder, _split_path(text, text)
 
-    def path(self, text: str) -> Path:
+    def resolve_path(self, text: str) -> Path:
         """Return the full path of a file. Only the text is checked."""
-        root, parts = self.locate(text)
+        root, parts = self.split_path(text)
         return root.joinpath(*parts)
 
     def read_file(self, text: str, max_bytes: int) -> bytes:
@@ -92,13 +92,13 @@ class Roots:
 
     def open_file(self, text: str) -> int:
         """Return a handle to a regular file, which the caller must close. Raises PathRefused with the reason."""
-        root, parts = self.locate(text)
+        root, parts = self.split_path(text)
         record_request(root.joinpath(*parts), root)
         return _open_below(root, parts, text)
 
     def find_folder(self, text: str) -> Path:
         """Return the full path of a folder that no link leads to. Raises PathRefused with the reason."""
-        root, parts = self.locate(text)
+        root, parts = self.split_path(text)
         _list_names_below(root, parts, text)
         return root.joinpath(*parts)
 
@@ -127,7 +127,7 @@ class Roots:
         named = _SEQUENCE_PATTERN.fullmatch(text)
         if named is None:
             raise _make_refusal(text, "has `#` outside its file name, or in two places", "write `walls.####.ply`")
-        root, parts = self.locate(f"{named[1]}{0:0{len(named[2])}d}{named[3]}")
+        root, parts = self.split_path(f"{named[1]}{0:0{len(named[2])}d}{named[3]}")
         start = parts[-1][: len(parts[-1]) - len(named[2]) - len(named[3])]
         files_by_frame = {}
         for name in _list_names_below(root, parts[:-1], text):

@@ -35,26 +35,26 @@ class Quantity:
     `unit`: the unit as in the source."""
 
     number: float
-    dim: Dimension
+    dimension: Dimension
     unit: str
     text: str
     length_exponent: float = 0
-    step: float = 0
+    decimal_step: float = 0
 
     @property
-    def is_bare(self) -> bool:
+    def has_no_unit(self) -> bool:
         """Return whether the text has no unit."""
         return not self.unit
 
     def to_base_units(self, unit_mm: float, dt: float) -> float:
         """Return the value in base units."""
-        return float(self.number * unit_mm**self.length_exponent * dt**self.step)
+        return float(self.number * unit_mm**self.length_exponent * dt**self.decimal_step)
 
     def to_millimetres(self, unit_mm: float) -> float:
         """Return the length in millimetres. A number without a unit is in scene units.
 
         The dimension is not checked: the value must be a length."""
-        return float(self.number * unit_mm if self.is_bare else self.number * unit_mm**self.length_exponent)
+        return float(self.number * unit_mm if self.has_no_unit else self.number * unit_mm**self.length_exponent)
 
 
 def parse_number(text: str) -> float:

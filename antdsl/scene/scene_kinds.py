@@ -13,8 +13,8 @@ from antdsl.program.model import Dimension
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import describe_dimension
 from antdsl.scene import thing_models as forms
-from antdsl.scene.camera_models import Camera, FollowCamera, UsdCamera
-from antdsl.scene.checks.entry_checks import Entry, check_attributes, report_unknown_name
+from antdsl.scene.camera_models import FollowCamera, PlacedCamera, UsdCamera
+from antdsl.scene.checks.entry_checks import WorldEntryCheck, check_attributes, report_unknown_name
 from antdsl.scene.document import PathKey
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _FLOW_TARGET_KEYS = ("tangent", "toward", "away", "solved")  # keys that name th
 
 
 @dataclass(frozen=True, slots=True)
-class SceneKind:
+class SceneThingKind:
     """A kind of thing in scenes.
 
     `models`: the forms that a thing may have.
@@ -39,7 +39,7 @@ class SceneKind:
     missing_data: str = "geometry"
     forbidden_picture_keys: tuple[str, ...] = ()
 
-    def check(self, entry: Entry, value: Any) -> None:
+    def check(self, entry: WorldEntryCheck, value: Any) -> None:
         """Report everything in an entry that does not match the program. Files are not read; they only have to exist."""
         if isinstance(value, forms.ThingModel) and value.names_file:
             entry.check_file(getattr(value, value.find_form_key()), value.find_form_key())
@@ -49,53 +49,53 @@ class SceneKind:
             self.check_voxel(entry, value)
             _check_scale(entry, value)
 
-    def check_item_keys(self, entry: Entry, value: forms.UsdThing) -> None:
+    def check_item_keys(self, entry: WorldEntryCheck, value: forms.UsdThing) -> None:
         """Report keys of a thing from a USD file that are only allowed for items."""
         for key in ("each", "kind", "turn", *self.forbidden_picture_keys):
             if key in value.model_fields_set:
                 users = "what is seen" if key in self.forbidden_picture_keys else "items"
                 words = f"`{key}` is for {users}, but `{entry.name}` is a {entry.thing.kind}"
-                entry.report.error("wrong-kind", words, entry.span(key, key=True), "delete it")
+                entry.report.error("wrong-kind", words, entry.find_span(key, key=True), "delete it")
 
-    def check_voxel(self, entry: Entry, value: forms.ScaledThing) -> None:
+    def check_voxel(self, entry: WorldEntryCheck, value: forms.ScaledThing) -> None:
         """Report the key `voxel` of a thing that is not a solid."""
         if value.voxel is not None:
             words = f"`{entry.name}` is {entry.thing.kind} in the program, but only solids have voxels"
-            entry.report.error("wrong-value", words, entry.span("voxel"), f"leave it out, or declare `solid {entry.name}`")
+            entry.report.error("wrong-value", words, entry.find_span("voxel"), f"leave it out, or declare `solid {entry.name}`")
 
     def stage_thing(self, staging: SceneStaging, name: str, value: Any) -> Any:
         """Return the data of a thing, in mm and the scene's axes; or report an error and return None."""
-        return staging.read_thing(self.group, name, value)
+        return staging.read_group_entry(self.group, name, value)
 
 
-def _check_scale(entry: Entry, value: forms.ScaledThing) -> None:
+def _check_scale(entry: WorldEntryCheck, value: forms.ScaledThing) -> None:
     """Report a scale of 0, which would flatten the mesh to a point."""
     if abs(value.scale) < 1e-6:
-        entry.report.error("wrong-value", "a scale of 0 removes the mesh", entry.span("scale"), "write `scale: 1`")
+        entry.report.error("wrong-value", "a scale of 0 removes the mesh", entry.find_span("scale"), "write `scale: 1`")
     elif value.scale < 0:
         help = "its faces are flipped so that the outside stays outside"
-        entry.report.warning("mirrored", f"the mesh of `{entry.name}` is mirrored", entry.span("scale"), help)
+        entry.report.warning("mirrored", f"the mesh of `{entry.name}` is mirrored", entry.find_span("scale"), help)
 
 
-class SolidKind(SceneKind):
+class SolidKind(SceneThingKind):
     """Closed meshes that become voxels. They are static."""
 
-    def check(self, entry: Entry, value: Any) -> None:
+    def check(self, entry: WorldEntryCheck, value: Any) -> None:
         if value.keys or (isinstance(value, forms.MeshThing) and entry.scene.roots.is_sequence(value.mesh)):
-            words, place = f"the solid `{entry.name}` cannot move", entry.span("keys" if value.keys else "mesh")
+            words, place = f"the solid `{entry.name}` cannot move", entry.find_span("keys" if value.keys else "mesh")
             entry.report.error("wrong-value", words, place, "give it one position for all frames")
         super().check(entry, value)
 
-    def check_voxel(self, entry: Entry, value: forms.ScaledThing) -> None:
+    def check_voxel(self, entry: WorldEntryCheck, value: forms.ScaledThing) -> None:
         if value.voxel is None:
             words, help = f"`{entry.name}` is solid, but no `voxel` is given", "a fourth of a body or less: `voxel: 1 mm`"
-            entry.report.error("missing-key", words, entry.span(), f"add the edge of its voxels, {help}")
+            entry.report.error("missing-key", words, entry.find_span(), f"add the edge of its voxels, {help}")
 
 
-class ItemsKind(SceneKind):
+class ItemsKind(SceneThingKind):
     """Items with separate entries, or points and empties of a USD file."""
 
-    def check(self, entry: Entry, value: Any) -> None:
+    def check(self, entry: WorldEntryCheck, value: Any) -> None:
         if not isinstance(value, dict):
             super().check(entry, value)
             return
@@ -106,7 +106,7 @@ class ItemsKind(SceneKind):
                 entry.report_unknown_name("no surface is named", surfaces, item, "on")
             check_attributes(entry, placed.model_extra or {}, known, item)
 
-    def check_item_keys(self, entry: Entry, value: forms.UsdThing) -> None:
+    def check_item_keys(self, entry: WorldEntryCheck, value: forms.UsdThing) -> None:
         declared = {a.name: a.type for a in entry.thing.attributes}
         check_attributes(entry, value.each.model_extra or {}, [*declared, "radius"], "each")
         axes = value.turn if isinstance(value.turn, tuple) else ()
@@ -121,16 +121,16 @@ class ItemsKind(SceneKind):
                 has = describe_dimension(declared[attribute].dimension)
                 message = f"the value of `turn` for `{attribute}` {words}, but `{attribute}` of `{entry.name}` is {has}"
                 help = f"declare `{attribute} = 0`" if axes else f"declare `{attribute} = 0 deg`"
-                entry.report.error("wrong-unit", message, entry.span(*path), help)
+                entry.report.error("wrong-unit", message, entry.find_span(*path), help)
 
 
-class CameraKind(SceneKind):
+class CameraKind(SceneThingKind):
     """Cameras, which are below `cameras` and not below `world`. Agents sense those that do not depend on agents."""
 
-    def check(self, entry: Entry, value: Any) -> None:
+    def check(self, entry: WorldEntryCheck, value: Any) -> None:
         if isinstance(value, FollowCamera | str):
             words = "it follows one of them" if isinstance(value, FollowCamera) else "it is placed when pictures are made"
-            place = entry.scene.span(*entry.scene.model.find_camera_path(entry.name))
+            place = entry.scene.find_span(*entry.scene.model.find_camera_path(entry.name))
             message = f"agents cannot sense the camera `{entry.name}`: {words}"
             advice = f"write `{entry.name}: {KIND_BY_WORD[entry.thing.kind].scene}`, or name another one in the program"
             entry.report.error("wrong-kind", message, place, advice)
@@ -141,20 +141,20 @@ def is_file_path(text: str) -> bool:
     return any(sign in text for sign in "./:")
 
 
-def find_flow_target(thing: forms.FlowThing | forms.PaintedThing) -> tuple[str, forms.Target] | None:
+def find_flow_target(thing: forms.FlowThing | forms.PaintedThing) -> tuple[str, forms.FlowTargetValue] | None:
     """Return the key and the value of a flow's target."""
     key = next((key for key in _FLOW_TARGET_KEYS if hasattr(thing, key)), None)
     return None if key is None else (key, getattr(thing, key))
 
 
-class FlowKind(SceneKind):
+class FlowKind(SceneThingKind):
     """Flows and maps."""
 
-    def check(self, entry: Entry, value: Any) -> None:
+    def check(self, entry: WorldEntryCheck, value: Any) -> None:
         surfaces = entry.program.list_things_of_kind("surface")
         if not surfaces and not isinstance(value, forms.SpreadFlow):
             words = f"`{entry.name}` is painted on a surface, but no program has one"
-            entry.report.error("missing-thing", words, entry.span(), "declare one: `world { surface ground }`")
+            entry.report.error("missing-thing", words, entry.find_span(), "declare one: `world { surface ground }`")
             return
         for key in ("on", "border"):
             if getattr(value, key, None) not in (None, *surfaces):
@@ -162,11 +162,11 @@ class FlowKind(SceneKind):
         if isinstance(value, forms.PaintedThing):
             if value.on is None and len(surfaces) > 1 and find_painted_surface(entry.scene, surfaces, value) is None:
                 words = f"`{entry.name}` does not name the surface it is painted on"
-                entry.report.error("missing-key", words, entry.span("painted"), f"add `on: {surfaces[0]}`")
+                entry.report.error("missing-key", words, entry.find_span("painted"), f"add `on: {surfaces[0]}`")
             super().check(entry, value)
         if isinstance(value, forms.TangentFlow) and value.gather and value.radius is None:
             words = "`gather` sets the strength at the radius, but there is no `radius`"
-            entry.report.error("missing-key", words, entry.span("gather", key=True), "add `radius: 50 mm`")
+            entry.report.error("missing-key", words, entry.find_span("gather", key=True), "add `radius: 50 mm`")
         if isinstance(value, forms.SolvedFlow):
             _check_solved_flow(entry, value)
         key, text = find_flow_target(value) or ("", "")
@@ -179,25 +179,25 @@ class FlowKind(SceneKind):
             entry.report_unknown_name("no curve is named" if lines_only else "no curve and no item is named", known, key)
 
 
-def _check_solved_flow(entry: Entry, thing: forms.SolvedFlow) -> None:
+def _check_solved_flow(entry: WorldEntryCheck, thing: forms.SolvedFlow) -> None:
     maps = entry.program.list_things_of_kind("map")
     for key in thing.maps:
         if key not in maps:
             report_unknown_name(entry.report, entry.scene, ("world", entry.name, "maps", key), "no map is named", maps)
     dug = any(KIND_BY_WORD[t.kind].is_dug for t in entry.program.world.values())
-    if thing.every is not None and not (thing.crowding or dug or _may_move(entry.scene)):
+    if thing.every is not None and not (thing.crowding or dug or _may_geometry_move(entry.scene)):
         words, help = f"no input of `{entry.name}` changes, so it is solved once", "leave `every` out, or add `crowding: 2`"
-        entry.report.error("wrong-value", words, entry.span("every", key=True), help)
+        entry.report.error("wrong-value", words, entry.find_span("every", key=True), help)
 
 
-def _may_move(scene: Scene) -> bool:
+def _may_geometry_move(scene: Scene) -> bool:
     """Return whether any thing of the world may move. Files are not opened, so the result may be True for a static thing."""
     things = [each for value in scene.model.world.values() for each in (value.values() if isinstance(value, dict) else (value,))]
     paths = (getattr(each, key, None) for each in things for key in ("mesh", "curve"))
     return any(getattr(each, "keys", None) or hasattr(each, "usd") for each in things) or any("#" in p for p in paths if p)
 
 
-def _list_target_names(entry: Entry, lines_only: bool) -> list[str]:
+def _list_target_names(entry: WorldEntryCheck, lines_only: bool) -> list[str]:
     curves = entry.program.list_things_of_kind("curve")
     if lines_only:
         return curves
@@ -214,14 +214,14 @@ def find_painted_surface(scene: Scene, surfaces: list[str], thing: forms.Painted
 
 _MESH_FORMS = (forms.MeshThing, forms.UsdThing)
 _FLOW_FORMS = (forms.TangentFlow, forms.TowardFlow, forms.AwayFlow, forms.BorderFlow, forms.SolvedFlow, forms.PaintedThing)
-SCENE_KINDS: Mapping[str, SceneKind] = {
-    "surface": SceneKind((forms.MeshThing, forms.HeightThing, forms.UsdThing), "surfaces"),
-    "obstacle": SceneKind(_MESH_FORMS, "obstacles"),
+SCENE_KINDS: Mapping[str, SceneThingKind] = {
+    "surface": SceneThingKind((forms.MeshThing, forms.HeightThing, forms.UsdThing), "surfaces"),
+    "obstacle": SceneThingKind(_MESH_FORMS, "obstacles"),
     "solid": SolidKind(_MESH_FORMS, "solids"),
-    "curve": SceneKind((forms.CurveThing, forms.UsdThing), "curves", forbidden_picture_keys=("look",)),
+    "curve": SceneThingKind((forms.CurveThing, forms.UsdThing), "curves", forbidden_picture_keys=("look",)),
     "items": ItemsKind((dict, forms.UsdThing), "items", missing_data="place"),
     "flow": FlowKind(_FLOW_FORMS, "flows"),
     "map": FlowKind((forms.PaintedThing,), "maps"),
-    "lamp": SceneKind((forms.LampThing,), "items", missing_data="place"),
-    "camera": CameraKind((Camera, UsdCamera, FollowCamera, str), "cameras", missing_data="place"),
+    "lamp": SceneThingKind((forms.LampThing,), "items", missing_data="place"),
+    "camera": CameraKind((PlacedCamera, UsdCamera, FollowCamera, str), "cameras", missing_data="place"),
 }

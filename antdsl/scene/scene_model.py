@@ -11,12 +11,12 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.tables.columns import DEFAULT_ATTRIBUTE_NAMES
-from antdsl.scene.camera_models import DEFAULT_CAMERA, Camera, Cameras, CameraValue
-from antdsl.scene.crowds.casting_model import Clumps, Ranks
+from antdsl.scene.camera_models import DEFAULT_CAMERA_NAME, Cameras, CameraValue, PlacedCamera
+from antdsl.scene.crowds.casting_model import ClumpFormation, RankFormation
 from antdsl.scene.crowds.crowd_model import CrowdLine as CrowdLine
 from antdsl.scene.crowds.crowd_model import Placement as Placement
-from antdsl.scene.crowds.crowd_model import Walk as Walk
-from antdsl.scene.light_model import Light
+from antdsl.scene.crowds.crowd_model import ScriptedWalk as ScriptedWalk
+from antdsl.scene.light_model import LightModel
 from antdsl.scene.notes.notes_model import AnyNote
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.thing_models import UNIT_MM as UNIT_MM
@@ -31,7 +31,7 @@ from antdsl.scene.values import (
     PointOrName,
     PositiveLength,
     SceneName,
-    make_error,
+    make_value_error,
     parse_condition,
     parse_integer_between,
     parse_number_between,
@@ -41,9 +41,9 @@ from antdsl.scene.values import PointValue as PointValue
 from antdsl.scene.values import PositionKey as PositionKey
 from antdsl.scene.values import ScenePart as ScenePart
 
-Stick = Annotated[str, BeforeValidator(parse_one_of("triangles", "rays"))]
-Orient = Annotated[str, BeforeValidator(parse_one_of("normal", "turns", "probes"))]
-Contacts = Annotated[Literal["off", "soft", "hard"], BeforeValidator(parse_one_of("off", "soft", "hard"))]
+StickMode = Annotated[str, BeforeValidator(parse_one_of("triangles", "rays"))]
+OrientMode = Annotated[str, BeforeValidator(parse_one_of("normal", "turns", "probes"))]
+ContactsMode = Annotated[Literal["off", "soft", "hard"], BeforeValidator(parse_one_of("off", "soft", "hard"))]
 
 
 # The key that identifies the kind of a thing of the world, unless the key is the name of an item.
@@ -70,15 +70,17 @@ def _find_thing_type_tag(value: Any) -> str:
 def _check_items(value: Any) -> Any:
     """Return a mapping of items unchanged. Raises an error for a value that is no mapping of items or has a misspelled key."""
     if not isinstance(value, dict):
-        raise make_error(
+        raise make_value_error(
             "a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`"
         )
     for word, inner in value.items():
         near = None if isinstance(inner, dict) else find_nearest_name(str(word), THING_MODELS)
         if near:
-            raise make_error(f"`{word}` is not a kind of thing of the world", f"did you mean `{near}`?")
+            raise make_value_error(f"`{word}` is not a kind of thing of the world", f"did you mean `{near}`?")
     if value and not any(isinstance(inner, dict) for inner in value.values()):
-        raise make_error("no key defines the kind of this thing", "add one of " + ", ".join(f"`{word}`" for word in THING_MODELS))
+        raise make_value_error(
+            "no key defines the kind of this thing", "add one of " + ", ".join(f"`{word}`" for word in THING_MODELS)
+        )
     return value
 
 
@@ -111,7 +113,7 @@ class LevelOfDetail(ScenePart):
     far: PositiveLength | None = None
 
 
-class Output(ScenePart):
+class OutputModel(ScenePart):
     """The data that a cache stores: `attributes` of agents, `events`, and a checkpoint every `checkpoint` frames."""
 
     attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTE_NAMES
@@ -135,8 +137,8 @@ class StartFrom(ScenePart):
 
 
 MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by key
-    "place": Placement, "camera": Camera, "light": Light, "lod": LevelOfDetail, "output": Output, "from": StartFrom, "wrap": Wrap,
-    "crowd": CrowdLine, "walk": Walk, "ranks": Ranks, "clumps": Clumps,
+    "place": Placement, "camera": PlacedCamera, "light": LightModel, "lod": LevelOfDetail, "output": OutputModel,
+    "from": StartFrom, "wrap": Wrap, "crowd": CrowdLine, "walk": ScriptedWalk, "ranks": RankFormation, "clumps": ClumpFormation,
 }  # fmt: skip
 
 
@@ -152,9 +154,9 @@ class SceneModel(ScenePart):
     until: Annotated[str, BeforeValidator(parse_condition)] | None = None
     preroll: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_FRAMES))] = 0
     substeps: Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_SUBSTEPS))] = 1
-    stick: Stick = "triangles"
-    orient: Orient = "normal"
-    contacts: Contacts = "off"
+    stick: StickMode = "triangles"
+    orient: OrientMode = "normal"
+    contacts: ContactsMode = "off"
     wrap: Wrap | None = None
     seed: Annotated[int, BeforeValidator(parse_integer_between(0, 2**64 - 1))] = 0
     start: StartFrom | None = Field(None, alias="from")
@@ -166,9 +168,9 @@ class SceneModel(ScenePart):
     layers: dict[SceneName, tuple[str, ...]] = {}
     camera: CameraValue | None = None
     cameras: Cameras = {}
-    light: Light = Light()
+    light: LightModel = LightModel()
     lod: LevelOfDetail | None = None
-    output: Output = Output()
+    output: OutputModel = OutputModel()
 
     @property
     def unit_mm(self) -> float:
@@ -178,7 +180,7 @@ class SceneModel(ScenePart):
     @property
     def named_cameras(self) -> Mapping[str, CameraValue]:
         """Return all cameras by name. That of the key `camera` is the default one."""
-        return self.cameras if self.camera is None else {DEFAULT_CAMERA: self.camera, **self.cameras}
+        return self.cameras if self.camera is None else {DEFAULT_CAMERA_NAME: self.camera, **self.cameras}
 
     def find_camera_path(self, name: str) -> tuple[str, ...]:
         """Return the keys that lead to a camera."""

@@ -17,9 +17,9 @@ from antdsl.scene.crowds.body_choice import list_body_keys
 from antdsl.scene.crowds.crowd_data import CrowdData as CrowdData
 from antdsl.scene.crowds.crowd_data import PlacementData as PlacementData
 from antdsl.scene.crowds.crowd_data import PointMm as PointMm
-from antdsl.scene.crowds.crowd_data import WalkData as WalkData
+from antdsl.scene.crowds.crowd_data import ScriptedWalkData as ScriptedWalkData
 from antdsl.scene.geometry.import_notes import MeshImport
-from antdsl.scene.staging.motion import GeometryMoves
+from antdsl.scene.staging.motion import GeometryMotion
 from antdsl.source import Span
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ class CameraData:
     first: int = 0
 
     @property
-    def moves(self) -> bool:
+    def is_moving(self) -> bool:
         """Return whether the camera has a row for each frame."""
         return len(self.at) > 1
 
@@ -235,7 +235,7 @@ class CameraData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DetailData:
+class DetailLevelData:
     """Level of detail by distance (mm) from a camera.
 
     `near_distance`: up to this distance, feelers hit triangles.
@@ -294,9 +294,9 @@ class WorldSetting:
     params: Mapping[str, float] = field(default_factory=dict)
     field_start: Mapping[str, FieldStartData] = field(default_factory=dict)
     solids: Mapping[str, SolidData] = field(default_factory=dict)
-    motion: GeometryMoves = field(default_factory=GeometryMoves)
+    motion: GeometryMotion = field(default_factory=GeometryMotion)
     cameras: Mapping[str, CameraData] = field(default_factory=dict)
-    level_of_detail: DetailData | None = None
+    level_of_detail: DetailLevelData | None = None
     deviations: Mapping[str, float] = field(default_factory=dict)
     body_weights: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)

@@ -7,14 +7,14 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from antdsl.scene.light_model import LightColour, LightStrength
-from antdsl.scene.looks import LOOKS
+from antdsl.scene.looks import LOOK_WORDS
 from antdsl.scene.values import (
     Angle,
     AnyQuantity,
     FilePath,
     Length,
-    PlaceKeys,
     PointValue,
+    PositionKeysByFrame,
     PositiveLength,
     PositiveTime,
     SceneName,
@@ -30,9 +30,9 @@ UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 Unit = Annotated[str, BeforeValidator(parse_one_of(*UNIT_MM))]
 Axis = Annotated[str, BeforeValidator(parse_one_of("y", "z"))]
-Purpose = Annotated[str, BeforeValidator(parse_one_of("render", "proxy"))]
+UsdPurposeWord = Annotated[str, BeforeValidator(parse_one_of("render", "proxy"))]
 
-Look = Annotated[str, BeforeValidator(parse_one_of(*LOOKS))]  # keys for the thing in pictures
+Look = Annotated[str, BeforeValidator(parse_one_of(*LOOK_WORDS))]  # keys for the thing in pictures
 
 
 class ThingModel(ScenePart):
@@ -60,7 +60,7 @@ class MeshThing(ThingModel):
 
     mesh: FilePath
     group: SceneWord | None = None
-    keys: PlaceKeys = {}
+    keys: PositionKeysByFrame = {}
     units: Unit | None = None
     up: Axis | None = None
     at: PointValue | None = None
@@ -100,7 +100,7 @@ class HeightThing(ThingModel):
     layer: Annotated[int, BeforeValidator(parse_integer_between(0, 100_000))] | None = None
     at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
-    keys: PlaceKeys = {}
+    keys: PositionKeysByFrame = {}
     look: Look | None = None
 
 
@@ -128,13 +128,13 @@ class UsdThing(ThingModel):
     prim: SceneWord | None = None
     kind: SceneWord | None = None
     turn: SceneName | tuple[SceneName, SceneName, SceneName] | None = None
-    purpose: Purpose = "render"
+    purpose: UsdPurposeWord = "render"
     at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
     scale: Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
     weld: PositiveLength | None = None
-    keys: PlaceKeys = {}
+    keys: PositionKeysByFrame = {}
     look: Look | None = None
     each: UsdItemDefaults = UsdItemDefaults()
 
@@ -154,14 +154,14 @@ class CurveThing(ThingModel):
     names_file = True
 
     curve: FilePath
-    keys: PlaceKeys = {}
+    keys: PositionKeysByFrame = {}
     units: Unit | None = None
     up: Axis | None = None
     at: PointValue | None = None
 
 
-Strength = Annotated[float, BeforeValidator(parse_number_between(-1, 1))]
-Falloff = Annotated[str, BeforeValidator(parse_one_of("none", "linear", "smooth"))]
+FlowStrength = Annotated[float, BeforeValidator(parse_number_between(-1, 1))]
+FalloffWord = Annotated[str, BeforeValidator(parse_one_of("none", "linear", "smooth"))]
 
 
 class FlowThing(ThingModel):
@@ -171,14 +171,14 @@ class FlowThing(ThingModel):
     `strength`: a factor; below 0 it reverses the flow."""
 
     on: SceneName | None = None
-    strength: Strength = 1.0
+    strength: FlowStrength = 1.0
 
 
 class SpreadFlow(FlowThing):
     """A flow that decreases with the distance from its target. It is 0 beyond `radius`; without a radius, it is constant."""
 
     radius: PositiveLength | None = None
-    falloff: Falloff = "smooth"
+    falloff: FalloffWord = "smooth"
     cell: PositiveLength | None = None
 
 
@@ -196,19 +196,21 @@ def _find_target_type_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-Target = Annotated[Annotated[PointValue, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_find_target_type_tag)]
+FlowTargetValue = Annotated[
+    Annotated[PointValue, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_find_target_type_tag)
+]
 
 
 class TowardFlow(SpreadFlow):
     """A flow toward a curve, an item, the nearest of some items, or a point."""
 
-    toward: Target
+    toward: FlowTargetValue
 
 
 class AwayFlow(SpreadFlow):
     """A flow away from a curve, an item, the nearest of some items, or a point."""
 
-    away: Target
+    away: FlowTargetValue
 
 
 class BorderFlow(FlowThing):
@@ -216,7 +218,7 @@ class BorderFlow(FlowThing):
 
     border: SceneName
     within: PositiveLength
-    falloff: Falloff = "linear"
+    falloff: FalloffWord = "linear"
     cell: PositiveLength | None = None
 
 
@@ -228,7 +230,7 @@ class SolvedFlow(FlowThing):
     `maps`: the values of maps, each times its factor.
     `crowding`: times the share of the ground covered by agents. The share is measured again after each interval `every`."""
 
-    solved: Target
+    solved: FlowTargetValue
     slope: Annotated[float, BeforeValidator(parse_number_between(0, 1e6))] = 0.0
     room: PositiveLength | None = None
     maps: dict[SceneName, Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))]] = {}
@@ -261,7 +263,7 @@ class ItemThing(ScenePart):
     at: PointValue
     on: SceneName | None = None
     radius: PositiveLength | None = None
-    keys: PlaceKeys = {}
+    keys: PositionKeysByFrame = {}
     look: Look | None = None
 
 
@@ -275,7 +277,7 @@ class LampThing(ThingModel):
     radius: PositiveLength | None = None
     power: LightStrength = 1.0
     colour: LightColour | None = None
-    keys: PlaceKeys = {}
+    keys: PositionKeysByFrame = {}
 
     @property
     def at(self) -> PointValue:

@@ -36,7 +36,7 @@ LARGEST_BY_DIMENSION = {
 BASE_UNIT_BY_DIMENSION = {LENGTH_DIMENSION: "mm", ANGLE_DIMENSION: "rad", TIME_DIMENSION: "s", SPEED_DIMENSION: "mm/s"}
 
 
-def make_error(message: str, help: str = "", **context: Any) -> PydanticCustomError:
+def make_value_error(message: str, help: str = "", **context: Any) -> PydanticCustomError:
     """Return an error with its message unchanged, including braces. `context`: further data for its report."""
     return PydanticCustomError("worded", "{words}", {"words": message, "help": help, **context})
 
@@ -51,9 +51,9 @@ def describe_value(value: Any) -> str:
 def require_text(value: Any, expected_text: str) -> str:
     """Return a text without blanks at its ends. Raises an error for other values and empty texts."""
     if not isinstance(value, str):
-        raise make_error(f"expected {expected_text} here, not {describe_value(value)}")
+        raise make_value_error(f"expected {expected_text} here, not {describe_value(value)}")
     if not value.strip():
-        raise make_error(f"expected {expected_text} here, but the value is missing")
+        raise make_value_error(f"expected {expected_text} here, but the value is missing")
     return value.strip()
 
 
@@ -63,9 +63,9 @@ def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
     def read_integer(value: Any) -> int:
         text = require_text(value, "a whole number")
         if not re.fullmatch(r"[+-]?[0-9]{1,20}", text, re.ASCII):
-            raise make_error(f"{describe_value(text)} is not a whole number", f"write digits only, {low} to {high}")
+            raise make_value_error(f"{describe_value(text)} is not a whole number", f"write digits only, {low} to {high}")
         if not low <= int(text) <= high:
-            raise make_error(f"`{int(text)}` is not between {low} and {high}")
+            raise make_value_error(f"`{int(text)}` is not between {low} and {high}")
         return int(text)
 
     return read_integer
@@ -78,14 +78,14 @@ def parse_any_quantity(value: Any) -> Quantity:
         quantity = parse_quantity(text)
     except QuantityError as error:
         usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
-        raise make_error(f"{describe_value(text)} {error}", error.help or usual) from None
+        raise make_value_error(f"{describe_value(text)} {error}", error.help or usual) from None
     return _limit_quantity(quantity, limits.MAX_SCENE_NUMBER)
 
 
 def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quantity:
     """Return the quantity unchanged. Raises an error if it is larger than `largest`."""
     if abs(quantity.number) > largest:
-        raise make_error(
+        raise make_value_error(
             f"{describe_value(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}"
         )
     return quantity
@@ -96,10 +96,10 @@ def parse_quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
 
     def read_quantity(value: Any) -> Quantity:
         quantity = parse_any_quantity(value)
-        if quantity.is_bare and dim == ANGLE_DIMENSION:
+        if quantity.has_no_unit and dim == ANGLE_DIMENSION:
             quantity = parse_quantity(f"{quantity.text} deg")
-        if quantity.dim != dim and not quantity.is_bare:
-            raise make_error(f"`{quantity.text}` is not {describe_dimension(dim)}", f"write `{format_with_unit(50, dim)}`")
+        if quantity.dimension != dim and not quantity.has_no_unit:
+            raise make_value_error(f"`{quantity.text}` is not {describe_dimension(dim)}", f"write `{format_with_unit(50, dim)}`")
         return _limit_quantity(quantity, LARGEST_BY_DIMENSION[dim], f" {BASE_UNIT_BY_DIMENSION[dim]}")
 
     return read_quantity
@@ -112,9 +112,9 @@ def parse_positive_quantity(dim: Dimension) -> Callable[[Any], Quantity]:
     def read_positive_quantity(value: Any) -> Quantity:
         quantity = inner(value)
         if quantity.number <= 0:
-            raise make_error(f"`{quantity.text}` is not above zero")
+            raise make_value_error(f"`{quantity.text}` is not above zero")
         if quantity.number < limits.MIN_POSITIVE_NUMBER:
-            raise make_error(
+            raise make_value_error(
                 f"`{quantity.text}` is too small", f"write at least {limits.MIN_POSITIVE_NUMBER:g} {BASE_UNIT_BY_DIMENSION[dim]}"
             )
         return quantity
@@ -130,9 +130,11 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
         try:
             parsed_number = parse_number(text)
         except QuantityError as error:
-            raise make_error(f"{describe_value(text)} {error}", error.help) from None
+            raise make_value_error(f"{describe_value(text)} {error}", error.help) from None
         if not low <= parsed_number <= high:
-            raise make_error(f"`{text}` is not between {low:g} and {high:g}", f"write a number from `{low:g}` to `{high:g}`")
+            raise make_value_error(
+                f"`{text}` is not between {low:g} and {high:g}", f"write a number from `{low:g}` to `{high:g}`"
+            )
         return parsed_number
 
     return read_number
@@ -141,15 +143,17 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
 def parse_share(value: Any) -> float:
     """Return a share from 0 to 1 of a text such as `30 %` or `0.3`."""
     quantity = parse_any_quantity(value)
-    if quantity.dim != Dimension() or not 0 <= quantity.number <= 1:
-        raise make_error(f"`{quantity.text}` is not a share", "write a share from `0 %` to `100 %`")
+    if quantity.dimension != Dimension() or not 0 <= quantity.number <= 1:
+        raise make_value_error(f"`{quantity.text}` is not a share", "write a share from `0 %` to `100 %`")
     return quantity.number
 
 
 def _check_name(value: Any) -> str:
     text = require_text(value, "a name")
     if not _NAME_PATTERN.fullmatch(text) or len(text) > limits.MAX_NAME_CHARACTERS:
-        raise make_error(f"{describe_value(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
+        raise make_value_error(
+            f"{describe_value(text)} is not a name", "names have letters, digits and `_`, and begin with a letter"
+        )
     return text
 
 
@@ -157,7 +161,7 @@ def parse_condition(value: Any) -> str:
     """Return the text of a condition in one line. The program checks it later."""
     text = " ".join(require_text(value, "a condition").split())
     if not text or len(text) > limits.MAX_LINE_CHARACTERS:
-        raise make_error("this is not a condition", "write one such as `total(food.load) == 0`")
+        raise make_value_error("this is not a condition", "write one such as `total(food.load) == 0`")
     return text
 
 
@@ -171,7 +175,7 @@ def parse_one_of(*words: str) -> Callable[[Any], str]:
         if text not in words:
             near = find_nearest_name(text, words)
             listed = ", ".join(f"`{w}`" for w in words)
-            raise make_error(
+            raise make_value_error(
                 f"{describe_value(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of these"
             )
         return text
@@ -182,18 +186,20 @@ def parse_one_of(*words: str) -> Callable[[Any], str]:
 def _parse_fps(value: Any) -> Fraction:
     text = require_text(value, "a number of frames per second")
     if not re.fullmatch(r"[0-9]{1,7}(\.[0-9]{1,6}|/[0-9]{1,7})?", text, re.ASCII) or text.endswith("/0"):
-        raise make_error(f"{describe_value(text)} is not a number of frames per second", "write `24`, `23.976` or `24000/1001`")
+        raise make_value_error(
+            f"{describe_value(text)} is not a number of frames per second", "write `24`, `23.976` or `24000/1001`"
+        )
     try:
         rate = Fraction(text)
     except ZeroDivisionError:
-        raise make_error(f"{describe_value(text)} divides by zero", "write `24000/1001`") from None
+        raise make_value_error(f"{describe_value(text)} divides by zero", "write `24000/1001`") from None
     # the rates that users write as 23.976 or 29.97 are N·1000/1001
     for nominal in (24, 30, 48, 60, 120):
         exact = Fraction(nominal * 1000, 1001)
         if "." in text and abs(rate - exact) < Fraction(1, 200):
             rate = exact
     if not 1 <= rate <= limits.MAX_FPS:
-        raise make_error(f"`{text}` frames per second is not between 1 and {limits.MAX_FPS}")
+        raise make_value_error(f"`{text}` frames per second is not between 1 and {limits.MAX_FPS}")
     return rate
 
 
@@ -208,7 +214,7 @@ class FrameRange(NamedTuple):
 _OTHER_RANGE_PATTERN = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|to|bis)\s*(-?[0-9]{1,9})\s*\]?", re.ASCII)
 
 
-def parse_frames(text: str) -> FrameRange:
+def parse_frame_range(text: str) -> FrameRange:
     """Return the frames of a text such as `1001..1720`, or of one frame. Raises QuantityError with the reason."""
     try:
         first, last = parse_integer_range(text)
@@ -227,16 +233,16 @@ def _parse_frame_range(value: Any) -> FrameRange:
     text = ",".join(value) if isinstance(value, list) and all(isinstance(v, str) for v in value) else value
     text = require_text(text, "a range of frames")
     try:
-        return parse_frames(text)
+        return parse_frame_range(text)
     except QuantityError as error:
         usual = "write the first and the last frame with two dots between: `1001..1240`"
-        raise make_error(f"{describe_value(text)} {error}", error.help or usual) from None
+        raise make_value_error(f"{describe_value(text)} {error}", error.help or usual) from None
 
 
 def _check_path(value: Any) -> str:
     text = require_text(value, "the path of a file")
     if text != value:
-        raise make_error(f"the path {describe_value(value)} begins or ends with a space", f"write `{text}`")
+        raise make_value_error(f"the path {describe_value(value)} begins or ends with a space", f"write `{text}`")
     return text
 
 
@@ -252,7 +258,7 @@ def parse_word_or_file(*words: str) -> Callable[[Any], str]:
 
             near, listed = find_nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
             help = f"did you mean `{near}`?" if near else f"write one of these, or a file such as `{text[:40]}.glb`"
-            raise make_error(f"{describe_value(text)} is none of {listed}, and not a file", help)
+            raise make_value_error(f"{describe_value(text)} is none of {listed}, and not a file", help)
         return text
 
     return read_word_or_file
@@ -261,7 +267,7 @@ def parse_word_or_file(*words: str) -> Callable[[Any], str]:
 def _check_word(value: Any) -> str:
     text = require_text(value, "a word")
     if len(text) > _MAX_WORD_CHARACTERS:
-        raise make_error(f"{describe_value(text)} is too long")
+        raise make_value_error(f"{describe_value(text)} is too long")
     return text
 
 
@@ -282,13 +288,13 @@ def _parse_length_range(value: Any) -> tuple[Quantity, Quantity]:
     text = require_text(value, "a range of lengths")
     first, dots, last = text.partition("..")
     if not dots:
-        raise make_error(f"{describe_value(text)} is not a range of lengths", "write both ends: `-35 mm .. 35 mm`")
+        raise make_value_error(f"{describe_value(text)} is not a range of lengths", "write both ends: `-35 mm .. 35 mm`")
     read_length = parse_quantity_of(LENGTH_DIMENSION)
     low, high = read_length(first), read_length(last)
-    if low.is_bare != high.is_bare:
-        raise make_error(f"only one end of `{text}` has a unit", "write both ends with a unit: `-35 mm .. 35 mm`")
+    if low.has_no_unit != high.has_no_unit:
+        raise make_value_error(f"only one end of `{text}` has a unit", "write both ends with a unit: `-35 mm .. 35 mm`")
     if not low.number < high.number:
-        raise make_error(f"`{text}` does not end above its start", "write the smaller number first")
+        raise make_value_error(f"`{text}` does not end above its start", "write the smaller number first")
     return low, high
 
 
@@ -320,7 +326,7 @@ class PositionKey(ScenePart):
     rotate: tuple[Angle, Angle, Angle] | None = None
 
 
-PlaceKeys = dict[
+PositionKeysByFrame = dict[
     Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))], PositionKey
 ]
 

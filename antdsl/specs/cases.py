@@ -178,7 +178,7 @@ class CaseFinder:
         except PathRefused as error:
             self.missing_scene_report.error(error.code, str(error), name.span, error.help)
             return None
-        path = roots.path(name.text)
+        path = roots.resolve_path(name.text)
         return program_path.parent / name.text if (program_path.parent / name.text).resolve() == path.resolve() else path
 
     def make_runs(self, seeds: Sequence[int] | None) -> list[SpecRun]:

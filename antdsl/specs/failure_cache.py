@@ -55,7 +55,7 @@ class StateSnapshots:
     If the scene moves anything by its frames, the first copy is stored instead, because the run can only continue from there."""
 
     def __init__(self, setting: WorldSetting) -> None:
-        self.keeps_first_copy = bool(setting.motion) or any(camera.moves for camera in setting.cameras.values())
+        self.keeps_first_copy = bool(setting.motion) or any(camera.is_moving for camera in setting.cameras.values())
         self.last: Arrays | None = None
 
     def store_copy(self, world: World) -> None:

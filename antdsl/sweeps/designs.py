@@ -42,7 +42,7 @@ class SamplingDesign:
     points_per_unit: int | None = None  # points per counted unit, plus one for each factor; None: one point
     needs_power_of_two: bool = False
     needs_ranges: bool = False
-    analysis: sensitivity.Analysis | None = None
+    analysis: sensitivity.SensitivityAnalysis | None = None
 
 
 @dataclass(frozen=True, slots=True)

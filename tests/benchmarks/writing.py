@@ -34,7 +34,7 @@ from antdsl.outputs.cache.cache_reader import make_frame_path
 from antdsl.outputs.cache.hashes import HASHES_FILE_NAME
 from antdsl.outputs.recording import Recording, begin_recording, record_frames
 from antdsl.runtime import Options, World, bind, step
-from antdsl.scene.values import parse_frames
+from antdsl.scene.values import parse_frame_range
 
 TIMES = 4  # allocated before a turn, in sizes of its files
 WARM = 8  # steps before anything is measured: rows come into order of place, machine code is there
@@ -71,7 +71,7 @@ def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None
     memory is taken as it is."""
     shot = find_case(case).make_bare_shot(find_case(case).make_shot(agents))
     last = WARM + (rounds + 1) * steps + 1
-    shot = replace(shot, scene=shot.scene.replace_values(frames=parse_frames(f"1..{last}")))
+    shot = replace(shot, scene=shot.scene.replace_values(frames=parse_frame_range(f"1..{last}")))
     options = Options(backend="native", threads=1)
     with tempfile.TemporaryDirectory(dir=place) as temporary:
         folder = Path(temporary, "cache")

@@ -304,7 +304,7 @@ def test_samples_of_calls_and_sets_are_right() -> None:
 
 def test_samples_of_lines_and_scenes_can_be_read() -> None:
     from antdsl.lsp.word_descriptions import SCENE_KEY_HELP
-    from antdsl.scene.load import load_text
+    from antdsl.scene.load import load_scene_text
     from antdsl.scene.paths import Roots
     from antdsl.syntax import parse
 
@@ -315,5 +315,5 @@ def test_samples_of_lines_and_scenes_can_be_read() -> None:
         assert any(parse(Source("a.ant", text))[1].ok for text in texts), form
     for form in _samples_of(SCENE_KEY_HELP).values():
         text = form if form.startswith("antdsl:") else f"antdsl: 1\n{form}"
-        report = load_text(f"{text}\n".encode(), "other.yaml", Roots(Path("."), {}))[1]
+        report = load_scene_text(f"{text}\n".encode(), "other.yaml", Roots(Path("."), {}))[1]
         assert not {error.code for error in report.errors} - {"no-such-file", "unknown-name", "wrong-path"}, (form, report.errors)

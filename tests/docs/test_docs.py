@@ -153,9 +153,9 @@ def test_complaints_look_as_the_documents_show_them() -> None:
 
 @pytest.mark.parametrize("block", [block for block in of_kind("yaml") if block.words[1] == "scene"], ids=str)
 def test_scenes_read_as_the_documents_say(block: Block) -> None:
-    from antdsl.scene import Roots, load_text
+    from antdsl.scene import Roots, load_scene_text
 
-    _, report = load_text(block.text.encode(), str(block), Roots(ROOT / "examples" / "foraging", {}))
+    _, report = load_scene_text(block.text.encode(), str(block), Roots(ROOT / "examples" / "foraging", {}))
     codes = [d.code for d in report.errors]
     assert codes == ([] if block.expected_error is None else [block.expected_error]), report.errors
 

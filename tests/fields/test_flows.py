@@ -28,7 +28,7 @@ from antdsl.scene.setting import (
     SpreadFlowData,
     WorldSetting,
 )
-from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
+from antdsl.scene.staging.motion import GeometryMotion, MeshMotion
 
 PROGRAM = """ant 1
 use steering
@@ -437,7 +437,7 @@ def test_flows_follow_moving_targets() -> None:
     path = np.linspace([150.0, 0, 0], [-150.0, 0, 150.0], 120)[:, None]
     goal = replace(GOAL, name="nest", item_index=0)
     for flow in (SpreadFlowData("toward", goal), SolvedFlowData(goal, interval=0.5)):
-        built = world(flow, motion=GeometryMoves(items={"nest": path}))
+        built = world(flow, motion=GeometryMotion(items={"nest": path}))
         assert read(built, (0, 150))[0, 0] > 0.4
         run(built, 119)
         assert read(built, (0, 150))[0, 0] < -0.9
@@ -448,7 +448,7 @@ def test_paths_avoid_moving_obstacles() -> None:
     stone = meshes.ball(45.0)
     displacement = np.zeros((30, len(stone[0]), 3))
     displacement[10:, :, 2] = 150  # in one go, at frame 10
-    moves = GeometryMoves(meshes={"rock": MeshMoves.from_positions(stone[0] + displacement)})
+    moves = GeometryMotion(meshes={"rock": MeshMotion.from_positions(stone[0] + displacement)})
     built = world(
         SolvedFlowData(GOAL, clearance=10.0, interval=0.5), 30, obstacles={"rock": MeshData(*stone)}, motion=moves, steer="halt()"
     )
@@ -480,7 +480,7 @@ def test_painted_vectors_rotate_with_their_ground() -> None:
     )
     built = world(
         PaintedValues("ground", np.tile([0.5, 0, 0], (len(floor[0]), 1))),
-        motion=GeometryMoves(meshes={"ground": MeshMoves.from_positions(turned)}),
+        motion=GeometryMotion(meshes={"ground": MeshMotion.from_positions(turned)}),
         steer="halt()",
     )
     run(built, 30)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from antdsl.numerics import near_pairs
 from antdsl.numerics.near_pairs import find_pairs_between, find_pairs_within
-from antdsl.scene.geometry.live_faces import number_components
+from antdsl.scene.geometry.live_faces import number_connected_components
 
 
 def random_points(count: int, size: float, seed: int = 0) -> np.ndarray:
@@ -55,9 +55,9 @@ def test_components_are_numbered_by_their_first_member(count: int, pairs: int) -
     expected = (
         connected_components(coo_array((np.ones(pairs), joined.T), shape=(count, count)), directed=False)[1] if count else []
     )
-    assert number_components(joined, count).tolist() == list(expected)
+    assert number_connected_components(joined, count).tolist() == list(expected)
 
 
 def test_a_long_chain_is_one_component() -> None:
     order = np.random.default_rng(3).permutation(20_000)
-    assert number_components(np.stack([order[:-1], order[1:]], axis=1), len(order)).max() == 0
+    assert number_connected_components(np.stack([order[:-1], order[1:]], axis=1), len(order)).max() == 0

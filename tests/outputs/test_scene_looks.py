@@ -21,7 +21,7 @@ from antdsl.outputs.pictures.surface_materials import KIND_NAMES, PictureScales,
 from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options
-from antdsl.scene.looks import LOOKS, SURFACE_KINDS, find_kind_by_name
+from antdsl.scene.looks import LOOK_WORDS, SURFACE_KINDS, find_kind_by_name
 
 PROGRAM = """ant 1
 use steering
@@ -80,7 +80,7 @@ def test_an_unknown_look_is_reported_with_the_known_ones(tmp_path: Path) -> None
     diagnostic = report.sort_by_place()[0]
     assert (
         shot is None
-        and ", ".join(f"`{word}`" for word in LOOKS) in diagnostic.message
+        and ", ".join(f"`{word}`" for word in LOOK_WORDS) in diagnostic.message
         and diagnostic.help == "did you mean `metal`?"
     )
 

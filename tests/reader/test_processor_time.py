@@ -175,7 +175,7 @@ def test_prims_of_a_heavy_file_are_rejected_immediately(
 ) -> None:
     heavy(tmp_path)
     monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 0)
-    closures: dict[str, usd.Closure | usd.UsdError] = {}
+    closures: dict[str, usd.UsdFileClosure | usd.UsdError] = {}
 
     def read(prim: str) -> usd.UsdMesh:
         stage = usd.open_stage(
@@ -198,7 +198,7 @@ def test_a_file_that_cannot_be_collected_is_collected_once(
 ) -> None:
     pytest.importorskip("pxr")
     (tmp_path / "a.usda").write_text(HEAD.replace("(\n", "(\n    subLayers = [@gone.usda@]\n", 1))
-    closures: dict[str, usd.Closure | usd.UsdError] = {}
+    closures: dict[str, usd.UsdFileClosure | usd.UsdError] = {}
     messages = set()
     for _ in range(3):
         with pytest.raises(usd.UsdError) as error:

@@ -9,7 +9,7 @@ from test_contacts import plan_of, points
 from antdsl.bodies.library import load_library_body
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, measure_overlap_depths
-from antdsl.scene.library_bodies import CAPSULE_BY_BODY, LOAD_FRONT_BY_BODY, WHOLE_CAPSULE_BY_BODY
+from antdsl.scene.library_bodies import CAPSULE_BY_BODY, COMPLETE_CAPSULE_BY_BODY, LOAD_FRONT_BY_BODY
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 CRAWLING = ("ant", "ant_queen", "ant_soldier", "roach", "spider")
@@ -46,7 +46,7 @@ def trunk_points(name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", CRAWLING)
 def test_the_whole_capsule_holds_head_trunk_and_abdomen_and_little_more(name: str) -> None:
-    shape, at = WHOLE_CAPSULE_BY_BODY[name], trunk_points(name)
+    shape, at = COMPLETE_CAPSULE_BY_BODY[name], trunk_points(name)
     radius = shape.width / 2
     ahead = np.abs(at[:, 0] - shape.forward_offset) - (shape.length / 2 - radius)
     far = np.hypot(np.maximum(ahead, 0), at[:, 2]) - radius  # seen from above
@@ -63,10 +63,10 @@ def test_the_front_of_a_load_is_where_the_layer_has_it(name: str) -> None:
     (binding,) = body.layers["load"].static or body.layers["load"].deforming
     points = body.shapes[binding.shape].points @ body.compute_base_matrix()[:3, :3].T / body.length
     assert LOAD_FRONT_BY_BODY[name] == pytest.approx(points[:, 0].max(), abs=2e-3)
-    assert np.abs(points[:, 2]).max() < WHOLE_CAPSULE_BY_BODY[name].width / 2  # the capsule is as wide
+    assert np.abs(points[:, 2]).max() < COMPLETE_CAPSULE_BY_BODY[name].width / 2  # the capsule is as wide
 
 
-@pytest.mark.parametrize(("line", "capsules"), [("", WHOLE_CAPSULE_BY_BODY), ("body_contacts false", CAPSULE_BY_BODY)])
+@pytest.mark.parametrize(("line", "capsules"), [("", COMPLETE_CAPSULE_BY_BODY), ("body_contacts false", CAPSULE_BY_BODY)])
 def test_the_edition_and_the_setting_choose_the_capsule(line: str, capsules: dict) -> None:
     crowd = CapsuleCrowd(world_of(TEXT.format(line=line), CrowdData("ant", 1, points((0.0, 0.0)), body="ant_soldier")))
     shape = capsules["ant_soldier"]
@@ -78,7 +78,7 @@ def test_a_load_extends_the_capsule_while_it_is_carried() -> None:
     built = world_of(TEXT.format(line=""), CrowdData("ant", 2, points((0.0, 0.0), (90.0, 0.0))))
     for _ in range(2):
         step(built)
-    crowd, shape, front = CapsuleCrowd(built), WHOLE_CAPSULE_BY_BODY["ant"], LOAD_FRONT_BY_BODY["ant"] * 10
+    crowd, shape, front = CapsuleCrowd(built), COMPLETE_CAPSULE_BY_BODY["ant"], LOAD_FRONT_BY_BODY["ant"] * 10
     carries = built.populations["ant"].now["wear#load"]
     assert carries.tolist() == [row_id == 1 for row_id in built.populations["ant"].ids] and crowd.bounds is None
     tip, tail = crowd.ahead + crowd.half + crowd.radius, crowd.ahead - crowd.half - crowd.radius

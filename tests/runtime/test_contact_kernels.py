@@ -12,7 +12,7 @@ from antdsl.runtime.moving import correction_walks
 from antdsl.runtime.moving.contacts import capsule_distances, capsules, contact_solver, separation, step_clamping
 from antdsl.runtime.moving.contacts.capsule_distances import NEVER_TILTED_COSINE, TILTED_COSINE
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd, NearbyCapsulePairs, find_near_pairs, measure_overlap_depths
-from antdsl.scene.library_bodies import CAPSULE_BY_BODY, WHOLE_CAPSULE_BY_BODY
+from antdsl.scene.library_bodies import CAPSULE_BY_BODY, COMPLETE_CAPSULE_BY_BODY
 from tests.motion_track import segment_distance
 from tests.runtime.test_contacts import RESTING, CrowdData, cluster, world
 
@@ -157,7 +157,7 @@ def test_a_whole_body_does_not_reach_below_its_feet(body: str) -> None:
     crowd = CrowdData("ant", 1, cluster(1), body=body)
     old, new = (capsules.find_capsule(world(crowd, text=text), "ant") for text in (RESTING, RESTING.replace("ant 1", "ant 2", 1)))
     assert old == CAPSULE_BY_BODY[body]
-    assert new.height > new.width / 2 and new.width == WHOLE_CAPSULE_BY_BODY[body].width
+    assert new.height > new.width / 2 and new.width == COMPLETE_CAPSULE_BY_BODY[body].width
 
 
 @pytest.mark.parametrize("place", [np.nan, np.inf, -np.inf])

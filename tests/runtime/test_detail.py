@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from antdsl.cli import app
 from antdsl.runtime import Options, bind, checkpoints, state_hash, step
 from antdsl.runtime.level_of_detail import DetailLevels, MeshPieces, is_in_boxes
-from antdsl.scene.setting import DetailData, MeshData
-from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
+from antdsl.scene.setting import DetailLevelData, MeshData
+from antdsl.scene.staging.motion import GeometryMotion, MeshMotion
 
 WORLD = "ant 1\nworld { obstacle stones }\n"
 FEELS = """species a { x = 0 mm
@@ -30,7 +30,7 @@ POINTS = [(0, 0), (0, 7), (0, 9.9), (11, 8), (0, 12)]
 
 
 def feeler_distances(near: float, far: float = float("inf")) -> list[float]:
-    data = DetailData(np.array([[0.0, 100.0, 0.0]]), near, far)
+    data = DetailLevelData(np.array([[0.0, 100.0, 0.0]]), near, far)
     return play(FEELS, crowd(at=POINTS), world=WORLD, obstacles=BALL, level_of_detail=data)["x"]
 
 
@@ -60,9 +60,9 @@ def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
 def test_boxes_go_with_their_obstacle() -> None:
     poses = np.repeat(np.eye(3, 4)[None], 4, axis=0)
     poses[:, 2, 3] = (0, 3, 6, 9)
-    moves = GeometryMoves(meshes={"stones": MeshMoves.from_transforms(poses, len(BALL["stones"].vertices))})
+    moves = GeometryMotion(meshes={"stones": MeshMotion.from_transforms(poses, len(BALL["stones"].vertices))})
     at = crowd(at=[(0, -9), (0, 9), (0, 18)])
-    data = DetailData(np.array([[0.0, 100.0, 0.0]]), 50.0)
+    data = DetailLevelData(np.array([[0.0, 100.0, 0.0]]), 50.0)
     history = play(FEELS, at, steps=4, world=WORLD, obstacles=BALL, level_of_detail=data, motion=moves)
     assert history["x"] == pytest.approx([99, 10, 10], abs=0.05)  # at frame 3 the box is 9 mm further
     assert history.at("x", 1) == pytest.approx([10, 10, 99], abs=0.05)
@@ -90,7 +90,7 @@ STONES = {"stones": MeshData(*meshes.ball(9.0, (25, 0, 10), 8))}
 
 
 def test_same_bits_for_all_options_and_no_agent_walks_through() -> None:
-    data = DetailData(np.array([[0.0, 30.0, 0.0]]), 40.0, 60.0)
+    data = DetailLevelData(np.array([[0.0, 30.0, 0.0]]), 40.0, 60.0)
     deepest = []
 
     def watch(world):
@@ -110,11 +110,11 @@ def test_near_enough_is_as_if_there_were_no_levels_and_a_checkpoint_goes_on() ->
     at = crowd(60, radius=50)
     plain = play(AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1]).world
     near = play(
-        AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], level_of_detail=DetailData(ORIGIN, 1e6)
+        AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], level_of_detail=DetailLevelData(ORIGIN, 1e6)
     ).world
     assert state_hash(plain) == state_hash(near)
     far = play(
-        AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], level_of_detail=DetailData(ORIGIN, 20.0)
+        AVOID, at, steps=10, world=WORLD, obstacles=STONES, option_sets=FAST[:1], level_of_detail=DetailLevelData(ORIGIN, 20.0)
     ).world
     assert state_hash(far) != state_hash(plain)
     again = bind(far.plan, far.setting, Options())
@@ -197,7 +197,7 @@ def test_the_camera_is_part_of_the_result_only_where_it_counts(folder: Path) -> 
 def test_levels_go_by_the_scene_moved_to_its_middle() -> None:
     """Far from zero a scene is bound about its own middle; the camera with it."""
     middle = np.array([1e6, 0, 0])
-    detail = DetailLevels(DetailData(np.add(middle, [[0, 0, 0], [0, 0, 9], [0, 0, 20]]), 10.0, first=5), middle, {})
+    detail = DetailLevels(DetailLevelData(np.add(middle, [[0, 0, 0], [0, 0, 9], [0, 0, 20]]), 10.0, first=5), middle, {})
     positions = np.array([[0, 0, 5], [0, 0, 15]], np.float32)
     levels = [detail._find_levels_at(positions, frame).tolist() for frame in (0, 5, 6, 7, 99)]
     assert levels == [[0, 1], [0, 1], [0, 0], [1, 0], [1, 0]]  # a camera that moves; before and after it stands

@@ -21,7 +21,7 @@ from antdsl.pipeline import RunChoices, Shot, open_scene, simulate
 from antdsl.runtime import Options, World, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.scene import PathRefused, Roots
 from antdsl.scene.geometry.matrices import apply_transforms, make_identity_transforms
-from antdsl.scene.staging.motion import MeshMoves
+from antdsl.scene.staging.motion import MeshMotion
 
 STAND = """ant 1
 use steering
@@ -97,7 +97,7 @@ TURN = "keys: {1: {at: [0, 0, 0], rotate: [0, 0, 0]}, 13: {at: [24, 12, 0], rota
 def test_keys_go_evenly_and_hold_at_their_ends(folder: Path) -> None:
     scene = SCENE.replace("1..13", "1..20").replace("frames:", "preroll: 2\nframes:")
     moves = shot(folder, scene=scene, ground=TURN).setting.motion
-    assert moves.first == -1 and moves.meshes["ground"].frames == 22
+    assert moves.first == -1 and moves.meshes["ground"].frame_count == 22
     rest = np.array([[10.0, 0, 0]] * 121)
     at = [moves.meshes["ground"].compute_vertices(rest, frame - moves.first)[0] for frame in (-1, 1, 7, 13, 20)]
     half = np.sqrt(0.5) * 10
@@ -118,7 +118,7 @@ def test_moves_of_a_file_are_placed_by_its_entry() -> None:
     poses = make_identity_transforms(2)
     poses[:, :, :3] *= 10
     poses[1, :, 3] = (0, 0, 5)
-    moves = MeshMoves.from_positions(vertex_frames).transform_motion(poses)
+    moves = MeshMotion.from_positions(vertex_frames).transform_motion(poses)
     rest = apply_transforms(poses[0], points)
     assert np.array_equal(moves.compute_vertices(rest, 0), rest)
     assert np.allclose(moves.compute_vertices(rest, 1), apply_transforms(poses[1], points * 2))

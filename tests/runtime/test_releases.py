@@ -157,10 +157,13 @@ def test_edits_of_a_running_scene(folder: Path) -> None:  # noqa: F811
     assert len(second) == 2 + 20 + 1
     ids = second.populations["ant"].ids
     assert len(set(ids.tolist())) == len(ids)
-    assert set(second.crowd_lines[1].take().tolist()) <= set(ids.tolist())
+    assert set(second.crowd_lines[1].list_ids_between().tolist()) <= set(ids.tolist())
     plain = shot_of(folder, scene("count: 2", f"name: guards, frames: 3..12, count: 4, {HOLE}"))
     third, migration = migrate_world(second, plain.plan, plain.setting)
-    assert len(third) == 6 and third.crowd_lines[1].take().tolist() == second.crowd_lines[1].take(0, 3).tolist()
+    assert (
+        len(third) == 6
+        and third.crowd_lines[1].list_ids_between().tolist() == second.crowd_lines[1].list_ids_between(0, 3).tolist()
+    )
 
 
 def test_a_scene_that_begins_with_a_cache_creates_new_agents(folder: Path) -> None:  # noqa: F811

@@ -14,8 +14,8 @@ from antdsl.passes import optimise_plan
 from antdsl.runtime import CrowdData, MeshData, Options, PlacementData, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends.native.programs import WorldFacts
 from antdsl.runtime.moving import moving_geometry
-from antdsl.scene.setting import GeometryMoves, SolidData
-from antdsl.scene.staging.motion import MeshMoves
+from antdsl.scene.setting import GeometryMotion, SolidData
+from antdsl.scene.staging.motion import MeshMotion
 
 CELL = 2.0
 NATIVE = Options(backend="native", chunk=8, threads=2, wait_for_code=True)
@@ -164,7 +164,7 @@ def test_on_ground_that_has_moved_the_cells_go_along() -> None:
     ground = meshes.grid(60.0, 7)
     poses = np.repeat(np.eye(3, 4)[None], 6, axis=0)
     poses[1:, :, :3] = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # x goes to -z
-    moves = GeometryMoves(meshes={"ground": MeshMoves.from_transforms(poses, len(ground[0]))})
+    moves = GeometryMotion(meshes={"ground": MeshMotion.from_transforms(poses, len(ground[0]))})
     got, world = smelled(setting(ground, 1, motion=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", start_steps=2)
     assert got == [cell(world, (10, 0, 0), (0, 1, 0))]
     assert moving_geometry.get_moving_ground(world) is not None and WorldFacts.from_setting(world.setting) == WorldFacts(

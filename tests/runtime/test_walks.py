@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from antdsl.cli import app
 from antdsl.pipeline import open_scene
 from antdsl.runtime import MeshData, Options
-from antdsl.scene.setting import WalkData
+from antdsl.scene.setting import ScriptedWalkData
 
 TEXT = """use steering
 species a {
@@ -26,7 +26,7 @@ species a {
   on cry { steps += 100 }
   layers { state }
 }"""
-EAST = WalkData((1.0, 0.0, 0.0), 30.0, 40.0)
+EAST = ScriptedWalkData((1.0, 0.0, 0.0), 30.0, 40.0)
 
 
 def vectors(history: RunHistory, name: str, number: int = 0) -> np.ndarray:
@@ -49,7 +49,7 @@ def test_it_goes_its_length_at_its_speed_and_stands_and_senses_nothing() -> None
 def test_the_direction_is_carried_along_the_surface_over_edges() -> None:
     block = {"ground": MeshData(*meshes.box((-10.0, -20.0, -50.0), (10.0, 0.0, 50.0)))}
     walker_crowd = replace(
-        crowd(at=[(0, 0)]), walk=WalkData((1.0, 5.0, 0.0), 30.0, 26.0)
+        crowd(at=[(0, 0)]), walk=ScriptedWalkData((1.0, 5.0, 0.0), 30.0, 26.0)
     )  # what leads off the ground does not count
     history = play("species a { size 2 mm; max_speed 20 mm/s }", walker_crowd, steps=12, surfaces=block, option_sets=FAST)
     place = vectors(history, "position") + history.world.origin

@@ -17,7 +17,7 @@ from antdsl.pipeline import Shot, open_scene
 from antdsl.reader.images import read_image
 from antdsl.reader.protocol import ReaderMessage
 from antdsl.runtime import Options, bind, step
-from antdsl.scene.geometry.heights import compute_deviation, make_height_surface, read_heights
+from antdsl.scene.geometry.heights import compute_sampling_deviation, make_height_surface, read_heights
 from antdsl.scene.geometry.mesh_text import MeshError
 
 PROGRAM = "ant 1\nuse steering\nworld { surface arena; map damp }\nspecies a { state w { steer wander() } }\n"
@@ -120,7 +120,7 @@ def test_the_deviation_is_the_largest_that_is_found_by_looking() -> None:
         np.stack([u - 2.5, v - 1.5, np.ones(len(u))], axis=1)[..., None],
     )[..., 0]
     flat = (weights * p[..., 1]).sum(axis=1)
-    assert np.abs(flat - patch).max() == pytest.approx(compute_deviation(heights), rel=1e-3)
+    assert np.abs(flat - patch).max() == pytest.approx(compute_sampling_deviation(heights), rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_files import read_mesh, read_mesh_arrays
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.polygons import MAX_POLYGON_CORNERS, TooManyCorners, split_strip, triangulate_polygons
+from antdsl.scene.geometry.polygons import MAX_POLYGON_CORNERS, TooManyCornersError, split_triangle_strips, triangulate_polygons
 from antdsl.scene.staging.mesh_imports import weld_vertices
 
 POINTS = np.array([[-50, 0, -50], [-50, 0, 50], [0, 1.5, 50], [0, 0, -50], [50, 0, 50], [50, 0, -50], [80, 0, 0]], float)
@@ -168,8 +168,8 @@ def test_what_is_not_read_is_noted_with_its_first_line() -> None:
 
 
 def test_triangle_strips_turn_and_begin_again() -> None:
-    assert split_strip(np.array([0, 1, 2, 3])).tolist() == [[0, 1, 2], [2, 1, 3]]
-    assert split_strip(np.array([0, 1, 2, 2, 3, 4, -1, 5, 6, 7])).tolist() == [[0, 1, 2], [3, 2, 4], [5, 6, 7]]
+    assert split_triangle_strips(np.array([0, 1, 2, 3])).tolist() == [[0, 1, 2], [2, 1, 3]]
+    assert split_triangle_strips(np.array([0, 1, 2, 2, 3, 4, -1, 5, 6, 7])).tolist() == [[0, 1, 2], [3, 2, 4], [5, 6, 7]]
     head = b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement tristrips 2\n"
     head += b"property list int int vertex_indices\nend_header\n0 0 0\n0 0 1\n1 0 0\n1 0 1\n"
     assert read_mesh_arrays(head + b"4 0 1 2 3\n7 0 1 2 -1 1 3 2\n", "a.ply")[1].tolist() == [
@@ -255,7 +255,7 @@ def test_polygons_that_cross_themselves_are_named_and_huge_ones_are_errors() -> 
     count = MAX_POLYGON_CORNERS + 2
     around = np.arange(count) * 2 * np.pi / count
     radius = np.where(np.arange(count) % 2, 1.0, 0.5) * np.where(np.arange(count) < count // 2, 1.0, -0.2)
-    with pytest.raises(TooManyCorners):
+    with pytest.raises(TooManyCornersError):
         triangulate_polygons(
             np.stack([radius * np.cos(around), 0 * around, np.sin(around)], axis=1), np.array([count]), np.arange(count)
         )

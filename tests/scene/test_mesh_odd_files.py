@@ -15,7 +15,7 @@ from antdsl.pipeline import check_path
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_files import read_mesh, read_mesh_arrays
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.polygons import TooManyCorners, triangulate_polygons
+from antdsl.scene.geometry.polygons import TooManyCornersError, triangulate_polygons
 
 CORNERS = b"v 0 0 0\nv 0 0 9\nv 9 0 9\nv 9 0 0\n"
 POINTS = np.array([(0, 0, 0), (4, 0, 0), (4, 0, 4), (0, 0, 4), (0, 0, 4)], float)
@@ -66,7 +66,7 @@ def test_corners_on_a_straight_side_make_nothing_concave() -> None:
 def test_a_disc_of_too_many_corners_is_called_a_polygon() -> None:
     angles = np.arange(25_000) * 2 * np.pi / 25_000
     disc = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
-    with pytest.raises(TooManyCorners, match="has a polygon of 25,000 corners, more than 20,000"):
+    with pytest.raises(TooManyCornersError, match="has a polygon of 25,000 corners, more than 20,000"):
         triangulate_polygons(disc, np.array([25_000]), np.arange(25_000))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from antdsl.pipeline import open_scene
 from antdsl.scene.setting import MeshData
-from antdsl.scene.staging.mesh_cache import cached_per_mesh
+from antdsl.scene.staging.mesh_cache import cache_per_mesh
 
 FORAGING = Path(__file__).parents[2] / "examples" / "foraging"
 
@@ -22,7 +22,7 @@ def mesh(writeable: bool) -> MeshData:
 def test_work_is_done_once_for_a_mesh_that_cannot_change() -> None:
     calls = []
 
-    @cached_per_mesh
+    @cache_per_mesh
     def work(what: MeshData, number: int) -> int:
         calls.append(what)
         return number
@@ -55,7 +55,7 @@ def test_a_scene_that_is_staged_again_is_given_the_same_meshes_and_another_scene
 def test_a_scene_with_very_many_items_keeps_no_more_than_it_may() -> None:
     calls = []
 
-    @cached_per_mesh
+    @cache_per_mesh
     def work(what: MeshData, *, number: int) -> int:
         calls.append(number)
         return number

@@ -15,7 +15,7 @@ from antdsl.ground.mesh.topology import build_topology
 from antdsl.pipeline import RunChoices, check_path, read_mesh_imports
 from antdsl.runtime.binding.bind_world import bind
 from antdsl.scene.geometry.import_notes import format_import_report
-from antdsl.scene.geometry.live_faces import has_live_face
+from antdsl.scene.geometry.live_faces import has_any_face_with_area
 from antdsl.scene.setting import CrowdData, MeshData, PlacementData, WorldSetting
 
 
@@ -61,7 +61,7 @@ def test_a_scene_and_its_ground_agree_on_what_is_ground() -> None:
         faces = rng.integers(0, 9, (3, 3)).astype(np.int32)
         extent = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
         live = bool(build_topology(vertices, faces, np.zeros(3, np.int32), extent).is_live.any())
-        assert has_live_face(vertices, faces, extent) == live
+        assert has_any_face_with_area(vertices, faces, extent) == live
         outcomes.add(live)
     assert outcomes == {True, False}
 

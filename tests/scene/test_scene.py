@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.diagnostics import Report
-from antdsl.scene import Roots, Scene, load_text
+from antdsl.scene import Roots, Scene, load_scene_text
 from antdsl.scene.load import load_scene
 from antdsl.scene.thing_models import MeshThing
 
@@ -19,7 +19,7 @@ CASES = Path(__file__).parents[1] / "cases" / "scene"
 
 def read(text: str | bytes, folder: Path = CASES) -> tuple[Scene | None, Report]:
     data = text if isinstance(text, bytes) else text.encode()
-    return load_text(data, "scene.yaml", Roots(folder, {}))
+    return load_scene_text(data, "scene.yaml", Roots(folder, {}))
 
 
 def cases() -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from test_scene_files import SCENE, folder, opened  # noqa: F401
 
-from antdsl.scene.geometry.closed_meshes import count_inward_pieces, measure_closedness
+from antdsl.scene.geometry.closed_meshes import count_inward_pieces, count_open_edges_and_sides
 
 BALL = meshes.ball(10.0)
 SMALL = meshes.ball(4.0)
@@ -74,10 +74,10 @@ def test_random_order_of_faces_and_corners_changes_nothing() -> None:
 
 def test_edges_that_border_on_nothing() -> None:
     corners = np.round(BALL[0][BALL[1]] * 1000).astype(np.int64)
-    assert measure_closedness(corners) == (0, True)
-    assert measure_closedness(corners[1:]) == (3, False)
-    assert measure_closedness(np.round(one_turned(BALL)[0][one_turned(BALL)[1]] * 1000).astype(np.int64)) == (0, False)
-    assert measure_closedness(corners[:0]) == (0, True)
+    assert count_open_edges_and_sides(corners) == (0, True)
+    assert count_open_edges_and_sides(corners[1:]) == (3, False)
+    assert count_open_edges_and_sides(np.round(one_turned(BALL)[0][one_turned(BALL)[1]] * 1000).astype(np.int64)) == (0, False)
+    assert count_open_edges_and_sides(corners[:0]) == (0, True)
 
 
 @pytest.mark.parametrize(

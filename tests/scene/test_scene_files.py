@@ -17,7 +17,7 @@ from antdsl.cli.commands.new import build_ground_ply
 from antdsl.diagnostics import Report
 from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.scene import PathRefused, Roots
-from antdsl.scene.geometry.mesh_files import MeshError, place_mesh, read_mesh
+from antdsl.scene.geometry.mesh_files import MeshError, read_mesh, transform_raw_mesh
 from antdsl.scene.setting import MeshData
 from antdsl.scene.staging.item_placement import find_surface_height
 
@@ -85,15 +85,15 @@ def opened(folder: Path, scene: str, **choices: object) -> tuple[Shot | None, Re
 def test_paths_are_refused_before_the_disk_is_touched(bad: str) -> None:
     roots = Roots(Path("/there/is/no/such/folder"), {})
     with pytest.raises(PathRefused) as refused:
-        roots.locate(bad)
+        roots.split_path(bad)
     assert refused.value.code in ("bad-path", "root-not-granted")
 
 
 def test_names_that_every_system_can_have_are_accepted() -> None:
     roots = Roots(Path("/there/is/no/such/folder"), {})
     for name in ("it's.ply", "a^b.ply", "a~b.ply", "50%.ply", "a&b;c!=@+,#.ply", "a$5 (1).ply", "é蟻🐜.ply"):
-        assert roots.locate(f"meshes/{name}") == (roots.folder, ("meshes", name))
-    assert roots.locate("./~b.ply")[1] == ("~b.ply",)
+        assert roots.split_path(f"meshes/{name}") == (roots.folder, ("meshes", name))
+    assert roots.split_path("./~b.ply")[1] == ("~b.ply",)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_names_that_every_system_can_have_are_accepted() -> None:
 )
 def test_a_path_that_is_refused_names_the_sign_and_the_cure(bad: str, words: str, cure: str) -> None:
     with pytest.raises(PathRefused) as refused:
-        Roots(Path("/there/is/no/such/folder"), {}).locate(bad)
+        Roots(Path("/there/is/no/such/folder"), {}).split_path(bad)
     assert words in refused.value.message and cure in (refused.value.help or "")
 
 
@@ -226,16 +226,16 @@ def test_faces_without_area_and_twins_are_left_out() -> None:
 
 def test_meshes_are_turned_scaled_and_put_in_their_place() -> None:
     mesh = read_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")  # z up in its file: it faces up
-    flat = place_mesh(mesh, factor=10, own_up="z", up="y", angles=(0, 0, 0), position=(1, 2, 3))
+    flat = transform_raw_mesh(mesh, factor=10, own_up="z", up="y", angles=(0, 0, 0), position=(1, 2, 3))
     assert flat.vertices.tolist() == [[1, 2, 3], [11, 2, 3], [1, 2, -7]]
     a, b, c = flat.vertices[flat.faces[0]]
     assert np.cross(b - a, c - a)[1] > 0
-    mirrored = place_mesh(mesh, factor=-1, own_up="y", up="y", angles=(0, 0, 0), position=(0, 0, 0))
+    mirrored = transform_raw_mesh(mesh, factor=-1, own_up="y", up="y", angles=(0, 0, 0), position=(0, 0, 0))
     assert mirrored.faces.tolist() == [[2, 1, 0]]
-    turned = place_mesh(mesh, factor=1, own_up="y", up="y", angles=(0, 0, np.pi / 2), position=(0, 0, 0))
+    turned = transform_raw_mesh(mesh, factor=1, own_up="y", up="y", angles=(0, 0, np.pi / 2), position=(0, 0, 0))
     assert np.abs(turned.vertices - [[0, 0, 0], [0, 1, 0], [-1, 0, 0]]).max() < 1e-15
     with pytest.raises(MeshError):
-        place_mesh(mesh, factor=1e12, own_up="y", up="y", angles=(0, 0, 0), position=(0, 0, 0))
+        transform_raw_mesh(mesh, factor=1e12, own_up="y", up="y", angles=(0, 0, 0), position=(0, 0, 0))
 
 
 def test_the_height_of_a_slope_is_found_and_none_beside_it() -> None:

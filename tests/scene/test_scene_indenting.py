@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.scene.load import load_text
+from antdsl.scene.load import load_scene_text
 from antdsl.scene.paths import Roots
 
 GOOD = """antdsl: 1
@@ -31,7 +31,7 @@ set:
 
 
 def errors(text: str) -> list[Diagnostic]:
-    return load_text(text.encode(), "scene.yaml", Roots(Path("."), {}))[1].errors
+    return load_scene_text(text.encode(), "scene.yaml", Roots(Path("."), {}))[1].errors
 
 
 def test_the_scene_is_good() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import CrowdLineIds
 from antdsl.scene.notes.selection import SelectableAgents, SelectableFrame, StateColumn, select_ids
 from antdsl.scene.notes.selectors import (
     AgentConditions,
@@ -18,7 +18,7 @@ from antdsl.scene.notes.selectors import (
     SelectorNames,
     View,
     combine_selector,
-    find_problems,
+    find_selector_problems,
 )
 
 ADAPTER: TypeAdapter[Any] = TypeAdapter(Selector)
@@ -31,7 +31,7 @@ def read(value: object) -> Any:
 class CameraAtZero:
     """A camera that sees the first 35 mm."""
 
-    def find_place(self) -> np.ndarray:
+    def find_position(self) -> np.ndarray:
         return np.zeros(3)
 
     def find_visible(self, position: np.ndarray, view: View) -> np.ndarray:
@@ -49,7 +49,7 @@ def frame(**changes: Any) -> SelectableFrame:
     beetles = SelectableAgents(np.arange(3), np.array([[0.0, 50, 0], [100, 50, 0], [200, 50, 0]]))
     values: dict[str, Any] = dict(
         agents={"ant": ants, "beetle": beetles},
-        lines={"guards": LineIds("ant", ((5, 5), (30, 5))), "armour": LineIds("beetle", ((0, 3),))},
+        lines={"guards": CrowdLineIds("ant", ((5, 5), (30, 5))), "armour": CrowdLineIds("beetle", ((0, 3),))},
         item_points={"leaf": np.array([[100.0, 0, 0]]), "food": np.array([[100.0, 0, 0], [300.0, 0, 0]])},
         seed=7,
         cameras={"shot": CameraAtZero()},
@@ -174,14 +174,18 @@ NAMES = SelectorNames(
     ],
 )
 def test_unknown_names(value: object, expected: list[tuple[tuple[object, ...], str, str]]) -> None:
-    assert [tuple(each) for each in find_problems(read(value), NAMES)] == expected
+    assert [tuple(each) for each in find_selector_problems(read(value), NAMES)] == expected
 
 
 def test_ids_of_a_line() -> None:
-    line = LineIds("ant").resize(5, 10)
+    line = CrowdLineIds("ant").resize(5, 10)
     assert line.ranges == ((10, 5),) and line.resize(8, 15).ranges == ((10, 8),)
     grown = line.resize(3, 99).resize(6, 40)
     assert grown.ranges == ((10, 3), (40, 3)) and len(grown) == 6
-    assert grown.take(2, 4).tolist() == [12, 40, 41] and grown.take(5).tolist() == [42] and grown.take(6).tolist() == []
-    assert grown.find_numbers(np.array([42, 12, 13, 0])).tolist() == [5, 2, -1, -1]
-    assert LineIds("ant").take().tolist() == [] and LineIds("ant").resize(0, 5) == LineIds("ant")
+    assert (
+        grown.list_ids_between(2, 4).tolist() == [12, 40, 41]
+        and grown.list_ids_between(5).tolist() == [42]
+        and grown.list_ids_between(6).tolist() == []
+    )
+    assert grown.find_positions_in_line(np.array([42, 12, 13, 0])).tolist() == [5, 2, -1, -1]
+    assert CrowdLineIds("ant").list_ids_between().tolist() == [] and CrowdLineIds("ant").resize(0, 5) == CrowdLineIds("ant")

@@ -121,7 +121,7 @@ def test_transforms_nest_instances_are_baked_and_moves_are_stored_separately(tmp
 """.replace("MESH", mesh("m"))
     usd_mesh = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/w", frames=range(1, 5), head=MM))
     assert usd_mesh.raw_mesh.vertices.reshape(2, 4, 3)[:, 2].tolist() == [[1, 1, 1], [2, 2, 3]]
-    assert usd_mesh.motion is not None and usd_mesh.motion.frames == 4
+    assert usd_mesh.motion is not None and usd_mesh.motion.frame_count == 4
     at = [usd_mesh.motion.compute_vertices(usd_mesh.raw_mesh.vertices, k)[0, 0] for k in range(-1, 6)]
     assert at == [0, 0, 1, 2, 2, 2, 2], "held before the first and after the last"
     complete_mesh = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/", frames=range(1, 5), head=MM))

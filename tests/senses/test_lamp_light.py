@@ -21,7 +21,7 @@ from antdsl.outputs.recording import begin_recording, record_frames
 from antdsl.pipeline import check_path, open_scene
 from antdsl.runtime import ItemData, MeshData, Options
 from antdsl.scene.light_model import LightSettings
-from antdsl.scene.setting import GeometryMoves
+from antdsl.scene.setting import GeometryMotion
 
 WORLD = "ant 1\nworld { obstacle wall; items glows { oil = 1 } }\n"
 TEXT = "species a {\n  lit = 0\n  start see\n  state see { lit = light(glows) }\n}\n"
@@ -75,7 +75,7 @@ def test_it_follows_lamps_that_move_and_shrink() -> None:
     burn = TEXT.replace("lit = 0", "lit = 0\n  oil = 0").replace(
         "}\n}", "; when age > 0.25 s take 7 oil from nearest(glows) -> see }\n}"
     )
-    move = GeometryMoves(items={"glows": tracks})
+    move = GeometryMotion(items={"glows": tracks})
     history = run(replace(BULB, attributes={"oil": 8.0}), at=[(0.0, 0.0)], steps=6, motion=move, text=burn)
     lit = [history.at("lit", frame)[0] for frame in range(1, 7)]
     assert history.amounts("glows", "oil") == [1.0]

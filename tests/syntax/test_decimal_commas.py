@@ -11,7 +11,7 @@ import pytest
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.loading import find_library
 from antdsl.program import check
-from antdsl.scene.load import load_text
+from antdsl.scene.load import load_scene_text
 from antdsl.scene.paths import Roots
 from antdsl.source import Source
 from antdsl.syntax import parse
@@ -147,7 +147,7 @@ def test_a_behaviour_keeps_its_arguments() -> None:
     ],
 )
 def test_scenes_report_decimal_commas(scene: str, help: str) -> None:
-    report = load_text(f"antdsl: 1\n{scene}\n".encode(), "scene.yaml", Roots(Path("."), {}))[1]
+    report = load_scene_text(f"antdsl: 1\n{scene}\n".encode(), "scene.yaml", Roots(Path("."), {}))[1]
     assert len(report.errors) == 1 and help in (report.errors[0].help or ""), report.errors
 
 

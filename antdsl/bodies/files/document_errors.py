@@ -16,7 +16,7 @@ from antdsl.diagnostics import Diagnostic, Label, Report
 from antdsl.diagnostics.model import Severity
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey
-from antdsl.scene.load import drop_consequent_errors
+from antdsl.scene.load import drop_cascading_errors
 from antdsl.source import Span
 
 F = TypeVar("F", bound=Form)
@@ -48,7 +48,7 @@ def read_form(form: type[F], root: Node, report: Report) -> F | None:
         except ValidationError as problem:
             errors = problem.errors(include_url=False, include_input=False)
         errors.sort(key=lambda error: _is_ignorable(form, error))  # so that each pass ends with an error, or removes all warnings
-        diagnostics = [_convert_error(form, root, error) for error in drop_consequent_errors(errors[:_MAX_ERRORS])]
+        diagnostics = [_convert_error(form, root, error) for error in drop_cascading_errors(errors[:_MAX_ERRORS])]
         report.extend(diagnostics)
         if any(diagnostic.severity == "error" for diagnostic in diagnostics):
             return None

@@ -40,7 +40,7 @@ from antdsl.bodies.files.document_values import (
     require_one_of,
     require_version,
 )
-from antdsl.scene.values import make_error
+from antdsl.scene.values import make_value_error
 
 
 class Form(BaseModel):
@@ -147,7 +147,7 @@ class ClipForm(ClipSettings):
         if rotation is not None and (self.rotation_order is None or self.angles is None):
             missing = '"rotation_order": "xyz"' if self.rotation_order is None else '"angles": "degrees"'
             words, path = "a clip with rotations must state their order and unit", ("channels", rotation)
-            raise make_error(words, f"add `{missing}`", code="missing-key", at=path, key=True)
+            raise make_value_error(words, f"add `{missing}`", code="missing-key", at=path, key=True)
         return self
 
 

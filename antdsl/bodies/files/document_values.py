@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, FailFast, Field, PlainVali
 
 from antdsl import limits
 from antdsl.scene.scene_model import UNIT_MM
-from antdsl.scene.values import make_error
+from antdsl.scene.values import make_value_error
 
 AXIS_BY_WORD = {
     f"{sign}{letter}": tuple(float(f"{sign}{each == letter:d}") for each in "xyz") for letter in "xyz" for sign in "+-"
@@ -25,16 +25,16 @@ _LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # scale factors relative to the rest pose
 def _check_text(value: str) -> str:
     """Return the text. Raises an error for too many characters and for the character 0."""
     if len(value) > _MAX_NAME_CHARACTERS:
-        raise make_error(f"this text has {len(value):,} characters, more than {_MAX_NAME_CHARACTERS:,}")
+        raise make_value_error(f"this text has {len(value):,} characters, more than {_MAX_NAME_CHARACTERS:,}")
     if "\0" in value:
-        raise make_error("this text contains the invisible character U+0000")
+        raise make_value_error("this text contains the invisible character U+0000")
     return value
 
 
 def _check_nonempty(value: str) -> str:
     """Return the text. Raises an error for an empty text, and the errors of `_check_text`."""
     if not value:
-        raise make_error("expected a text here, but it is empty")
+        raise make_value_error("expected a text here, but it is empty")
     return _check_text(value)
 
 
@@ -43,7 +43,7 @@ def require_one_of(*words: str) -> BeforeValidator:
 
     def check_word(value: Any) -> Any:
         if value not in words:
-            raise make_error(f"this must be one of `{'`, `'.join(words)}`", f'write `"{words[0]}"`')
+            raise make_value_error(f"this must be one of `{'`, `'.join(words)}`", f'write `"{words[0]}"`')
         return value
 
     return BeforeValidator(check_word)
@@ -54,7 +54,9 @@ def require_version(number: int) -> BeforeValidator:
 
     def check_version(value: Any) -> int:
         if value != number or isinstance(value, bool):
-            raise make_error(f"only version {number} of this form is supported", f"write `{number}` if the file has this form")
+            raise make_value_error(
+                f"only version {number} of this form is supported", f"write `{number}` if the file has this form"
+            )
         return number
 
     return BeforeValidator(check_version)
@@ -66,7 +68,7 @@ def limit_entries(limit_name: str, entry_noun: str, owner: str = "a body") -> Be
     def check_count(entries: Any) -> Any:
         most = getattr(limits, limit_name)
         if isinstance(entries, list | dict) and len(entries) > most:
-            raise make_error(f"{owner} has at most {most:,} {entry_noun}", code="too-large")
+            raise make_value_error(f"{owner} has at most {most:,} {entry_noun}", code="too-large")
         return entries
 
     return BeforeValidator(check_count)
@@ -76,7 +78,7 @@ def _reject_number_array(entries: Any) -> Any:
     """Return the entries. Raises an error for an array of numbers, before its numbers are checked: a document may have
     millions."""
     if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
-        raise make_error("this list must have names or entries `{ … }`, not numbers")
+        raise make_value_error("this list must have names or entries `{ … }`, not numbers")
     return entries
 
 
@@ -86,7 +88,7 @@ def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
     for number, entry in enumerate(entries):
         if entry.name in first:
             words, place = f"`{entry.name}` is given twice", (number, "name")
-            raise make_error(words, "keep one of them", code="duplicate-name", at=place, first=(first[entry.name], "name"))
+            raise make_value_error(words, "keep one of them", code="duplicate-name", at=place, first=(first[entry.name], "name"))
         first[entry.name] = number
     return entries
 
@@ -102,7 +104,7 @@ def _read_unit(value: Any) -> float:
     unit = parse_unit_mm(value)
     if not unit:
         known = ", ".join(f"`{word}`" for word in UNIT_MM)
-        raise make_error(f"the unit of length must be one of {known}, or a multiple of one", 'write `"mm"`, or `"6 mm"`')
+        raise make_value_error(f"the unit of length must be one of {known}, or a multiple of one", 'write `"mm"`, or `"6 mm"`')
     return unit
 
 
@@ -110,7 +112,9 @@ def _read_axis(value: Any, info: ValidationInfo) -> Any:
     """Return the unit vector of an axis such as `+x`. Raises for any other value."""
     if not isinstance(value, str) or value not in AXIS_BY_WORD:
         letter = value if isinstance(value, str) and f"+{value}" in AXIS_BY_WORD else "z" if info.field_name == "front" else "y"
-        raise make_error(f"`{info.field_name}` must be one of the axes `+x` `-x` `+y` `-y` `+z` `-z`", f'write `"+{letter}"`')
+        raise make_value_error(
+            f"`{info.field_name}` must be one of the axes `+x` `-x` `+y` `-y` `+z` `-z`", f'write `"+{letter}"`'
+        )
     return AXIS_BY_WORD[value]
 
 
@@ -145,14 +149,14 @@ def _check_matrix(rows: tuple[Row, Row, Row, Row]) -> tuple[Row, Row, Row, Row]:
     if rows[3] != (0, 0, 0, 1):
         is_transposed = all(row[3] == 0 for row in rows[:3])
         help = "write the translation into the last column" if is_transposed else "write `[0, 0, 0, 1]`"
-        raise make_error("the last row of a rest pose must be `[0, 0, 0, 1]`", help)
+        raise make_value_error("the last row of a rest pose must be `[0, 0, 0, 1]`", help)
     return rows
 
 
 def _check_joints(joints: dict[str, Texts]) -> dict[str, Texts]:
     """Return the joints of a rig. Raises for a rig without joints."""
     if not joints:
-        raise make_error("a rig has at least one joint", 'write `{"root": []}`', code="bad-rig")
+        raise make_value_error("a rig has at least one joint", 'write `{"root": []}`', code="bad-rig")
     return joints
 
 
@@ -164,7 +168,7 @@ def _reject_deformer(value: str) -> str:
     """Return the empty deformer of a static shape. Raises for any other deformer."""
     if value:
         words = f"a static shape cannot have a deformer, but this one has `{value[:60]}`"
-        raise make_error(words, 'move it to `deforming`, or write `""`')
+        raise make_value_error(words, 'move it to `deforming`, or write `""`')
     return value
 
 
@@ -172,7 +176,7 @@ def _check_colours(colours: tuple[RgbColour, ...]) -> tuple[RgbColour, ...]:
     """Return the colours of a varied material. Raises for fewer than two, and for too many."""
     if not 2 <= len(colours) <= limits.MAX_BODY_PARTS:
         words = f"a material varies between two colours at least, not {len(colours)}"
-        raise make_error(words, "write two colours, or more", code="wrong-count")
+        raise make_value_error(words, "write two colours, or more", code="wrong-count")
     return colours
 
 
@@ -180,7 +184,7 @@ def _check_path_pair(paths: Any) -> Any:
     """Return the two paths of an included library. Raises for a list of another length."""
     if isinstance(paths, list) and len(paths) != 2:
         words, help = f"a library needs two paths, but this list has {len(paths)}", 'write `["$HIP/lib.glb", "/…/lib.glb"]`'
-        raise make_error(words, help, complete=True)
+        raise make_value_error(words, help, complete=True)
     return paths
 
 
@@ -199,14 +203,14 @@ Samples = Annotated[Any, PlainValidator(_read_samples)]
 def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     """Return the channels of a clip. Raises for no channels, no samples, and different numbers of samples."""
     if not channels:
-        raise make_error("a clip has at least one channel", f"write `{CHANNELS_EXAMPLE}`")
+        raise make_value_error("a clip has at least one channel", f"write `{CHANNELS_EXAMPLE}`")
     longest, first = 1, ""
     for name, samples in channels.items():
         if not len(samples):
-            raise make_error(f"`{name[:60]}` has no samples", "leave the channel out", at=(name,), complete=True)
+            raise make_value_error(f"`{name[:60]}` has no samples", "leave the channel out", at=(name,), complete=True)
         if len(samples) > 1 and longest > 1 and len(samples) != longest:
             words = f"`{name[:60]}` has {len(samples):,} samples, but `{first[:60]}` has {longest:,}"
-            raise make_error(words, "give all the same number, or a single one", at=(name,), key=True)
+            raise make_value_error(words, "give all the same number, or a single one", at=(name,), key=True)
         if len(samples) > longest:
             longest, first = len(samples), name
     return channels

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import BlendTargets, BodyError, Capture, Channel, InBetweens, Shape
 from antdsl.bodies.files.gltf.gltf_shapes import make_unused_name, normalise_capture
-from antdsl.scene.geometry.polygons import TooManyCorners, triangulate_polygons
+from antdsl.scene.geometry.polygons import TooManyCornersError, triangulate_polygons
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import import_pxr_module
 
@@ -121,7 +121,7 @@ def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple
         raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that use missing points", _EXPORT_HELP)
     try:
         cut = triangulate_polygons(points, counts, corners)
-    except TooManyCorners as error:
+    except TooManyCornersError as error:
         raise BodyError(f"has a mesh `{prim.GetPath()}` that {error}", "cut it into smaller faces", "too-large") from None
     triangles, face = cut.corners, cut.polygon_indices
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh.self_cuts import SelfIntersections, find_self_intersections
 from antdsl.numerics import elementary, stored_tables
 from antdsl.numerics.vectors import dot
-from antdsl.scene.geometry.live_faces import find_live_faces, number_components, number_corners
+from antdsl.scene.geometry.live_faces import find_faces_with_area, number_connected_components, number_welded_corners
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -104,8 +104,8 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
     """Return the arrays of `build_topology`, by the field names of `MeshTopology`. The arrays of its cuts are `first_cut` and
     `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    weld = number_corners(vertices, faces, mesh, extent)
-    live = find_live_faces(weld, a, b, c)
+    weld = number_welded_corners(vertices, faces, mesh, extent)
+    live = find_faces_with_area(weld, a, b, c)
     link = _link_edges(vertices, faces, weld, live)
     piece = _number_pieces(link, live)
     cut = find_self_intersections(vertices[faces], weld, piece, extent * _RELATIVE_TOUCH_DISTANCE)
@@ -225,7 +225,7 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.b
 def _number_pieces(link: Ints, is_live: NDArray[np.bool_]) -> Ints:
     """Return the number of each face's connected piece, counted from 0 by first faces; -1 for faces that are not live."""
     half = np.flatnonzero(link[0] != NO_LINKED_EDGE)
-    piece = number_components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(is_live))
+    piece = number_connected_components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(is_live))
     result = np.full(len(is_live), -1, np.int32)
     result[is_live] = np.unique(piece[is_live], return_inverse=True)[1]
     return result
@@ -250,7 +250,7 @@ def _group_face_sides(link: Ints, is_live: NDArray[np.bool_], piece: Ints) -> In
     shut[piece[is_live & (link[0].reshape(-1, 3) == NO_LINKED_EDGE).any(axis=1)]] = False
     closed = np.flatnonzero(is_live)[shut[piece[is_live]]]
     one, two = np.concatenate([*from_sides, closed]), np.concatenate([*to_sides, closed + m])
-    return number_components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
+    return number_connected_components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
 
 
 def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_], normal: Floats) -> Floats:

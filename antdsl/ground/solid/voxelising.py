@@ -21,7 +21,7 @@ from antdsl.ground.solid.bricks import (
     UnusableMeshReason,
 )
 from antdsl.ground.solid.triangles import compute_node_distances, iterate_lattice_points
-from antdsl.scene.geometry.closed_meshes import measure_closedness, round_to_voxels
+from antdsl.scene.geometry.closed_meshes import count_open_edges_and_sides, round_to_voxels
 
 _PAIRS_PER_CHUNK = 1 << 16  # pairs of a triangle and a line per chunk
 Floats = NDArray[np.float64]
@@ -124,7 +124,7 @@ class TriangleShell:
 
     def __init__(self, corners: Floats) -> None:
         self.corners, self.units_per_voxel = round_to_voxels(corners)
-        self.open_edges, self.has_consistent_winding = measure_closedness(self.corners)
+        self.open_edges, self.has_consistent_winding = count_open_edges_and_sides(self.corners)
 
 
 def compute_brick_signs(

@@ -26,7 +26,7 @@ from antdsl.outputs.pictures.light import SUN_LIGHT, apply_tone_curve, decode_sr
 from antdsl.outputs.usd.stage import UsdOptions, export_instances
 from antdsl.packages import check_extra
 from antdsl.safe_read import read_size_limited
-from antdsl.scene.looks import LAMP_LOOK, SURFACE_KINDS
+from antdsl.scene.looks import LAMP_LOOK_WORD, SURFACE_KINDS
 from antdsl.scene.scene_model import UNIT_MM
 
 PYTHON_VARIABLE = "BLENDER_PYTHON"  # environment variable: the path of a Python that has bpy, in place of this one
@@ -80,7 +80,7 @@ def build_request(
         "blur": request.blur,
         "sensor": SENSOR_MM,
         "light": describe_light(gallery),
-        "emission": {LAMP_LOOK: (decode_srgb(SURFACE_KINDS[LAMP_LOOK].colour) * SUN_LIGHT).tolist()},
+        "emission": {LAMP_LOOK_WORD: (decode_srgb(SURFACE_KINDS[LAMP_LOOK_WORD].colour) * SUN_LIGHT).tolist()},
         "frames": [
             {
                 "frame": frame,

@@ -53,7 +53,7 @@ from antdsl.runtime.checkpoints import STATE_HASH_VERSION
 from antdsl.runtime.lifecycle import list_event_names
 from antdsl.runtime.moving.moving_geometry import compute_vertices, measure_ground_velocity
 from antdsl.runtime.world import Population, World
-from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.camera_models import DEFAULT_CAMERA_NAME
 from antdsl.scene.setting import WorldSetting
 
 Arrays = dict[str, NDArray[Any]]
@@ -166,7 +166,7 @@ def make_static_arrays(world: World, setting: WorldSetting) -> Arrays:
         arrays[f"mesh.{name}.faces"] = mesh.faces
     arrays |= make_start_arrays(world, scale)
     for name, camera in setting.cameras.items():
-        if camera.moves:
+        if camera.is_moving:
             parts = ((camera.at - world.origin) * scale, (camera.look_at - world.origin) * scale, camera.up, camera.focal)
             arrays |= {make_camera_array_name(name, part): each for part, each in zip(CAMERA_PARTS, parts, strict=True)}
     for name, field in world.fields.items():
@@ -252,7 +252,7 @@ def make_manifest(
             if crowd.name
         ),
         events=list_event_names(world),
-        camera=None if isinstance(default := cameras.get(DEFAULT_CAMERA), FollowEntry) else default,
+        camera=None if isinstance(default := cameras.get(DEFAULT_CAMERA_NAME), FollowEntry) else default,
         cameras=dict(cameras),
         period=None if world.periodic is None else _make_period_entry(world.periodic.box, scale),
     )

@@ -18,9 +18,9 @@ from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry, LampEntry, ManifestPart, PeriodEntry, Triple, Word
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, ThingKindRow
 from antdsl.safe_read import FileTooLarge, read_size_limited
-from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.camera_models import DEFAULT_CAMERA_NAME
 from antdsl.scene.light_model import DEFAULT_LIGHT, LightSettings
-from antdsl.scene.looks import LOOKS
+from antdsl.scene.looks import LOOK_WORDS
 
 FORMAT_VERSION = 1
 MANIFEST_FILE_NAME = "manifest.json"
@@ -31,7 +31,7 @@ _MAX_MANIFEST_BYTES = 16 * limits.MIB
 
 _MAX_LINE = 400  # characters of a note or an edit
 ScenePath = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
-Look = Annotated[Word, Field(pattern=f"^({'|'.join(LOOKS)})$")]
+Look = Annotated[Word, Field(pattern=f"^({'|'.join(LOOK_WORDS)})$")]
 MeshKind = Annotated[Word, Field(pattern=f"^({'|'.join(KINDS_WITH_FACES)})$")]
 
 
@@ -241,7 +241,7 @@ AnyCameraEntry = CameraEntry | FollowEntry | Literal["fit"]  # `fit`: one that h
 
 def make_camera_array_name(camera: str, part: str) -> str:
     """Return the name of the array for one part of a moving camera."""
-    return f"camera.{part}" if camera == DEFAULT_CAMERA else f"camera.{camera}.{part}"
+    return f"camera.{part}" if camera == DEFAULT_CAMERA_NAME else f"camera.{camera}.{part}"
 
 
 class Provenance(ManifestPart):
@@ -315,7 +315,7 @@ class Manifest(ManifestPart):
     @property
     def named_cameras(self) -> Mapping[str, AnyCameraEntry]:
         """Return all cameras by name. A manifest without `cameras` has only the default camera."""
-        return self.cameras or ({} if self.camera is None else {DEFAULT_CAMERA: self.camera})
+        return self.cameras or ({} if self.camera is None else {DEFAULT_CAMERA_NAME: self.camera})
 
 
 def join_line(text: str) -> str:

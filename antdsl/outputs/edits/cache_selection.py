@@ -17,9 +17,9 @@ from antdsl.outputs.cache.manifest import MachineEntry, Manifest, SpeciesEntry
 from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry
 from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 from antdsl.runtime.sensing.sensed_camera import CameraInFrame
-from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import CrowdLineIds
 from antdsl.scene.notes.selection import SelectableAgents, SelectableFrame, StateColumn, select_rows
-from antdsl.scene.notes.selectors import AnySelector, SelectorNames, reads_frame
+from antdsl.scene.notes.selectors import AnySelector, SelectorNames, needs_frame
 from antdsl.scene.thing_models import UNIT_MM
 
 
@@ -37,7 +37,7 @@ class Selection:
 
     def find(self, keys: LongArray) -> NDArray[np.bool_]:
         """Return whether the selector selects each agent of `keys` (`make_agent_keys`)."""
-        if reads_frame(self.selector):
+        if needs_frame(self.selector):
             return np.isin(keys, self._keys_of_frame)
         return select_agents(
             self.selector, {"id": keys // SPECIES_PER_KEY, "species": keys % SPECIES_PER_KEY}, self.cache.manifest
@@ -109,7 +109,7 @@ def select_agents(
             )
             for entry in manifest.species
         },
-        {line.name: LineIds(line.species, line.ranges) for line in manifest.lines},
+        {line.name: CrowdLineIds(line.species, line.ranges) for line in manifest.lines},
         find_item_points(arrays, manifest, unit_mm),
         manifest.seed,
         unit_mm,

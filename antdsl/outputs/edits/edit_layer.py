@@ -16,8 +16,8 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError, CacheVi
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.cache_selection import Selection
 from antdsl.outputs.edits.verbs.terrain import Ground
-from antdsl.scene.notes.selectors import AnySelector, Selector, SelectorKeys, combine_selector, reads_frame
-from antdsl.scene.values import FrameRangeValue, ScenePart, make_error, parse_one_of
+from antdsl.scene.notes.selectors import AnySelector, Selector, SelectorKeys, combine_selector, needs_frame
+from antdsl.scene.values import FrameRangeValue, ScenePart, make_value_error, parse_one_of
 
 
 class EditLine(ScenePart):
@@ -57,8 +57,10 @@ class AgentsLine(EditLine, SelectorKeys):
 
     @model_validator(mode="after")
     def _check_ever(self) -> AgentsLine:
-        if self.ever is not None and not reads_frame(self.selector):
-            raise make_error("`ever` has no effect without a condition on places or states", "add one, such as `in_view: shot`")
+        if self.ever is not None and not needs_frame(self.selector):
+            raise make_value_error(
+                "`ever` has no effect without a condition on places or states", "add one, such as `in_view: shot`"
+            )
         return self
 
     @property

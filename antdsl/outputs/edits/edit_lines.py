@@ -24,8 +24,8 @@ from antdsl.scene.document import (
     to_plain_tree,
 )
 from antdsl.scene.flow_mistakes import explain_joined_entry
-from antdsl.scene.load import drop_consequent_errors, report_model_error
-from antdsl.scene.notes.selectors import find_problems, find_unknown_name
+from antdsl.scene.load import drop_cascading_errors, report_model_error
+from antdsl.scene.notes.selectors import find_selector_problems, find_unknown_name
 from antdsl.scene.values import FrameRange
 from antdsl.source import Source, Span
 
@@ -108,7 +108,7 @@ def _read_line(report: Report, document: MappingNode, number: int, node: Documen
     try:
         yield model.model_validate(to_plain_tree(node))
     except ValidationError as problem:
-        for error in drop_consequent_errors(problem.errors(include_url=False, include_input=False)):
+        for error in drop_cascading_errors(problem.errors(include_url=False, include_input=False)):
             error["loc"] = (EDITS_KEY, number, tag, *error["loc"])
             report_model_error(report, document, error, {tag: model})
 
@@ -117,7 +117,9 @@ def _check_names(report: Report, edits: EditList, edit: PlacedEdit, manifest: Ma
     """Report names and frames in a line that the cache does not have."""
     line, names = edit.line, list_selector_names(manifest)
     problems = (
-        [*find_problems(line.agents, names, line.verb), *find_problems(line, names)] if isinstance(line, AgentsLine) else []
+        [*find_selector_problems(line.agents, names, line.verb), *find_selector_problems(line, names)]
+        if isinstance(line, AgentsLine)
+        else []
     )
     for problem in problems:
         help = problem.help

@@ -12,7 +12,7 @@ from antdsl.program.model import Dimension
 from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES as DEFAULT_EASE_FRAMES
 from antdsl.scene.notes.note_values import FrameCount as FrameCount
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
-from antdsl.scene.values import make_error, parse_integer_between
+from antdsl.scene.values import make_value_error, parse_integer_between
 
 MAX_FACTOR = 100.0
 FrameOffset = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES))]
@@ -25,9 +25,9 @@ def parse_factor(low: float) -> Callable[[Any], float]:
         try:
             quantity = parse_quantity(value) if isinstance(value, str) else Quantity(-1, Dimension(), "", "")
         except QuantityError as why:
-            raise make_error(f"`{value[:60]}` {why}", why.help or "write `50 %`") from None
-        if quantity.dim != Dimension() or not low <= quantity.number <= MAX_FACTOR:
-            raise make_error(f"`{str(value)[:60]}` is not a factor", f"write `{100 * low:g} %` to `{100 * MAX_FACTOR:g} %`")
+            raise make_value_error(f"`{value[:60]}` {why}", why.help or "write `50 %`") from None
+        if quantity.dimension != Dimension() or not low <= quantity.number <= MAX_FACTOR:
+            raise make_value_error(f"`{str(value)[:60]}` is not a factor", f"write `{100 * low:g} %` to `{100 * MAX_FACTOR:g} %`")
         return quantity.number
 
     return read_factor

@@ -8,7 +8,7 @@ from math import inf
 
 from antdsl.diagnostics import Report
 from antdsl.scene.load import Scene
-from antdsl.scene.notes.note_lines import name_note_source
+from antdsl.scene.notes.note_lines import format_note_source
 from antdsl.scene.notes.notes_model import Note
 
 
@@ -51,7 +51,7 @@ def switch_off_failed_notes(notes: HandNotes, report: Report) -> HandNotes:
     """Return the notes. Notes with errors in `report`, the report of all active notes, are switched off."""
     problems = {d.span.source.path: d.message for d in reversed(report.errors) if d.span is not None}
     active = [note for note in notes if note.is_on]
-    failed = {note.key: problems[path] for k, note in enumerate(active) if (path := name_note_source(k)) in problems}
+    failed = {note.key: problems[path] for k, note in enumerate(active) if (path := format_note_source(k)) in problems}
     return tuple(replace(each, is_on=False, problem=failed[each.key]) if each.key in failed else each for each in notes)
 
 

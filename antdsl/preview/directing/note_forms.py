@@ -16,7 +16,7 @@ from antdsl.preview.directing.verb_forms import VerbForm
 from antdsl.program.model import Program
 from antdsl.scene.checks.scene_checks import list_selector_names
 from antdsl.scene.document import MappingNode, SequenceNode, to_plain_tree
-from antdsl.scene.load import Scene, drop_consequent_errors, report_model_error
+from antdsl.scene.load import Scene, drop_cascading_errors, report_model_error
 from antdsl.scene.notes.note_checks import check_note
 from antdsl.scene.notes.note_lines import NOTES_KEY, read_note_line
 from antdsl.scene.notes.note_programs import remove_note_machines
@@ -43,7 +43,7 @@ def _read_note(node: MappingNode, report: Report) -> Note | None:
         note: Note = _find_note_adapter().validate_python(to_plain_tree(node))
         return note
     except ValidationError as problem:
-        for error in drop_consequent_errors(problem.errors(include_url=False, include_input=False)):
+        for error in drop_cascading_errors(problem.errors(include_url=False, include_input=False)):
             if error["type"] != "missing" or len(error["loc"]) > _KEY_DEPTH:
                 error["loc"] = (NOTES_KEY, 0, *error["loc"])
                 report_model_error(report, _wrap_node(node), error)

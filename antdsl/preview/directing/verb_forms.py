@@ -15,7 +15,7 @@ from antdsl.outputs.edits.verb_table import VERB_BY_WORD
 from antdsl.outputs.edits.verbs.smoothing import Window
 from antdsl.scene.crowds.crowd_model import BodyText
 from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
-from antdsl.scene.notes.note_values import FrameCount, FrameNumber, Share, ShareRange, SpeedShare, ThinShare
+from antdsl.scene.notes.note_values import FrameCount, FrameNumber, ShareRange, ShareValue, SpeedShare, ThinShare
 from antdsl.scene.notes.notes_model import NOTE_MODELS, LookTargets
 from antdsl.scene.notes.selectors import AgentConditions, NearTarget, Region, SelectorKeys, SelectorRegion
 from antdsl.scene.notes.stagger import StaggerValue
@@ -83,7 +83,7 @@ _KINDS: tuple[tuple[Any, KeyKind], ...] = (
     (FrameNumber, KeyKind("frame", "", "120", "the frame")),
     (FrameCount, KeyKind("count", "frames", "6", "a number of frames")),
     (ShareRange, KeyKind("part", "", "[0 %, 33 %]", "a part of the picture")),
-    (Share, KeyKind("share", "", "50 %", "a share from 0 % to 100 %")),
+    (ShareValue, KeyKind("share", "", "50 %", "a share from 0 % to 100 %")),
     (ThinShare, KeyKind("share", "", "50 %", "the share of agents that stay")),
     (SpeedShare, KeyKind("share", "", "50 %", "a share of the speed")),
     (PositiveLength, KeyKind("length", "mm", "50 mm", "a length")),

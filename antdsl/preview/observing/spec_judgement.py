@@ -184,7 +184,9 @@ def _find_obstacle(spec: Spec, shot: Shot, scene: Path) -> str:
     """Return the reason why a spec does not apply to this run, or "" if it applies."""
     if spec.scene is not None:
         try:
-            place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.folder_by_name).path(spec.scene.text)
+            place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.folder_by_name).resolve_path(
+                spec.scene.text
+            )
         except PathRefused as why:
             return str(why)
         if realpath(place) != realpath(scene):

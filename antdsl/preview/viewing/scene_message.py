@@ -18,7 +18,7 @@ from antdsl.preview.viewing.file_names import FileNames, read_file_text
 from antdsl.preview.viewing.page_units import choose_unit, convert_constant, find_unit_size, list_colour_attributes
 from antdsl.program.model import ItemAttribute, Param
 from antdsl.runtime import Population
-from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.camera_models import DEFAULT_CAMERA_NAME
 from antdsl.scene.quantities import parse_quantity
 from antdsl.scene.setting import DEFAULT_FOCAL_MM
 
@@ -76,7 +76,7 @@ class BoundingBox:
 
 def _make_camera_entry(session: Session) -> dict[str, Any] | None:
     """Return the scene's default camera in the first frame, relative to the world's origin."""
-    camera, origin = session.world.setting.cameras.get(DEFAULT_CAMERA), session.world.origin
+    camera, origin = session.world.setting.cameras.get(DEFAULT_CAMERA_NAME), session.world.origin
     if camera is None:
         return None
     at, look_at = ([float(x) for x in points[0] - origin] for points in (camera.at, camera.look_at))

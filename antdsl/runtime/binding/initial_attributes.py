@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary, randomness
 from antdsl.plan import ir
 from antdsl.runtime.world import Population, World
-from antdsl.scene.crowds.crowd_data import MAX_DEVIATIONS, CrowdData, ValueDraw
+from antdsl.scene.crowds.crowd_data import MAX_STANDARD_DEVIATIONS, CrowdData, ValueDraw
 
 Rows = NDArray[np.intp]
 _F = np.float32
@@ -50,5 +50,5 @@ def _draw_values(world: World, population: Population, rows: Rows, name: str, dr
         return np.asarray(draw.values, _F)[picked]
     # G. E. P. Box, M. E. Muller, A note on the generation of random normal deviates, 1958
     deviations = np.sqrt(_F(-2) * elementary.log(_F(1) - u)) * elementary.cos(v * _FULL_TURN)
-    values: NDArray[np.float32] = low + high * np.clip(deviations, _F(-MAX_DEVIATIONS), _F(MAX_DEVIATIONS))
+    values: NDArray[np.float32] = low + high * np.clip(deviations, _F(-MAX_STANDARD_DEVIATIONS), _F(MAX_STANDARD_DEVIATIONS))
     return values

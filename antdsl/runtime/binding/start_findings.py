@@ -34,7 +34,7 @@ def find_start_warnings(scene: Scene, world: World) -> Report:
         if gap:
             words = f"the target of `{name}` is {gap:.4g} mm away from the ground, so paths end at the nearest ground point"
             help = "move the target onto the ground, or give it a radius that reaches the ground"
-            report.warning("unreachable-target", words, scene.span("world", name, key=True), help)
+            report.warning("unreachable-target", words, scene.find_span("world", name, key=True), help)
         for species, plan in world.plan.species.items():
             count = len(world.populations[species])
             uses = _find_flow_operations(plan).get(name, set())
@@ -42,7 +42,7 @@ def find_start_warnings(scene: Scene, world: World) -> Report:
             if cut_off:
                 words = f"{cut_off:,} of {count:,} `{species}` have no path to the target of `{name}`"
                 help = _UNREACHABLE_HELP if _REACHABLE_OPERATION in uses else _GAP_HELP.format(flow=name)
-                report.warning("unreachable-target", words, scene.span("world", name, "solved"), help)
+                report.warning("unreachable-target", words, scene.find_span("world", name, "solved"), help)
     return report
 
 
@@ -104,7 +104,7 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
             help = "use all sides with `by: area`, or write a smaller `count`"
         elif place.inside is not None or place.density is not None:
             help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"
-        report.warning("no-room", words, scene.span("crowd", line.group, "place"), help)
+        report.warning("no-room", words, scene.find_span("crowd", line.group, "place"), help)
     return report
 
 

@@ -123,7 +123,7 @@ class StartPositionSampler:
         world, place = self._world, self.place
         points = self._wrap_points([self._find_shape_points(ids, attempt) for attempt in tries])
         has_ground = np.ones(len(points), np.bool_)
-        if place.is_by_area or place.volume is not None or place.edge_of is not None:
+        if place.is_by_area or place.volume is not None or place.border_surface is not None:
             footing = world.ground.find_nearest(points, place.surfaces or None)[0]
             at, up = world.ground.position(footing), world.ground.normal(footing)
         else:
@@ -141,7 +141,7 @@ class StartPositionSampler:
     def _find_shape_points(self, ids: Ids, attempt: int) -> Floats:
         """Return the requested positions (n, 3) mm. Agents of a clump stand around one position of the place."""
         world, place = self._world, self.place
-        numbers = world.crowd_lines[self._crowd.line_index].find_numbers(ids)
+        numbers = world.crowd_lines[self._crowd.line_index].find_positions_in_line(ids)
         if place.clumps is None:
             return draw_shape_points(world, place, numbers, lambda k: self._draw_uniform(ids, 4 * attempt + k))
         clumps = numbers % place.clumps.number

@@ -35,7 +35,7 @@ def locate_place(world: World, place: PlacementData) -> PlacementData:
 
 def has_shape(place: PlacementData) -> bool:
     """Return whether a place has one of the shapes of this module."""
-    return any(part is not None for part in (place.ranks, place.line, place.edge_of, place.volume, place.clumps))
+    return any(part is not None for part in (place.ranks, place.curve_name, place.border_surface, place.volume, place.clumps))
 
 
 def draw_shape_points(world: World, place: PlacementData, numbers: Ids, draw: Draw) -> Floats:
@@ -82,8 +82,8 @@ def _draw_in_volume(volume: VolumeData, draw: Draw) -> Floats:
 
 def _find_segments(world: World, place: PlacementData) -> tuple[Floats, Floats]:
     """Return the starts and the ends (m, 3) of the straight pieces of the place's curve or border."""
-    if place.line is not None:
-        samples = world.curves[place.line].samples
+    if place.curve_name is not None:
+        samples = world.curves[place.curve_name].samples
         return (samples[:-1], samples[1:]) if len(samples) > 1 else (samples, samples)
     border = _find_border(world, place)
     return border.start, border.end
@@ -93,9 +93,9 @@ def _find_border(world: World, place: PlacementData) -> BorderEdges:
     """Return the open border of the place's surface; without one, no edges."""
     meshes = world.ground.meshes
     none = np.empty((0, 3))
-    if meshes is None or place.edge_of not in meshes.names:
+    if meshes is None or place.border_surface not in meshes.names:
         return BorderEdges(none, none, none)
-    return find_border_edges(meshes, meshes.triangles[2] == meshes.names.index(place.edge_of))
+    return find_border_edges(meshes, meshes.triangles[2] == meshes.names.index(place.border_surface))
 
 
 def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers: Ids) -> Floats:
@@ -129,15 +129,15 @@ def compute_facing(world: World, crowd: CrowdData, position: Floats) -> Floats |
         return np.broadcast_to(vector, position.shape)
     if facing.kind == "point":
         return vector - world.origin - position
-    if place.edge_of is not None:
+    if place.border_surface is not None:
         border = _find_border(world, place)
         nearest = _find_nearest_edges(border, position)
         if nearest is None:
             return np.zeros_like(position)
         directions = border.end - border.start if facing.kind == "along" else border.inward_direction
         return directions[nearest] * (-1.0 if facing.kind == "out" else 1.0)
-    if place.line is not None:
-        closest = world.curves[place.line].find_closest(*position.T)
+    if place.curve_name is not None:
+        closest = world.curves[place.curve_name].find_closest(*position.T)
         if facing.kind == "along":
             return np.stack([closest.tx, closest.ty, closest.tz], axis=1).astype(np.float64)
         centre = np.stack([closest.px, closest.py, closest.pz], axis=1).astype(np.float64)

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.setting import WalkData
+from antdsl.scene.setting import ScriptedWalkData
 
 Rows = NDArray[np.intp]
 
 _F = np.float32
 
 
-def find_scripted_walks_by_line(world: World, population: Population) -> dict[int, WalkData]:
+def find_scripted_walks_by_line(world: World, population: Population) -> dict[int, ScriptedWalkData]:
     """Return the walks of a species, by the number of the crowd line."""
     walks = {}
     for crowd in world.setting.crowds:  # called several times per step; most scenes guide no agents

@@ -11,12 +11,12 @@ from antdsl.runtime.notes.targets import find_target
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.casting_model import FacingDirection
 from antdsl.scene.notes.note_programs import (
-    LOOK_MACHINE,
-    OFF_STATE,
-    ON_STATE,
-    PLAY_MACHINE,
-    name_event,
-    name_look_target,
+    LOOK_MACHINE_PREFIX,
+    OFF_STATE_NAME,
+    ON_STATE_NAME,
+    PLAY_MACHINE_NAME,
+    format_event_name,
+    format_look_target_name,
     split_state_name,
 )
 from antdsl.scene.notes.notes_model import ChangeNote
@@ -38,7 +38,7 @@ def show_displays(agents: NoteAgents) -> None:
     agents = select_inside(agents.select(agents.world.display_frame <= find_last_frames(note, agents.delays)))  # others fade out
     population, rows = agents.population, agents.rows
     if note.played_clip:
-        _raise_event(agents, PLAY_MACHINE, note.played_clip)
+        _raise_event(agents, PLAY_MACHINE_NAME, note.played_clip)
     for group, target in note.looks.items():
         if isinstance(target, FacingDirection):
             direction = np.array([target.direction], np.float64)
@@ -49,20 +49,22 @@ def show_displays(agents: NoteAgents) -> None:
                 continue  # the agents that it looked at are dead
         points = population.position[rows] + offset
         for k, axis in enumerate(AXES):
-            population.now[f"{name_look_target(group)}.{axis}"][rows] = points[:, k]
-        _raise_event(agents, f"{LOOK_MACHINE}{group}", ON_STATE)
+            population.now[f"{format_look_target_name(group)}.{axis}"][rows] = points[:, k]
+        _raise_event(agents, f"{LOOK_MACHINE_PREFIX}{group}", ON_STATE_NAME)
 
 
 def end_displays(world: World, population: Population) -> None:
     """Raise the events that end clips and looks of all agents for which no note requests any in this step."""
     for machine in population.plan.machines:
-        off = name_event(machine.name, OFF_STATE)
+        off = format_event_name(machine.name, OFF_STATE_NAME)
         if off in population.events:
-            requested = [population.events[name_event(machine.name, state)] for state in machine.states if state != OFF_STATE]
+            requested = [
+                population.events[format_event_name(machine.name, state)] for state in machine.states if state != OFF_STATE_NAME
+            ]
             population.events[off][:] = ~np.logical_or.reduce(requested) & (population.now[f"{machine.name}.state"] != 0)
 
 
 def _raise_event(agents: NoteAgents, machine: str, state: str) -> None:
-    flags = agents.population.events.get(name_event(machine, state))
+    flags = agents.population.events.get(format_event_name(machine, state))
     if flags is not None:
         flags[agents.rows] = True

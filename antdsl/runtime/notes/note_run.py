@@ -29,7 +29,7 @@ from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
 from antdsl.runtime.world import Population, World
 from antdsl.scene.notes.notes_model import Note
 from antdsl.scene.notes.selection import SelectableFrame, select_ids
-from antdsl.scene.notes.selectors import reads_frame
+from antdsl.scene.notes.selectors import needs_frame
 from antdsl.scene.setting import WorldSetting
 
 _MIN_CUT_MM = 1e-6  # mm: less is rounding
@@ -173,7 +173,7 @@ class NoteRun:
         """Return the living agents of a note, by species. Positions and states are read once, when the note begins."""
         selector = note.selector
         names = {species: f"{key}.{species}.ids" for species in world.populations}
-        if not reads_frame(selector):
+        if not needs_frame(selector):
             selected = select_ids(selector, frame)
         elif not names.values() & self.memory.keys():
             selected = select_ids(selector, frame)

@@ -59,7 +59,7 @@ def find_own_agents(world: World, thing: AnySelector) -> Mapping[str, NDArray[np
 def is_moving(world: World, thing: AnySelector) -> bool:
     """Return whether a thing may be elsewhere in other frames."""
     camera = _find_camera(world, thing)
-    return camera.data.moves if camera is not None else bool(world.setting.motion or find_own_agents(world, thing))
+    return camera.data.is_moving if camera is not None else bool(world.setting.motion or find_own_agents(world, thing))
 
 
 def _find_camera(world: World, thing: AnySelector) -> SensedCamera | None:

@@ -78,7 +78,7 @@ def report_missed_targets(scene: Scene, world: World) -> Report:
             )
             ease = miss.note.ease_frames + _EASE_STEP
             help = f"let the note begin earlier, `ease: {ease:.0f}`, or slow what comes in"
-        report.warning("far-target", words, scene.span("notes", scene.model.notes.index(miss.note)), help)
+        report.warning("far-target", words, scene.find_span("notes", scene.model.notes.index(miss.note)), help)
     return report
 
 
@@ -99,7 +99,7 @@ def find_far_targets(scene: Scene, world: World) -> Report:
                 if missing > 0:
                     text = f"`{name}.{p.ids[rows[worst]]}` cannot {goal.words} in time: it walks {most[worst]:.0f} mm at most in "
                     text += f"{goal.seconds[worst]:.3g} s, and {missing:.1f} mm are missing"
-                    report.warning("far-target", text, scene.span("notes", number), _HELP)
+                    report.warning("far-target", text, scene.find_span("notes", number), _HELP)
     return report
 
 

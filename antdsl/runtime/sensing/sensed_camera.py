@@ -70,7 +70,7 @@ class CameraInFrame:
     data: CameraData
     frame: int
 
-    def find_place(self) -> Floats:
+    def find_position(self) -> Floats:
         return SensedCamera(self.data, np.zeros(3)).find_position(self.frame)
 
     def find_visible(self, position: Floats, view: View) -> NDArray[np.bool_]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from antdsl.scene.load import Scene
 
 
-class Entry(NamedTuple):
+class WorldEntryCheck(NamedTuple):
     """The scene's entry for a thing of the world, and the program's declaration of this thing."""
 
     scene: Scene
@@ -29,9 +29,9 @@ class Entry(NamedTuple):
     name: str
     thing: WorldThing
 
-    def span(self, *path: PathKey, key: bool = False) -> Span:
+    def find_span(self, *path: PathKey, key: bool = False) -> Span:
         """Return the location of a value of the entry, or of its key."""
-        return self.scene.span("world", self.name, *path, key=key)
+        return self.scene.find_span("world", self.name, *path, key=key)
 
     def check_file(self, text: str, *path: PathKey) -> None:
         """Report an error if a file that the entry names does not exist."""
@@ -49,10 +49,10 @@ def report_unknown_name(
 
     `path`: the location of the name. With `key`, the name is the last key of the path, else the value."""
     names = sorted(known_names)
-    name = str(path[-1]) if key else scene.span(*path).text.strip("\"'")
+    name = str(path[-1]) if key else scene.find_span(*path).text.strip("\"'")
     near = find_nearest_name(name, names)
     help = f"did you mean `{near}`?" if near else ("known: " + ", ".join(f"`{n}`" for n in names[:12]) if names else None)
-    report.error("unknown-thing", f"{kind} `{name}`", scene.span(*path, key=key), help)
+    report.error("unknown-thing", f"{kind} `{name}`", scene.find_span(*path, key=key), help)
 
 
 def check_map_name(scene: Scene, report: Report, program: Program, name: str, *path: PathKey) -> bool:
@@ -70,13 +70,13 @@ def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
         files = scene.roots.find_sequence(text).values() if scene.roots.is_sequence(text) else (text,)
         size = max(scene.roots.measure_file_size(file) for file in files)
     except PathRefused as error:
-        report.error(error.code, str(error), scene.span(*path), error.help)
+        report.error(error.code, str(error), scene.find_span(*path), error.help)
         return
     if size > limits.MAX_MESH_BYTES:
-        report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MAX_MESH_BYTES:,}", scene.span(*path))
+        report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MAX_MESH_BYTES:,}", scene.find_span(*path))
 
 
-def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known_names: list[str], *path: PathKey) -> None:
+def check_attributes(entry: WorldEntryCheck, quantities: Mapping[str, Quantity], known_names: list[str], *path: PathKey) -> None:
     """Report values of items' attributes that do not match the program's declarations."""
     declared = {a.name: a for a in entry.thing.attributes}
     for key, quantity in quantities.items():
@@ -89,19 +89,19 @@ def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known_nam
 
 def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimension, name: str, *path: PathKey) -> bool:
     """Return whether a value has a dimension; report an error otherwise."""
-    if value.dim == dim:
+    if value.dimension == dim:
         return True
     words, unit = f"`{name}` is {describe_dimension(dim)}", choose_default_unit(dim)
-    if value.is_bare:
+    if value.has_no_unit:
         help = f"write `{format_with_unit(value.number, dim)}`"
-        report.error("missing-unit", f"{words}, and `{value.text}` has no unit", scene.span(*path), help)
+        report.error("missing-unit", f"{words}, and `{value.text}` has no unit", scene.find_span(*path), help)
     else:
         help = f"write a value in `{unit}`" if unit else "write the number alone"
-        report.error("wrong-unit", f"{words}, not {describe_dimension(value.dim)}", scene.span(*path), help)
+        report.error("wrong-unit", f"{words}, not {describe_dimension(value.dimension)}", scene.find_span(*path), help)
     return False
 
 
-def check_value(
+def check_attribute_value(
     scene: Scene, report: Report, value: Quantity, attribute: AttributeDecl, *path: PathKey, deviation: float = 0.0
 ) -> bool:
     """Return whether an attribute allows `value` minus `deviation` (both in base units); report an error otherwise."""
@@ -111,7 +111,7 @@ def check_value(
     if help is not None:
         words = f"`{attribute.name}` cannot be `{value.text}`"
         words += ", less three deviations" if deviation and explain_range(attribute.name, value.number) is None else ""
-        report.error("out-of-range", words, scene.span(*path, key=path[-2:-1] == ("choice",)), help)
+        report.error("out-of-range", words, scene.find_span(*path, key=path[-2:-1] == ("choice",)), help)
     return help is None
 
 

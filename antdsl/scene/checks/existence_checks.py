@@ -24,20 +24,20 @@ from antdsl.source import Span
 _SUGGESTION_PATTERN = re.compile(r"did you mean `([^`]+)`\?")
 
 
-def check_bodies(scene: Scene, program: Program, report: Report) -> None:
+def check_body_files(scene: Scene, program: Program, report: Report) -> None:
     """Report each crowd line with a body that cannot be used."""
     first: dict[str, int] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is None:
             continue
-        place = scene.span("crowd", number, "body")
+        place = scene.find_span("crowd", number, "body")
         earlier = first.setdefault(line.species, number)
         known = scene.model.crowd[earlier]
         if list(known.body_weights.items()) != list(line.body_weights.items()):
             report.error(
                 "wrong-value", f"`{line.species}` has a different body in a line above", place,
-                f"write `{scene.span('crowd', earlier, 'body').text.strip()}` in both, or make it another species",
-                labels=(Label(scene.span("crowd", earlier, "body"), "the first one"),),
+                f"write `{scene.find_span('crowd', earlier, 'body').text.strip()}` in both, or make it another species",
+                labels=(Label(scene.find_span("crowd", earlier, "body"), "the first one"),),
             )  # fmt: skip
         elif earlier == number:
             for text in line.body_weights:
@@ -50,8 +50,8 @@ def find_body_span(scene: Scene, number: int, text: str) -> Span:
 
     `number`: the index of the line. `text`: the name of the body."""
     if isinstance(scene.model.crowd[number].body, dict):
-        return scene.span("crowd", number, "body", text, key=True)
-    return scene.span("crowd", number, "body")
+        return scene.find_span("crowd", number, "body", text, key=True)
+    return scene.find_span("crowd", number, "body")
 
 
 def _check_body_file(scene: Scene, text: str, place: Span, report: Report) -> None:
@@ -80,7 +80,7 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
             message = f"the program uses the species `{name}`, but no line of the crowd adds it"
             advice = f"add to `crowd`: `- {{species: {name}, from: {name}.ant, count: 0}}`"
             label = Label(program.world[name].span, "declared here")
-            report.error("missing-thing", message, scene.span("antdsl", key=True), advice, labels=(label,))
+            report.error("missing-thing", message, scene.find_span("antdsl", key=True), advice, labels=(label,))
 
 
 def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
@@ -88,7 +88,7 @@ def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
     lamps = [name for name, thing in scene.model.world.items() if _has_lamp(thing)]
     if scene.model.light.lamps == 0 and lamps:
         message = f"`lamps: 0` makes `{lamps[0]}` dark, in pictures and for `light({lamps[0]})`"
-        report.warning("wrong-value", message, scene.span("light", "lamps"), "write `lamps: 100 %`, or leave the lamp out")
+        report.warning("wrong-value", message, scene.find_span("light", "lamps"), "write `lamps: 100 %`, or leave the lamp out")
     sensed = {
         thing.name: part
         for part in iterate_parts(tuple(program.species.values()))
@@ -100,7 +100,11 @@ def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
             message = f"no item of `{name}` emits light, so `light({name})` is always 0"
             label = Label(part.span, "sensed here")
             report.warning(
-                "missing-key", message, scene.span("world", name, key=True), "add `look: light` to the lamps", labels=(label,)
+                "missing-key",
+                message,
+                scene.find_span("world", name, key=True),
+                "add `look: light` to the lamps",
+                labels=(label,),
             )
 
 

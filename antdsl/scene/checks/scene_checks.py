@@ -14,9 +14,9 @@ from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
-from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA, Camera, FollowCamera, UsdCamera
-from antdsl.scene.checks.entry_checks import Entry, check_dimension, check_file, convert_constant, report_unknown_name
-from antdsl.scene.checks.existence_checks import check_absent_species, check_bodies, check_dark_lamps
+from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA_NAME, FollowCamera, PlacedCamera, UsdCamera
+from antdsl.scene.checks.entry_checks import WorldEntryCheck, check_dimension, check_file, convert_constant, report_unknown_name
+from antdsl.scene.checks.existence_checks import check_absent_species, check_body_files, check_dark_lamps
 from antdsl.scene.checks.shape_checks import list_item_names
 from antdsl.scene.checks.step_checks import check_avoidance_steps, check_step_lengths
 from antdsl.scene.checks.wrap_checks import check_wrap
@@ -25,7 +25,7 @@ from antdsl.scene.document import PathKey
 from antdsl.scene.field_settings import check_field_dynamics
 from antdsl.scene.load import Scene
 from antdsl.scene.notes.note_checks import check_notes
-from antdsl.scene.notes.selectors import AgentName, SelectorNames, find_problems
+from antdsl.scene.notes.selectors import AgentName, SelectorNames, find_selector_problems
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
 
@@ -53,16 +53,16 @@ def _check_world_entries(scene: Scene, program: Program, report: Report) -> None
         if name not in scene_things and name in misspelt:
             continue  # one message per mistake
         if name not in scene_things:
-            place = scene.span(row.section if row.section in scene.document.entries else "antdsl", key=True)
+            place = scene.find_span(row.section if row.section in scene.document.entries else "antdsl", key=True)
             message = f"the program's {thing.kind} `{name}` has no {kind.missing_data} in the scene"
             advice = f"add `{name}: {row.scene}` to `{row.section}`"
             report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
         elif not isinstance(scene_things[name], kind.models):
             message = f"`{name}` is {row.scene_form} in the program, but something else here"
-            place, advice = scene.span("world", name), f"write `{name}: {row.scene}`"
+            place, advice = scene.find_span("world", name), f"write `{name}: {row.scene}`"
             report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
         else:
-            kind.check(Entry(scene, program, report, name, thing), scene_things[name])
+            kind.check(WorldEntryCheck(scene, program, report, name, thing), scene_things[name])
 
 
 def list_selector_names(scene: Scene, program: Program) -> SelectorNames:
@@ -75,7 +75,7 @@ def list_selector_names(scene: Scene, program: Program) -> SelectorNames:
         frozenset(program.species),
         frozenset(list_item_names(scene)),
         frozenset(states),
-        frozenset(name for name, camera in cameras.items() if isinstance(camera, Camera | UsdCamera)),
+        frozenset(name for name, camera in cameras.items() if isinstance(camera, PlacedCamera | UsdCamera)),
         {name: _get_followed_agent(camera) for name, camera in cameras.items() if isinstance(camera, FollowCamera | str)},
     )
 
@@ -93,9 +93,9 @@ def check_param(scene: Scene, program: Program, report: Report, name: str, value
     """Report a value of a param or of a field's setting that does not match its declaration: name, dimension, range."""
     dim = field_settings.find_setting_dimension(program, name)
     if dim is not None:
-        advice = field_settings.suggest_setting_value(name, value)
+        advice = field_settings.format_suggested_setting(name, value)
         if check_dimension(scene, report, value, dim, name, *(path or ("antdsl",))) and advice:
-            place = scene.span(*path) if path else None
+            place = scene.find_span(*path) if path else None
             report.error("out-of-range", f"`{name}` cannot be {value.text}", place, advice)
         return
     if name not in program.params:
@@ -115,7 +115,7 @@ def check_param(scene: Scene, program: Program, report: Report, name: str, value
     if (low is not None and number < low - slack) or (high is not None and number > high + slack):
         ends = [_format_bound(bound, name) for bound in (param.low, param.high)]
         message = f"`{name}` = {value.text} is outside {ends[0]} .. {ends[1]}"
-        place = scene.span(*path) if path else None
+        place = scene.find_span(*path) if path else None
         report.error(
             "out-of-range", message, place, "write a value inside the range", labels=(Label(param.span, "declared here"),)
         )
@@ -165,14 +165,14 @@ def _check_layers(scene: Scene, program: Program, report: Report) -> None:
             report.error(
                 "unknown-thing",
                 f"`{line}` does not match exactly one layer of `{name}`",
-                scene.span("layers", name, number),
+                scene.find_span("layers", name, number),
                 help,
             )
         if order is None and not wrong:
             left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
             advice = "add " + ", ".join(f"`{text}`" for text in left) if left else None
             report.error(
-                "missing-thing", f"the order of the layers of `{name}` is incomplete", scene.span("layers", name), advice
+                "missing-thing", f"the order of the layers of `{name}` is incomplete", scene.find_span("layers", name), advice
             )
 
 
@@ -184,14 +184,19 @@ def _check_cameras(scene: Scene, program: Program, report: Report) -> None:
             check_file(scene, report, camera.usd, *path, "usd")
         for key in ("follow", "focus"):
             agent = getattr(camera, key, None)
-            for problem in find_problems(agent, list_selector_names(scene, program)) if isinstance(agent, AgentName) else ():
-                report.error("unknown-thing", problem.message, scene.span(*path, key), problem.help)
+            for problem in (
+                find_selector_problems(agent, list_selector_names(scene, program)) if isinstance(agent, AgentName) else ()
+            ):
+                report.error("unknown-thing", problem.message, scene.find_span(*path, key), problem.help)
         if name in CAMERA_VIEWS:
             words = f"`{name}` is a view that every cache has, so no camera of the scene can have this name"
-            report.error("duplicate-name", words, scene.span(*path, key=True), "write another name")
-    if scene.model.camera is not None and DEFAULT_CAMERA in scene.model.cameras:
-        words = f"the camera of `camera` has the name `{DEFAULT_CAMERA}` too"
-        place, label = scene.span("cameras", DEFAULT_CAMERA, key=True), Label(scene.span("camera", key=True), "the other one")
+            report.error("duplicate-name", words, scene.find_span(*path, key=True), "write another name")
+    if scene.model.camera is not None and DEFAULT_CAMERA_NAME in scene.model.cameras:
+        words = f"the camera of `camera` has the name `{DEFAULT_CAMERA_NAME}` too"
+        place, label = (
+            scene.find_span("cameras", DEFAULT_CAMERA_NAME, key=True),
+            Label(scene.find_span("camera", key=True), "the other one"),
+        )
         report.error("duplicate-name", words, place, "keep one of them", labels=(label,))
 
 
@@ -199,13 +204,13 @@ def _check_level_of_detail(scene: Scene, program: Program, report: Report) -> No
     lod = scene.model.lod
     if lod is None:
         return
-    if not isinstance(scene.model.named_cameras.get(DEFAULT_CAMERA), Camera | UsdCamera):
+    if not isinstance(scene.model.named_cameras.get(DEFAULT_CAMERA_NAME), PlacedCamera | UsdCamera):
         advice = "write `camera: {at: [200, 150, 300], look_at: [0, 0, 0]}`, or leave `lod` out"
         words = "`lod` needs the distance from a camera, but the scene has no camera during the run"
-        report.error("missing-key", words, scene.span("lod"), advice)
+        report.error("missing-key", words, scene.find_span("lod"), advice)
     unit = scene.model.unit_mm
     if lod.far is not None and lod.far.to_millimetres(unit) < lod.near.to_millimetres(unit):
-        report.error("wrong-value", "`far` is less than `near`", scene.span("lod", "far"), "write the greater distance")
+        report.error("wrong-value", "`far` is less than `near`", scene.find_span("lod", "far"), "write the greater distance")
 
 
 def _check_output_attributes(scene: Scene, program: Program, report: Report) -> None:
@@ -226,7 +231,7 @@ def _check_notes(scene: Scene, program: Program, report: Report) -> None:
 SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_world_entries,  # the names that `around` and `on` refer to
     check_crowd,
-    check_bodies,
+    check_body_files,
     check_absent_species,
     check_dark_lamps,
     check_wrap,

@@ -31,7 +31,7 @@ def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
     return names
 
 
-def check_shapes(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
+def check_placement_shapes(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
     """Report shapes of a placement that exclude each other, unknown names in them, and directions that it cannot have."""
     shapes = [name for name in _SHAPE_FIELDS if getattr(place, name) is not None]
     disc = ["around"] if place.around is not None and place.ranks is None else []
@@ -40,11 +40,11 @@ def check_shapes(scene: Scene, program: Program, report: Report, place: Placemen
     if (shapes and shapes[0] in ("along", "edge", "volume", "ranks")) or len(shapes) > 1:
         for other in [*shapes[1:], *disc, *density]:
             one, two = (_KEY_BY_FIELD.get(name, name) for name in (shapes[0], other))
-            place_of = scene.span(*path, two, key=True)
+            place_of = scene.find_span(*path, two, key=True)
             report.error("wrong-value", f"agents are placed by `{one}` or by `{two}`, not both", place_of, "keep one of them")
     if place.clumps is not None and shapes and shapes[0] in ("points", "inside", "ranks"):
         words = f"agents at `{shapes[0]}` have fixed positions, so `clumps` has no effect"
-        report.error("wrong-value", words, scene.span(*path, "clumps", key=True), "leave `clumps` out")
+        report.error("wrong-value", words, scene.find_span(*path, "clumps", key=True), "leave `clumps` out")
     curves = program.list_things_of_kind("curve")
     if place.along is not None and place.along not in curves:
         report_unknown_name(report, scene, (*path, "along"), "no curve is named", curves, key=False)
@@ -60,13 +60,13 @@ def check_shapes(scene: Scene, program: Program, report: Report, place: Placemen
 
 def _check_facing(scene: Scene, report: Report, place: Placement, items: dict[str, tuple[str, str]], *path: PathKey) -> None:
     """Report a `facing` that has no meaning for its placement."""
-    facing, span = place.facing, scene.span(*path, "facing")
+    facing, span = place.facing, scene.find_span(*path, "facing")
     if isinstance(facing, FacingDirection):
         if not any(facing.direction):
             report.error("wrong-value", "`[0, 0, 0]` leads nowhere", span, "write a direction, such as `[1, 0, 0]`")
     elif facing == "along" and place.along is None and place.edge is None:
         report.error("wrong-value", "`facing: along` has no line to follow", span, "place agents `along` a curve or an `edge`")
-    elif facing in ("out", "in") and not _has_centre(place):
+    elif facing in ("out", "in") and not _has_placement_centre(place):
         help = "add `around` and `radius`, or write a point or `{direction: [1, 0, 0]}`"
         report.error("wrong-value", f"`facing: {facing}` has no centre here", span, help)
     elif isinstance(facing, str) and facing not in (*FACING_WORDS, *items) and not scene.model.has_usd_items:
@@ -74,7 +74,7 @@ def _check_facing(scene: Scene, report: Report, place: Placement, items: dict[st
         report_unknown_name(report, scene, (*path, "facing"), words, [*FACING_WORDS, *items], key=False)
 
 
-def _has_centre(place: Placement) -> bool:
+def _has_placement_centre(place: Placement) -> bool:
     """Return whether a placement has a centre or a line from which directions lead outward."""
     keys = ("around", "radius", "inside", "along", "edge", "volume")
     return any(getattr(place, key) is not None for key in keys)

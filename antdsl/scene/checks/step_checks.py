@@ -33,7 +33,7 @@ def check_avoidance_steps(scene: Scene, program: Program, report: Report) -> Non
             continue
         distance = f"{frame_step / radius:.2g} times its radius"
         words = f"a `{species.name}` walks {distance} between two decisions, so it avoids others too late"
-        place = scene.span("fps") if "fps" in scene.document.entries else scene.span("crowd", number, "species")
+        place = scene.find_span("fps") if "fps" in scene.document.entries else scene.find_span("crowd", number, "species")
         fps = ceil(speed / (_MAX_AVOIDANCE_SHARE * radius))
         advice = f"write `fps: {fps}` or more" if fps <= limits.MAX_FPS else "write a greater `radius`, or a lower `max_speed`"
         report.warning("late-avoidance", words, place, advice, labels=(Label(attributes["max_speed"].span, "its speed"),))
@@ -69,7 +69,7 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
             continue
         words = f"a `{line.species}` walks up to {step:,.0f} mm in a step, {step / length:.2g} times the length of its body"
         has_own_line = "substeps" in scene.document.entries
-        place = scene.span("substeps") if has_own_line else scene.span("crowd", number, "species")
+        place = scene.find_span("substeps") if has_own_line else scene.find_span("crowd", number, "species")
         slower = f"write a `max_speed` below {_format_limit(length, scene)}"
         advice = f"write `substeps: {substeps}`" if substeps <= limits.MAX_SUBSTEPS else slower
         report.warning("long-step", words, place, advice, labels=(Label(attributes["max_speed"].span, "its speed"),))

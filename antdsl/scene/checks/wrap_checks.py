@@ -42,10 +42,10 @@ def check_wrap(scene: Scene, program: Program, report: Report) -> None:
     level = [axis for axis in WRAP_AXES if axis != up]
     if getattr(wrap, up) is not None:
         words = f"`{up}` points up in this scene, so the world cannot wrap along it"
-        report.error("wrong-value", words, scene.span("wrap", up, key=True), f"write `{level[0]}` or `{level[1]}`")
+        report.error("wrong-value", words, scene.find_span("wrap", up, key=True), f"write `{level[0]}` or `{level[1]}`")
     elif not any(getattr(wrap, axis) for axis in level):
         advice = f"write `wrap: {{{level[0]}: -35 mm .. 35 mm, {level[1]}: -35 mm .. 35 mm}}`"
-        report.error("missing-key", "`wrap` has no axis", scene.span("wrap", key=True), advice)
+        report.error("missing-key", "`wrap` has no axis", scene.find_span("wrap", key=True), advice)
         return
     box = make_periodic_box(scene)
     assert box is not None
@@ -53,7 +53,7 @@ def check_wrap(scene: Scene, program: Program, report: Report) -> None:
         least = max(_MIN_WIDTH_MM, _MIN_WIDTH_SHARE * max(abs(box.low[k]), abs(box.low[k] + box.widths[k])))
         if box.widths[k] < least:
             words = f"the world is only {box.widths[k]:.3g} mm wide along `{WRAP_AXES[k]}`, too narrow for precise positions"
-            place = scene.span("wrap", WRAP_AXES[k])
+            place = scene.find_span("wrap", WRAP_AXES[k])
             report.error("wrong-value", words, place, f"write a range of at least {least:.3g} mm")
     for number, species in find_first_lines(scene, program):
         speed = next((each for each in species.attributes if each.name == "max_speed"), None)
@@ -61,10 +61,10 @@ def check_wrap(scene: Scene, program: Program, report: Report) -> None:
         if speed is not None and step >= box.least_width / 2:
             words = f"a `{species.name}` walks up to {step:.3g} mm in a step, half of the world's width or more"
             help = "write a wider range below `wrap`, more `fps`, or a lower `max_speed`"
-            place = scene.span("crowd", number, "species")
+            place = scene.find_span("crowd", number, "species")
             report.error("wrong-value", words, place, help, labels=(Label(speed.span, "its speed"),))
     for path, what, advice in (*_list_unsupported_keys(scene), *_list_unsupported_things(scene, program)):
-        report.error("wrap-unsupported", f"a periodic world cannot have {what} yet", scene.span(*path, key=True), advice)
+        report.error("wrap-unsupported", f"a periodic world cannot have {what} yet", scene.find_span(*path, key=True), advice)
     for species in program.species.values():
         for part in iterate_parts(species):
             if isinstance(part, OperationExpr) and part.name == "light":

@@ -21,7 +21,7 @@ from antdsl.scene.values import (
     SceneName,
     ScenePart,
     describe_value,
-    make_error,
+    make_value_error,
     parse_integer_between,
     parse_number_between,
     require_text,
@@ -36,40 +36,42 @@ def _parse_rate(value: Any) -> Quantity:
     try:
         quantity = parse_quantity(text)
     except QuantityError as error:
-        raise make_error(f"{describe_value(text)} {error}", error.help or "write `20 /s`") from None
-    if quantity.dim != Dimension(time=-1):
-        raise make_error(f"`{quantity.text}` is not a rate", f"write `{quantity.text.split()[0][:20]} /s`")
+        raise make_value_error(f"{describe_value(text)} {error}", error.help or "write `20 /s`") from None
+    if quantity.dimension != Dimension(time=-1):
+        raise make_value_error(f"`{quantity.text}` is not a rate", f"write `{quantity.text.split()[0][:20]} /s`")
     if not 0 < quantity.number <= limits.MAX_SCENE_NUMBER:
-        raise make_error(f"`{quantity.text}` is not above zero" if quantity.number <= 0 else f"`{quantity.text}` is too large")
+        raise make_value_error(
+            f"`{quantity.text}` is not above zero" if quantity.number <= 0 else f"`{quantity.text}` is too large"
+        )
     return quantity
 
 
-Weight = Annotated[float, BeforeValidator(parse_number_between(limits.MIN_BODY_WEIGHT, limits.MAX_BODY_WEIGHT))]
-Rate = Annotated[Quantity, BeforeValidator(_parse_rate)]
-Count = Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))]
+ChoiceWeight = Annotated[float, BeforeValidator(parse_number_between(limits.MIN_BODY_WEIGHT, limits.MAX_BODY_WEIGHT))]
+ReleaseRate = Annotated[Quantity, BeforeValidator(_parse_rate)]
+AgentCount = Annotated[int, BeforeValidator(parse_integer_between(1, limits.MAX_AGENTS))]
 
 
-class Seconds(NamedTuple):
+class TimeRange(NamedTuple):
     """A time interval in seconds from the scene's first frame."""
 
     begin: Fraction
     end: Fraction
 
 
-def _parse_seconds(value: Any) -> Seconds:
+def _parse_seconds(value: Any) -> TimeRange:
     text = require_text(value, "two times")
     match = _SECONDS_PATTERN.fullmatch(text)
     if match is None:
-        raise make_error(
+        raise make_value_error(
             f"{describe_value(text)} is not a time interval", "write two times from the first frame on: `2 s .. 4 s`"
         )
     begin, end = Fraction(match[1]), Fraction(match[2])
     if end <= begin:
-        raise make_error(f"{describe_value(text)} ends before it begins", f"write `{match[2]} s .. {match[1]} s`")
-    return Seconds(begin, end)
+        raise make_value_error(f"{describe_value(text)} ends before it begins", f"write `{match[2]} s .. {match[1]} s`")
+    return TimeRange(begin, end)
 
 
-SecondsValue = Annotated[Seconds, BeforeValidator(_parse_seconds)]
+TimeRangeValue = Annotated[TimeRange, BeforeValidator(_parse_seconds)]
 
 
 class UniformRandomValue(ScenePart):
@@ -87,7 +89,7 @@ class NormalRandomValue(ScenePart):
 class WeightedChoice(ScenePart):
     """One of several values, with their weights: `{choice: {0: 3, 5: 1}}`."""
 
-    choice: Annotated[dict[str, Weight], Field(min_length=1, max_length=64)]
+    choice: Annotated[dict[str, ChoiceWeight], Field(min_length=1, max_length=64)]
 
 
 class PaintedMapValue(ScenePart):
@@ -118,7 +120,7 @@ def _check_initial_value(value: Any) -> str:
 def _check_initial_value_key(value: Any) -> str:
     text = require_text(value, "the name of an attribute")
     if not _KEY_PATTERN.fullmatch(text):
-        raise make_error(f"{describe_value(text)} is no attribute", "write an attribute, `state`, or `MACHINE.state`")
+        raise make_value_error(f"{describe_value(text)} is no attribute", "write an attribute, `state`, or `MACHINE.state`")
     return text
 
 
@@ -133,17 +135,17 @@ InitialValue = Annotated[
 InitialValues = dict[Annotated[str, BeforeValidator(_check_initial_value_key)], InitialValue]
 
 
-class Ranks(ScenePart):
+class RankFormation(ScenePart):
     """Ranks of agents around `around`, in the order of creation; the first rank is ahead.
 
     `columns`: the number of agents in each rank.
     `spacing`: the distance between neighbours. Two lengths are the distances within a rank and between ranks."""
 
-    columns: Count
+    columns: AgentCount
     spacing: PositiveLength | tuple[PositiveLength, PositiveLength]
 
 
-class Clumps(ScenePart):
+class ClumpFormation(ScenePart):
     """Agents in `number` discs of a radius, each around a random position of the place."""
 
     number: Annotated[int, BeforeValidator(parse_integer_between(1, 100_000))]
@@ -167,7 +169,7 @@ def _find_facing_type_tag(value: Any) -> str:
     return "direction-facing" if isinstance(value, dict) else "place-facing"
 
 
-Facing = Annotated[
+FacingValue = Annotated[
     Annotated[FacingDirection, Tag("direction-facing")] | Annotated[PointOrName, Tag("place-facing")],
     Discriminator(_find_facing_type_tag),
 ]

@@ -7,7 +7,7 @@ from antdsl.diagnostics import Label, Report
 from antdsl.program.model import Program
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.scene.checks.entry_checks import check_file, check_map_name, report_unknown_name
-from antdsl.scene.checks.shape_checks import check_shapes, list_item_names
+from antdsl.scene.checks.shape_checks import check_placement_shapes, list_item_names
 from antdsl.scene.crowds.crowd_model import Placement, UsdPositions
 from antdsl.scene.crowds.initial_values import stage_initial_values
 from antdsl.scene.document import PathKey
@@ -32,14 +32,14 @@ def check_crowd(scene: Scene, program: Program, report: Report) -> None:
             )
         _check_placement(scene, program, report, line.place, "crowd", number, "place")
         if line.walk is not None and not any(line.walk.direction):
-            where = scene.span("crowd", number, "walk", "direction")
+            where = scene.find_span("crowd", number, "walk", "direction")
             report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
         stage_initial_values(scene, program, report, number)
     if total > limits.MAX_AGENTS:
         report.error(
             "too-large",
             f"{total:,} agents are more than {limits.MAX_AGENTS:,}",
-            scene.span("crowd"),
+            scene.find_span("crowd"),
             "write a smaller `count` or `rate`",
         )
 
@@ -53,11 +53,11 @@ def _check_release(scene: Scene, report: Report, number: int) -> None:
     begin, interval, count = line.find_release(model.frames.first, model.fps)
     start = model.frames.first - model.preroll
     end = begin + interval * max(count - 1, 0)
-    place = scene.span("crowd", number, key)
+    place = scene.find_span("crowd", number, key)
     if not count and line.rate is not None:
         help = "write a larger `rate` or more frames"
         report.error(
-            "wrong-value", f"`{line.rate.text}` creates no agent in this time", scene.span("crowd", number, "rate"), help
+            "wrong-value", f"`{line.rate.text}` creates no agent in this time", scene.find_span("crowd", number, "rate"), help
         )
     elif begin >= model.frames.last + 1:
         help = f"write frames from {start} to {model.frames.last}"
@@ -76,11 +76,11 @@ def _check_line_name(scene: Scene, program: Program, report: Report, number: int
     taken = {**dict.fromkeys(list_item_names(scene), "an item"), **dict.fromkeys(program.species, "a species")}
     if name in taken:
         help = f"write another name, such as `{name}_line`"
-        report.error("duplicate-name", f"`{name}` is the name of {taken[name]}", scene.span("crowd", number, "name"), help)
+        report.error("duplicate-name", f"`{name}` is the name of {taken[name]}", scene.find_span("crowd", number, "name"), help)
     elif name is not None and earlier:
-        label = Label(scene.span("crowd", earlier[0], "name"), "here first")
+        label = Label(scene.find_span("crowd", earlier[0], "name"), "here first")
         help = f"write another name, such as `{name}_{number + 1}`"
-        place = scene.span("crowd", number, "name")
+        place = scene.find_span("crowd", number, "name")
         report.error("duplicate-name", f"two lines of the crowd are named `{name}`", place, help, labels=(label,))
 
 
@@ -89,7 +89,7 @@ def check_around(scene: Scene, report: Report, around: object, radius: object, *
     if isinstance(around, str) and around not in list_item_names(scene) and not scene.model.has_usd_items:
         report_unknown_name(report, scene, (*path, "around"), "no item is named", list_item_names(scene), key=False)
     if around is not None and radius is None:
-        at = scene.span(*path, "around", key=True)
+        at = scene.find_span(*path, "around", key=True)
         report.error("missing-key", "`around` has no effect without `radius`", at, "add `radius: 50 mm`")
 
 
@@ -104,26 +104,26 @@ def _check_placement(scene: Scene, program: Program, report: Report, place: Plac
             check_file(scene, report, place.points, *path, "points")
         if place.around is not None:
             words = "agents are placed at points or around a place, not both"
-            report.error("wrong-value", words, scene.span(*path, "around", key=True), "keep one of them")
+            report.error("wrong-value", words, scene.find_span(*path, "around", key=True), "keep one of them")
     if place.density is not None:
         check_map_name(scene, report, program, place.density, *path, "density")
-    check_shapes(scene, program, report, place, *path)
+    check_placement_shapes(scene, program, report, place, *path)
     used_keys = [name for name in ("points", "around", "radius", "density") if getattr(place, name) is not None]
     for method in ("density", "inside"):
         other = [name for name in used_keys if name != method]
         if getattr(place, method) is not None and other:
             words = f"agents are placed by `{method}` or by `{other[0]}`, not both"
-            report.error("wrong-value", words, scene.span(*path, method, key=True), "keep one of them")
+            report.error("wrong-value", words, scene.find_span(*path, method, key=True), "keep one of them")
     if place.by == "area" and place.inside is not None:
         words = "agents that start `inside` are placed along lines from there, not by area"
-        report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
+        report.error("wrong-value", words, scene.find_span(*path, "by", key=True), "leave `by` out")
     for key in ("apart", "seed"):
         fixed_key = "points" if place.points is not None else "ranks" if place.ranks is not None else None
         if getattr(place, key) is not None and fixed_key is not None:
             words = f"agents at `{fixed_key}` have fixed positions, so `{key}` has no effect"
-            report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
+            report.error("wrong-value", words, scene.find_span(*path, key, key=True), f"leave `{key}` out")
     if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
         what, addition = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
         advice = f"write a length, such as `apart: 10 mm`{addition}"
-        report.error("wrong-value", f"the available space {what} is unknown", scene.span(*path, "apart", key=True), advice)
+        report.error("wrong-value", f"the available space {what} is unknown", scene.find_span(*path, "apart", key=True), advice)
     check_around(scene, report, place.around, place.radius or place.ranks, *path)

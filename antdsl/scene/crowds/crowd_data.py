@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 PointMm = tuple[float, float, float]
 
 
-MAX_DEVIATIONS = 3  # draws of a normal distribution are at most so many deviations from its mean
+MAX_STANDARD_DEVIATIONS = 3  # draws of a normal distribution are at most so many deviations from its mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class PlacementData:
 
     `points` (n, 3): one per agent, in order, repeated after the last.
     `ranks`: ranks around `disc_centre`.
-    `line`: along a curve of the world; `edge_of`: along the open borders of a surface. Both within `radius` of it.
+    `line`: along a curve of the world; `border_surface`: along the open borders of a surface. Both within `radius` of it.
     `volume`: the nearest surface points to a volume.
     `radius`: a disc of `radius` mm around `disc_centre`, dropped along the scene's up onto the surfaces.
     `ray_origin`: the first hits of lines from this point in all directions, on the side of the point. Otherwise: evenly over the
@@ -103,8 +103,8 @@ class PlacementData:
     headings: NDArray[np.float64] | None = None
     values: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     ranks: RanksData | None = None
-    line: str | None = None
-    edge_of: str | None = None
+    curve_name: str | None = None
+    border_surface: str | None = None
     volume: VolumeData | None = None
     clumps: ClumpsData | None = None
     facing: FacingData | None = None
@@ -112,7 +112,7 @@ class PlacementData:
 
 
 @dataclass(frozen=True, slots=True)
-class WalkData:
+class ScriptedWalkData:
     """A walk of agents.
 
     `direction`: a unit vector, projected onto the ground at the start.
@@ -163,7 +163,7 @@ class CrowdData:
     count: int
     place: PlacementData = PlacementData()
     line_index: int = 0
-    walk: WalkData | None = None
+    walk: ScriptedWalkData | None = None
     body: str = ""
     worn_layers: tuple[tuple[str, ...], ...] = ()
     name: str = ""

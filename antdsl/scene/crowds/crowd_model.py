@@ -10,7 +10,15 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from antdsl import limits
 from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
-from antdsl.scene.crowds.casting_model import Clumps, Facing, InitialValues, Ranks, Rate, SecondsValue, convert_rate
+from antdsl.scene.crowds.casting_model import (
+    ClumpFormation,
+    FacingValue,
+    InitialValues,
+    RankFormation,
+    ReleaseRate,
+    TimeRangeValue,
+    convert_rate,
+)
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.notes.selectors import Region
 from antdsl.scene.quantities import Quantity
@@ -23,7 +31,7 @@ from antdsl.scene.values import (
     SceneName,
     ScenePart,
     SceneWord,
-    make_error,
+    make_value_error,
     parse_integer_between,
     parse_number_between,
     parse_one_of,
@@ -32,7 +40,7 @@ from antdsl.scene.values import (
     parse_word_or_quantity,
 )
 
-NO_LAYER = "none"  # stands for no layer of a part
+NO_LAYER_WORD = "none"  # stands for no layer of a part
 # Of the library of bodies.
 BodyText = Annotated[str, BeforeValidator(parse_word_or_file(*BODY_WORDS))]
 BodyWeight = Annotated[float, BeforeValidator(parse_number_between(limits.MIN_BODY_WEIGHT, limits.MAX_BODY_WEIGHT))]
@@ -92,12 +100,12 @@ class Placement(ScenePart):
     along: SceneName | None = None
     edge: SceneName | None = None
     volume: Region | None = Field(default=None, alias="in")
-    ranks: Ranks | None = None
-    clumps: Clumps | None = None
-    facing: Facing | None = None
+    ranks: RankFormation | None = None
+    clumps: ClumpFormation | None = None
+    facing: FacingValue | None = None
 
 
-class Walk(ScenePart):
+class ScriptedWalk(ScenePart):
     """A walk that replaces the decisions of agents: a direction in the scene's axes, a speed, and a length.
 
     Agents stand still at the end of the walk."""
@@ -147,25 +155,25 @@ class CrowdLine(ScenePart):
     species: SceneName
     source: FilePath = Field(alias="from")
     count: Annotated[int, BeforeValidator(parse_integer_between(0, limits.MAX_AGENTS))] | None = None
-    rate: Rate | None = None
+    rate: ReleaseRate | None = None
     frames: FrameRangeValue | None = None
-    seconds: SecondsValue | None = None
+    seconds: TimeRangeValue | None = None
     each: InitialValues = Field(default_factory=dict)
     place: Placement = Placement()
-    walk: Walk | None = None
+    walk: ScriptedWalk | None = None
     body: BodyValue | None = None
     wear: Annotated[tuple[WornLayer, ...], Field(max_length=limits.MAX_WORN_LAYERS)] = ()
 
     @model_validator(mode="after")
     def _check_agent_count(self) -> CrowdLine:
         if self.count is None and self.rate is None:
-            raise make_error("this line has no `count`", "add `count: 100`", code="missing-key")
+            raise make_value_error("this line has no `count`", "add `count: 100`", code="missing-key")
         if self.count is not None and self.rate is not None:
-            raise make_error("`count` and `rate` both say how many agents there are", "leave one of them out")
+            raise make_value_error("`count` and `rate` both say how many agents there are", "leave one of them out")
         if self.frames is not None and self.seconds is not None:
-            raise make_error("`frames` and `seconds` both say when agents are created", "leave one of them out")
+            raise make_value_error("`frames` and `seconds` both say when agents are created", "leave one of them out")
         if self.rate is not None and self.frames is None and self.seconds is None:
-            raise make_error("`rate` has no effect without frames", "add `frames: 49..96` or `seconds: 2 s .. 4 s`")
+            raise make_value_error("`rate` has no effect without frames", "add `frames: 49..96` or `seconds: 2 s .. 4 s`")
         return self
 
     def find_release(self, first: int, fps: Fraction) -> tuple[Fraction, Fraction, int]:
@@ -198,7 +206,7 @@ class CrowdLine(ScenePart):
     def list_worn_layers(self) -> tuple[tuple[str, ...], ...]:
         """Return, for each part of `wear`, the layers from which one is drawn per agent. "" means no layer."""
         chosen = (each.any if isinstance(each, LayerChoice) else (each,) for each in self.wear)
-        return tuple(tuple("" if name == NO_LAYER else name for name in names) for names in chosen)
+        return tuple(tuple("" if name == NO_LAYER_WORD else name for name in names) for names in chosen)
 
 
 def collect_body_weights(crowd: Iterable[CrowdLine]) -> dict[str, dict[str, float]]:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.program.model import AttributeDecl, Dimension, Machine, Program, Species, TypeKind
-from antdsl.scene.checks.entry_checks import check_dimension, check_map_name, check_value, report_unknown_name
+from antdsl.scene.checks.entry_checks import check_attribute_value, check_dimension, check_map_name, report_unknown_name
 from antdsl.scene.crowds.casting_model import NormalRandomValue, PaintedMapValue, UniformRandomValue, WeightedChoice
-from antdsl.scene.crowds.crowd_data import MAX_DEVIATIONS, ValueDraw
+from antdsl.scene.crowds.crowd_data import MAX_STANDARD_DEVIATIONS, ValueDraw
 from antdsl.scene.document import PathKey
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 from antdsl.scene.values import ScenePart
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _NUMBER_BY_BOOL_TEXT = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 
 
-class _Line(NamedTuple):
+class _CrowdLineValues(NamedTuple):
     """A crowd line with its scene, program and species, and the report that receives its errors. `number`: the line's index."""
 
     scene: Scene
@@ -36,7 +36,7 @@ def stage_initial_values(scene: Scene, program: Program, report: Report, number:
     model = scene.model.crowd[number]
     if model.species not in program.species:
         return {}
-    line = _Line(scene, program, report, number, program.species[model.species])
+    line = _CrowdLineValues(scene, program, report, number, program.species[model.species])
     draws = {}
     for key, value in model.each.items():
         path = ("crowd", number, "each", key)
@@ -60,7 +60,7 @@ def is_settable(attribute: AttributeDecl) -> bool:
     return attribute.pair_species is None and attribute.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
 
 
-def _stage_attribute(line: _Line, key: str, value: str | ScenePart, *path: PathKey) -> ValueDraw | None:
+def _stage_attribute(line: _CrowdLineValues, key: str, value: str | ScenePart, *path: PathKey) -> ValueDraw | None:
     known = {each.name: each for each in line.species.attributes if is_settable(each)}
     if key not in known:
         names = [*known, *(f"{each.name}.state" for each in line.species.machines)]
@@ -69,7 +69,9 @@ def _stage_attribute(line: _Line, key: str, value: str | ScenePart, *path: PathK
     return _stage_value(line, value, known[key], *path)
 
 
-def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Machine, *path: PathKey) -> ValueDraw | None:
+def _stage_value(
+    line: _CrowdLineValues, value: str | ScenePart, target: AttributeDecl | Machine, *path: PathKey
+) -> ValueDraw | None:
     if isinstance(value, str):
         number = _convert_text(line, value, target, *path)
         return None if number is None else ValueDraw("number", number)
@@ -80,7 +82,7 @@ def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Ma
         return ValueDraw("choice", values=tuple(n for n in numbers if n is not None), weights=tuple(value.choice.values()))
     if isinstance(target, Machine) or target.type.kind is TypeKind.BOOL:
         words = f"`{target.name}` has no number to draw"
-        line.report.error("wrong-value", words, line.scene.span(*path), "write one value, or `{choice: {A: 3, B: 1}}`")
+        line.report.error("wrong-value", words, line.scene.find_span(*path), "write one value, or `{choice: {A: 3, B: 1}}`")
         return None
     if isinstance(value, UniformRandomValue | NormalRandomValue):
         word, pair = ("uniform", value.uniform) if isinstance(value, UniformRandomValue) else ("normal", value.normal)
@@ -92,19 +94,21 @@ def _stage_value(line: _Line, value: str | ScenePart, target: AttributeDecl | Ma
             return None
         if (word == "uniform" and high < low) or (word == "normal" and high < 0):
             help = "write the lesser bound first" if word == "uniform" else "write the mean and then a deviation above zero"
-            line.report.error("wrong-value", f"`{pair[1].text}` is too small here", line.scene.span(*path, word, 1), help)
+            line.report.error("wrong-value", f"`{pair[1].text}` is too small here", line.scene.find_span(*path, word, 1), help)
             return None
         return ValueDraw("uniform" if word == "uniform" else "normal", low, high)
     assert isinstance(value, PaintedMapValue)
     return _stage_painted_value(line, value, target, *path)
 
 
-def _stage_painted_value(line: _Line, value: PaintedMapValue, target: AttributeDecl, *path: PathKey) -> ValueDraw | None:
+def _stage_painted_value(
+    line: _CrowdLineValues, value: PaintedMapValue, target: AttributeDecl, *path: PathKey
+) -> ValueDraw | None:
     if not check_map_name(line.scene, line.report, line.program, value.painted, *path, "painted"):
         return None
     if (value.low is None) != (value.high is None) or (value.low is None and target.type.dimension != Dimension()):
         help = "add `from` and `to`: the values where the map is 0 and where it is 1"
-        line.report.error("missing-key", f"the numbers of `{value.painted}` have no unit", line.scene.span(*path), help)
+        line.report.error("missing-key", f"the numbers of `{value.painted}` have no unit", line.scene.find_span(*path), help)
         return None
     if value.low is None or value.high is None:
         return ValueDraw("painted", 0.0, 1.0, map_name=value.painted)
@@ -116,17 +120,17 @@ def _stage_painted_value(line: _Line, value: PaintedMapValue, target: AttributeD
 
 
 def _convert_quantity(
-    line: _Line, quantity: Quantity, target: AttributeDecl, *path: PathKey, deviation: float = 0.0
+    line: _CrowdLineValues, quantity: Quantity, target: AttributeDecl, *path: PathKey, deviation: float = 0.0
 ) -> float | None:
     """Return a quantity in base units; None, with an error, if the attribute cannot have it minus `deviation`."""
     model = line.scene.model
-    if not check_value(line.scene, line.report, quantity, target, *path, deviation=deviation):
+    if not check_attribute_value(line.scene, line.report, quantity, target, *path, deviation=deviation):
         return None
     return quantity.to_base_units(model.unit_mm, float(1 / model.fps))
 
 
 def _convert_mean(
-    line: _Line, pair: tuple[Quantity, Quantity], target: AttributeDecl, *path: PathKey
+    line: _CrowdLineValues, pair: tuple[Quantity, Quantity], target: AttributeDecl, *path: PathKey
 ) -> tuple[float | None, float | None]:
     """Return the mean and the standard deviation of a normal distribution in base units. Each is None after an error.
 
@@ -135,33 +139,35 @@ def _convert_mean(
     if not check_dimension(line.scene, line.report, deviation, target.type.dimension, target.name, *path, 1):
         return None, None
     width = deviation.to_base_units(model.unit_mm, float(1 / model.fps))
-    return _convert_quantity(line, mean, target, *path, 0, deviation=MAX_DEVIATIONS * max(width, 0.0)), width
+    return _convert_quantity(line, mean, target, *path, 0, deviation=MAX_STANDARD_DEVIATIONS * max(width, 0.0)), width
 
 
-def _convert_text(line: _Line, text: str, target: AttributeDecl | Machine, *path: PathKey) -> float | None:
+def _convert_text(line: _CrowdLineValues, text: str, target: AttributeDecl | Machine, *path: PathKey) -> float | None:
     """Return the number of a text, or None after an error. It is a quantity in base units, 1 or 0 for a truth value, or the
     index of a state."""
     if isinstance(target, Machine):
         indices = {state.name: float(state.index) for state in target.states}
-        return _find_number_of_word(line, text, indices, f"`{line.species.name}` has no state", *path)
+        return _find_number_for_word(line, text, indices, f"`{line.species.name}` has no state", *path)
     if target.type.kind is TypeKind.BOOL:
-        return _find_number_of_word(line, text, _NUMBER_BY_BOOL_TEXT, f"`{target.name}` is true or false, not", *path)
+        return _find_number_for_word(line, text, _NUMBER_BY_BOOL_TEXT, f"`{target.name}` is true or false, not", *path)
     try:
         quantity = parse_quantity(text)
     except QuantityError as error:
         help = error.help or "write a number with a unit, or `{uniform: [A, B]}`, `{normal: [A, B]}`, `{choice: {A: 3, B: 1}}`"
-        line.report.error("wrong-value", f"`{text[:60]}` {error}", line.scene.span(*path), help)
+        line.report.error("wrong-value", f"`{text[:60]}` {error}", line.scene.find_span(*path), help)
         return None
     return _convert_quantity(line, quantity, target, *path)
 
 
-def _find_number_of_word(line: _Line, text: str, number_by_word: Mapping[str, float], words: str, *path: PathKey) -> float | None:
+def _find_number_for_word(
+    line: _CrowdLineValues, text: str, number_by_word: Mapping[str, float], words: str, *path: PathKey
+) -> float | None:
     """Return the number of a word; None, with an error, for an unknown word. `words`: the message before the word."""
     if text not in number_by_word:
         near = find_nearest_name(text, number_by_word)
         listed = "known: " + ", ".join(f"`{each}`" for each in number_by_word)
         is_key = "choice" in path
-        span = line.scene.span(*path, key=is_key)
+        span = line.scene.find_span(*path, key=is_key)
         line.report.error("unknown-thing", f"{words} `{text[:60]}`", span, f"did you mean `{near}`?" if near else listed)
         return None
     return number_by_word[text]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
-class LineIds:
+class CrowdLineIds:
     """The ids of one crowd line's agents, dead ones included. `ranges`: the first id and the number of ids of each range."""
 
     species: str
@@ -21,13 +21,13 @@ class LineIds:
     def __len__(self) -> int:
         return sum(count for _, count in self.ranges)
 
-    def take(self, first: int = 0, last: int | None = None) -> NDArray[np.int64]:
+    def list_ids_between(self, first: int = 0, last: int | None = None) -> NDArray[np.int64]:
         """Return the ids of agents `first` to `last` of the line (numbers from 0, both included). Numbers without an agent are
         left out."""
         ids = [np.empty(0, np.int64), *(np.arange(start, start + count) for start, count in self.ranges)]
         return np.concatenate(ids)[first : None if last is None else last + 1]
 
-    def find_numbers(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    def find_positions_in_line(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the number of each agent in this line; -1 for ids of other agents."""
         numbers, offset = np.full(len(ids), -1, np.int64), 0
         for start, count in self.ranges:
@@ -36,13 +36,13 @@ class LineIds:
             offset += count
         return numbers
 
-    def resize(self, count: int, next_id: int) -> LineIds:
+    def resize(self, count: int, next_id: int) -> CrowdLineIds:
         """Return the line with `count` agents: its first agents, and if these are too few, new ids from `next_id` on."""
         ranges, left = [], count
         for start, size in self.ranges:
             ranges.append((start, min(size, left)))
             left -= ranges[-1][1]
-        return LineIds(self.species, _join_ranges([*ranges, (next_id, left)]))
+        return CrowdLineIds(self.species, _join_ranges([*ranges, (next_id, left)]))
 
 
 def _join_ranges(ranges: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:

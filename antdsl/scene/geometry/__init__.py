@@ -10,5 +10,5 @@ checked first.
 `points`, `arrays`: read JSON points and .npz files.
 `painted`: reads values on vertices and faces.
 `closed_meshes`: whether triangles close to a body.
-`find_live_faces`: which triangles are ground.
+`find_faces_with_area`: which triangles are ground.
 `matrices`: applies transforms, with every sum written out."""

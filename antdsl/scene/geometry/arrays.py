@@ -32,10 +32,10 @@ class ArrayFileError(Exception):
 
 def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     """Return all arrays of an NPZ file's bytes, after checking their checksums. Raises ArrayFileError with the reason."""
-    return read_archive(io.BytesIO(data), len(data))
+    return read_npz_archive(io.BytesIO(data), len(data))
 
 
-def read_archive(file: IO[bytes], size: int, names: Container[str] | None = None) -> dict[str, NDArray[Any]]:
+def read_npz_archive(file: IO[bytes], size: int, names: Container[str] | None = None) -> dict[str, NDArray[Any]]:
     """Return the arrays of an open file of `size` bytes, as `read_arrays` does. `names`: the names to read; None for all."""
     try:
         with zipfile.ZipFile(file) as archive:

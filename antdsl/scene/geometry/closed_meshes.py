@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import stored_tables
-from antdsl.scene.staging.mesh_cache import cached_per_mesh
+from antdsl.scene.staging.mesh_cache import cache_per_mesh
 
 if TYPE_CHECKING:
     from antdsl.scene.setting import MeshData, SolidData
@@ -34,7 +34,7 @@ def round_to_voxels(corners: Floats) -> tuple[Index, int]:
     return np.round(corners * grain).astype(np.int64), grain
 
 
-def measure_closedness(corners: Index) -> tuple[int, bool]:
+def count_open_edges_and_sides(corners: Index) -> tuple[int, bool]:
     """Return the number of edges with an odd number of triangles, and whether each edge is traversed equally often both ways.
 
     `corners` int64[n, 3, 3]: corners of triangles as integers. Corners at equal positions are one corner."""
@@ -110,8 +110,8 @@ def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
     return face[order], np.where(a < b, 1, -1)[order], first, np.diff(np.append(first, len(order)))
 
 
-@cached_per_mesh
-def _count_wrong_sides(mesh: MeshData) -> tuple[int, int]:
+@cache_per_mesh
+def _count_inward_pieces_of_mesh(mesh: MeshData) -> tuple[int, int]:
     """Apply `count_inward_pieces` to a mesh."""
     return count_inward_pieces(mesh.vertices, mesh.faces)
 
@@ -119,7 +119,7 @@ def _count_wrong_sides(mesh: MeshData) -> tuple[int, int]:
 def check_obstacle_sides(staging: SceneStaging) -> None:
     """Warn about obstacles with parts that face inward. Such parts would hold agents inside instead of outside."""
     for name, mesh in staging.obstacles.items():
-        inward, mixed = _count_wrong_sides(mesh)
+        inward, mixed = _count_inward_pieces_of_mesh(mesh)
         if inward or mixed:
             words = (
                 f"parts of the obstacle `{name}` point inward"
@@ -127,10 +127,10 @@ def check_obstacle_sides(staging: SceneStaging) -> None:
                 else f"faces of the obstacle `{name}` point both in and out"
             )
             help = "flip faces so that all point outward; ignore this if the obstacle is a room that encloses agents"
-            staging.report.warning("inside-out", words, staging.scene.span("world", name), help)
+            staging.report.warning("inside-out", words, staging.scene.find_span("world", name), help)
 
 
-@cached_per_mesh
+@cache_per_mesh
 def count_border_edges(mesh: MeshData) -> int:
     """Return the number of edges of a mesh that belong to exactly one triangle."""
     corners = mesh.vertices[mesh.faces]
@@ -146,7 +146,7 @@ def _make_border_edge_table(corners: Floats) -> stored_tables.Tables:
     return {"count": np.array([(count == 1).sum()], np.int64)}
 
 
-def find_odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
+def find_edges_with_odd_faces(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
     """Return the edges with an odd number of faces (k, 2), as indices of positions, and the positions (p, 3).
 
     Corners nearer to each other than about `grain` share a position."""
@@ -162,5 +162,5 @@ def find_odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> 
 def count_open_solid_edges(solid: SolidData) -> int:
     """Return the number of edges with an odd number of triangles. A solid with such edges has no inside."""
     corners = solid.mesh.vertices[solid.mesh.faces]
-    loose, _ = measure_closedness(round_to_voxels((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
+    loose, _ = count_open_edges_and_sides(round_to_voxels((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
     return loose

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.diagnostics.model import replace_unprintable
 from antdsl.scene.geometry.arrays import convert_to_float64
-from antdsl.scene.geometry.polygons import split_strip
+from antdsl.scene.geometry.polygons import split_triangle_strips
 
 _DTYPE_BY_COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS_BY_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _EXPORT_AGAIN_HELP = "export it again, as glTF 2.0"
 _MAX_NODES = 65_536
-TRIANGLES_MODE, STRIP_MODE, FAN_MODE = 4, 5, 6  # modes of primitives
+TRIANGLES_PRIMITIVE_MODE, TRIANGLE_STRIP_PRIMITIVE_MODE, TRIANGLE_FAN_PRIMITIVE_MODE = 4, 5, 6  # modes of primitives
 # Extensions that a reader must support to understand a file at all. Others change the appearance and are ignored.
 _UNSUPPORTED_EXTENSIONS = {
     "KHR_draco_mesh_compression": "Draco",
@@ -124,7 +124,7 @@ class GltfDocument:
             raise GltfError(f"has a `{key}` that is not {len(default)} numbers", _EXPORT_AGAIN_HELP)
         return np.array(numbers, np.float64)
 
-    def name(self, holder: dict[str, Any], default: str) -> str:
+    def get_name(self, holder: dict[str, Any], default: str) -> str:
         """Return the name of an object in a form that is safe to display and write. `default`: the result without a name."""
         text = holder.get("name")
         if not isinstance(text, str) or not text.strip():
@@ -349,14 +349,14 @@ def make_primitive_triangles(file: GltfDocument, primitive: dict[str, Any], poin
 
     The second result is the number of remaining corners at the end: too few for another triangle."""
     corners = file.read_accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
-    mode = primitive.get("mode", TRIANGLES_MODE)
-    if mode == STRIP_MODE:
-        triangles = split_strip(corners)
-    elif mode == TRIANGLES_MODE or len(corners) < 3:
+    mode = primitive.get("mode", TRIANGLES_PRIMITIVE_MODE)
+    if mode == TRIANGLE_STRIP_PRIMITIVE_MODE:
+        triangles = split_triangle_strips(corners)
+    elif mode == TRIANGLES_PRIMITIVE_MODE or len(corners) < 3:
         triangles = corners[: len(corners) // 3 * 3].reshape(-1, 3)
     else:
         triangles = np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
-    over = len(corners) % 3 if mode == TRIANGLES_MODE or len(corners) < 3 else 0
+    over = len(corners) % 3 if mode == TRIANGLES_PRIMITIVE_MODE or len(corners) < 3 else 0
     if len(triangles) > limits.MAX_MESH_FACES:
         raise GltfError(f"has more than {limits.MAX_MESH_FACES:,} triangles", code="too-large")
     if len(triangles) and (triangles.min() < 0 or triangles.max() >= points):

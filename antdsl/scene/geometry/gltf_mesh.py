@@ -77,7 +77,7 @@ def _read_scene(file: gltf_file.GltfDocument, notes: ImportNotes, node_name: str
             continue
         transform = transforms[number]
         if "skin" in node:  # the specification ignores the transform of the node itself
-            notes.count_skipped(f"the skin of `{file.name(node, 'a node')}`: its mesh is read as it was modelled")
+            notes.count_skipped(f"the skin of `{file.get_name(node, 'a node')}`: its mesh is read as it was modelled")
             transform = make_identity_transforms()
         if _INSTANCING_EXTENSION in file.get_object(node, "extensions"):
             notes.count_skipped("instances of a mesh (EXT_mesh_gpu_instancing)")
@@ -131,7 +131,7 @@ def _find_named_nodes(file: gltf_file.GltfDocument, scene_nodes: list[int], node
     names: dict[str, list[int]] = {}
     for number in scene_nodes:
         mesh = file.get_index(nodes[number], "mesh", len(meshes))
-        of = {file.name(nodes[number], ""), "" if mesh is None else file.name(meshes[mesh], "")}
+        of = {file.get_name(nodes[number], ""), "" if mesh is None else file.get_name(meshes[mesh], "")}
         for name in of - {""}:
             names.setdefault(name, []).append(number)
     if node_name not in names:
@@ -149,8 +149,12 @@ def _read_primitive(
     file: gltf_file.GltfDocument, primitive: dict[str, Any], notes: ImportNotes
 ) -> tuple[Floats, NDArray[np.int64]] | None:
     """Return the points and triangles of a primitive. If it has no readable triangles, add a note and return None."""
-    mode = primitive.get("mode", gltf_file.TRIANGLES_MODE)
-    if mode not in (gltf_file.TRIANGLES_MODE, gltf_file.STRIP_MODE, gltf_file.FAN_MODE):
+    mode = primitive.get("mode", gltf_file.TRIANGLES_PRIMITIVE_MODE)
+    if mode not in (
+        gltf_file.TRIANGLES_PRIMITIVE_MODE,
+        gltf_file.TRIANGLE_STRIP_PRIMITIVE_MODE,
+        gltf_file.TRIANGLE_FAN_PRIMITIVE_MODE,
+    ):
         known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_NON_SURFACE_MODES)
         notes.count_skipped(
             f"primitives of {_NON_SURFACE_MODES[mode]}"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.arrays import ArrayFileError, convert_to_float64, read_archive
+from antdsl.scene.geometry.arrays import ArrayFileError, convert_to_float64, read_npz_archive
 from antdsl.scene.geometry.mesh_text import MeshError
 
 Floats = NDArray[np.float64]
@@ -60,7 +60,7 @@ def _read_height_image(data: bytes, form: str) -> Floats:
 
 def _read_height_array(data: bytes, array: str | None, layer: int | None) -> Floats:
     try:
-        arrays = read_archive(io.BytesIO(data), len(data), None if array is None else {array})
+        arrays = read_npz_archive(io.BytesIO(data), len(data), None if array is None else {array})
     except ArrayFileError as error:
         raise MeshError(str(error)) from None
     if array is None and len(arrays) != 1:
@@ -110,7 +110,7 @@ def make_height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[F
     return vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
 
 
-def compute_deviation(heights: Floats) -> float:
+def compute_sampling_deviation(heights: Floats) -> float:
     """Return the largest distance between the triangles and the bilinear surface through the samples.
 
     It occurs in the middle of a cell, and is a quarter of the cell's twist: the difference of the sums of diagonal corners."""

@@ -16,9 +16,9 @@ from antdsl.scene.geometry.mesh_text import MeshError
 _MAGIC_BY_ORDER: dict[Literal["<", ">"], bytes] = {"<": b"\x7fNSJb", ">": b"\x7fbJSN"}
 _CLASSIC_MAGICS = (b"PGEOMETRY", b"BgeoV")
 _COMPRESSED_MAGICS = {b"scf1": "Blosc", b"\x1f\x8b": "gzip"}
-_MAP_BEGIN, _MAP_END, _ARRAY_BEGIN, _ARRAY_END, _UNIFORM_ARRAY = 0x7B, 0x7D, 0x5B, 0x5D, 0x40
-_NULL, _BOOL, _FALSE, _TRUE = 0x00, 0x10, 0x30, 0x31
-_STRING, _TOKEN_DEFINITION, _TOKEN_REFERENCE, _TOKEN_REMOVAL = 0x27, 0x2B, 0x26, 0x2D
+_MAP_BEGIN_TOKEN, _MAP_END_TOKEN, _ARRAY_BEGIN_TOKEN, _ARRAY_END_TOKEN, _UNIFORM_ARRAY_TOKEN = 0x7B, 0x7D, 0x5B, 0x5D, 0x40
+_NULL_TOKEN, _BOOL_TOKEN, _FALSE_TOKEN, _TRUE_TOKEN = 0x00, 0x10, 0x30, 0x31
+_STRING_TOKEN, _TEXT_DEFINITION_TOKEN, _TEXT_REFERENCE_TOKEN, _TEXT_REMOVAL_TOKEN = 0x27, 0x2B, 0x26, 0x2D
 _NUMBER_TYPES = {
     0x11: "i1", 0x12: "i2", 0x13: "i4", 0x14: "i8", 0x18: "f2", 0x19: "f4", 0x1A: "f8", 0x21: "u1", 0x22: "u2",
 }  # fmt: skip
@@ -100,9 +100,9 @@ class _BinaryParser:
 
     def _skip_definitions(self, token: int) -> int:
         """Read definitions and removals of tokens, beginning with `token`. Return the first other token."""
-        while token in (_TOKEN_DEFINITION, _TOKEN_REMOVAL):
+        while token in (_TEXT_DEFINITION_TOKEN, _TEXT_REMOVAL_TOKEN):
             number = self._read_length()
-            if token == _TOKEN_DEFINITION:
+            if token == _TEXT_DEFINITION_TOKEN:
                 self._text_by_token[number] = self._read_text()
             else:
                 self._text_by_token.pop(number, None)
@@ -114,34 +114,34 @@ class _BinaryParser:
         token, start = self._skip_definitions(token), self._offset - 1
         if depth > _MAX_DEPTH:
             raise MeshError(f"has more than {_MAX_DEPTH} nested lists at byte {start:,}", _SAVE_AGAIN_HELP)
-        if token == _ARRAY_BEGIN:
+        if token == _ARRAY_BEGIN_TOKEN:
             return self._read_list(depth)
-        if token == _MAP_BEGIN:
+        if token == _MAP_BEGIN_TOKEN:
             return self._read_map(depth)
-        if token == _UNIFORM_ARRAY:
+        if token == _UNIFORM_ARRAY_TOKEN:
             return self._read_uniform_array()
-        if token in (_STRING, _TOKEN_REFERENCE):
+        if token in (_STRING_TOKEN, _TEXT_REFERENCE_TOKEN):
             return self._read_text_item(token)
         if token in _NUMBER_TYPES:
             return self._read_numbers(token, 1)[0].item()
-        if token == _BOOL:
+        if token == _BOOL_TOKEN:
             return self.read_byte() != 0
-        if token in (_NULL, _FALSE, _TRUE):
-            return None if token == _NULL else token == _TRUE
+        if token in (_NULL_TOKEN, _FALSE_TOKEN, _TRUE_TOKEN):
+            return None if token == _NULL_TOKEN else token == _TRUE_TOKEN
         raise MeshError(f"has an unknown token {token:#04x} at byte {start:,}", _SAVE_AGAIN_HELP)
 
     def _read_list(self, depth: int) -> list[Any]:
         """Return the items up to the end of a list."""
         items: list[Any] = []
-        while (token := self._skip_definitions(self.read_byte())) != _ARRAY_END:
+        while (token := self._skip_definitions(self.read_byte())) != _ARRAY_END_TOKEN:
             items.append(self.read_value(token, depth + 1))
         return items
 
     def _read_map(self, depth: int) -> dict[str, Any]:
         """Return the entries up to the end of a map."""
         entries: dict[str, Any] = {}
-        while (token := self._skip_definitions(self.read_byte())) != _MAP_END:
-            if token not in (_STRING, _TOKEN_REFERENCE):
+        while (token := self._skip_definitions(self.read_byte())) != _MAP_END_TOKEN:
+            if token not in (_STRING_TOKEN, _TEXT_REFERENCE_TOKEN):
                 raise MeshError(f"has a key that is not text at byte {self._offset - 1:,}", _SAVE_AGAIN_HELP)
             key = self._read_text_item(token)
             entries[key] = self.read_value(self.read_byte(), depth + 1)
@@ -149,7 +149,7 @@ class _BinaryParser:
 
     def _read_text_item(self, token: int) -> str:
         """Return a text that is stored here, or that a token refers to."""
-        if token == _STRING:
+        if token == _STRING_TOKEN:
             return self._read_text()
         start, number = self._offset - 1, self._read_length()
         if number not in self._text_by_token:
@@ -168,10 +168,10 @@ class _BinaryParser:
         count = self._read_length()
         if token in _NUMBER_TYPES:
             return self._read_numbers(token, count)
-        if token == _BOOL:  # words of 32 bits
+        if token == _BOOL_TOKEN:  # words of 32 bits
             words = np.frombuffer(self._take_bytes(4 * -(-count // 32)), self._order + "u4")
             return np.unpackbits(words.astype("<u4").view(np.uint8), bitorder="little")[:count].astype(np.bool_)
-        if token not in (_STRING, _TOKEN_REFERENCE) or count > len(self._data) - self._offset:
+        if token not in (_STRING_TOKEN, _TEXT_REFERENCE_TOKEN) or count > len(self._data) - self._offset:
             raise MeshError(
                 f"has an array of {count:,} values of the unknown type {token:#04x} at byte {start:,}", _SAVE_AGAIN_HELP
             )

@@ -33,7 +33,7 @@ def read_houdini(data: bytes, notes: ImportNotes, group: str | None = None) -> P
     with its byte."""
     notes.form = ".bgeo" if data[:1] == b"\x7f" else ".geo"
     document = HoudiniDocument(data)
-    detail = _Detail(document, document.root, notes)
+    detail = _HoudiniGeometry(document, document.root, notes)
     if group is not None and group not in detail.list_names():
         known = ", ".join(f"`{name}`" for name in detail.list_names()[:5]) or "no primitive has the attribute `name`"
         raise MeshError(f"has no primitives with the name `{group}`", f"names: {known}")
@@ -48,32 +48,32 @@ def read_houdini_by_name(data: bytes, notes: ImportNotes) -> dict[str, PolygonMe
 
     Names without polygons are left out. `notes` and errors are those of `read_houdini`."""
     document = HoudiniDocument(data)
-    detail = _Detail(document, document.root, notes)
+    detail = _HoudiniGeometry(document, document.root, notes)
     names = detail.list_names()
     check_count(len(names), limits.MAX_BODY_PARTS, "names of primitives")
     parts = {name: detail.read_polygons(("name", name)) for name in names}
     return {name: each.reverse_corners() for name, each in parts.items() if len(each.corner_counts)}
 
 
-class _Polygons(NamedTuple):
+class _HoudiniPolygons(NamedTuple):
     """Polygons: `points` float64[n, 3], `corner_counts` int64[p], `point_indices` int64[corner_counts.sum()]."""
 
     points: Floats
     corner_counts: Integers
     point_indices: Integers
 
-    def move(self, matrix: Floats) -> _Polygons:
+    def transform(self, matrix: Floats) -> _HoudiniPolygons:
         """Return the polygons moved by a matrix (4, 4) for rows."""
-        return self._replace(points=_turn_rows(self.points, matrix) + matrix[3, :3])
+        return self._replace(points=_transform_row_vectors(self.points, matrix) + matrix[3, :3])
 
     @staticmethod
-    def join(parts: list[_Polygons]) -> _Polygons:
+    def join(parts: list[_HoudiniPolygons]) -> _HoudiniPolygons:
         """Return all parts as one. Raises MeshError beyond the limits."""
         check_count(sum(len(each.points) for each in parts), 3 * limits.MAX_MESH_FACES, "points")
         check_count(sum(len(each.point_indices) for each in parts), 3 * limits.MAX_MESH_FACES, "corners of faces")
         starts = np.cumsum([0, *(len(each.points) for each in parts)])
         none = np.zeros(0, np.int64)
-        return _Polygons(
+        return _HoudiniPolygons(
             np.concatenate([np.zeros((0, 3)), *(each.points for each in parts)]),
             np.concatenate([none, *(each.corner_counts for each in parts)]),
             np.concatenate([none, *(each.point_indices + start for each, start in zip(parts, starts, strict=False))]),
@@ -86,7 +86,7 @@ class _Polygons(NamedTuple):
         return PolygonMesh(self.points, self.corner_counts, self.point_indices[order])
 
 
-class _Detail:
+class _HoudiniGeometry:
     """A geometry: its points, attributes and primitives."""
 
     def __init__(self, document: HoudiniDocument, value: Any, notes: ImportNotes, depth: int = 0) -> None:
@@ -108,8 +108,8 @@ class _Detail:
         indices = _to_map(topology.get("pointref", []), "`pointref`").get("indices", [])
         self._vertex_points = _to_integers(indices, "`pointref`")
         self._embedded = self._find_embedded_geometry()
-        self._detail_by_key = dict[str, _Detail]()
-        self._polygons_by_selection = dict[tuple[str, str] | None, _Polygons]()
+        self._detail_by_key = dict[str, _HoudiniGeometry]()
+        self._polygons_by_selection = dict[tuple[str, str] | None, _HoudiniPolygons]()
 
     def _find_embedded_geometry(self) -> dict[str, Any]:
         """Return the values of packed geometries by their keys."""
@@ -158,7 +158,7 @@ class _Detail:
         """Return the different values of the primitive attribute `name` that can be printed."""
         return list(dict.fromkeys(name for name in self.read_texts("name") if name and name.isprintable()))
 
-    def read_polygons(self, selection: tuple[str, str] | None) -> _Polygons:
+    def read_polygons(self, selection: tuple[str, str] | None) -> _HoudiniPolygons:
         """Return the polygons, with those of packed geometries.
 
         `selection`: a text attribute of primitives and the value to select, or None for all."""
@@ -166,11 +166,11 @@ class _Detail:
             self._polygons_by_selection[selection] = self._read_polygons(selection)
         return self._polygons_by_selection[selection]
 
-    def _read_polygons(self, selection: tuple[str, str] | None) -> _Polygons:
+    def _read_polygons(self, selection: tuple[str, str] | None) -> _HoudiniPolygons:
         points, first = self._points, 0
         selected = None if selection is None else np.array(self.read_texts(selection[0]), np.object_) == selection[1]
         none = np.zeros(0, np.int64)
-        counts, vertices, packed = [none], [none], list[_Polygons]()
+        counts, vertices, packed = [none], [none], list[_HoudiniPolygons]()
         for kind, fields, number in self._primitives:
             is_chosen = np.ones(number, np.bool_) if selected is None else np.resize(selected[first : first + number], number)
             first += number
@@ -184,10 +184,10 @@ class _Detail:
         corners = np.concatenate(vertices)
         if ((corners < 0) | (corners >= len(self._vertex_points))).any():
             raise MeshError("has a polygon that names a missing vertex", _CONVERT_HELP)
-        own = _Polygons(points if len(corners) else points[:0], np.concatenate(counts), self._vertex_points[corners])
+        own = _HoudiniPolygons(points if len(corners) else points[:0], np.concatenate(counts), self._vertex_points[corners])
         if ((own.point_indices < 0) | (own.point_indices >= len(points))).any():
             raise MeshError("has a vertex that names a missing point", _CONVERT_HELP)
-        return _Polygons.join([own, *packed])
+        return _HoudiniPolygons.join([own, *packed])
 
     @cached_property
     def _primitives(self) -> list[tuple[str, dict[str, Any], int]]:
@@ -208,7 +208,7 @@ class _Detail:
                 rows = [(uniform | dict(zip(map(str, names), row, strict=False)), 1) for row in values]
             else:
                 fields = _to_map(entry[1], f"`{kind}`")
-                rows = [(fields, _to_count(_pick(fields, "nprimitives", "n_p", 1)))]
+                rows = [(fields, _to_count(_get_long_or_short_key(fields, "nprimitives", "n_p", 1)))]
             check_count(sum(number for _, number in rows), 3 * limits.MAX_MESH_FACES, "primitives")
             if kind in ("Poly", "Polygon_run", "PolySoup", *_PACKED_KINDS):
                 primitives += [(kind, fields, number) for fields, number in rows]
@@ -218,7 +218,7 @@ class _Detail:
                 primitives += [("", {}, number) for _, number in rows]
         return primitives
 
-    def _read_packed(self, kind: str, fields: dict[str, Any], points: Floats) -> list[_Polygons]:
+    def _read_packed(self, kind: str, fields: dict[str, Any], points: Floats) -> list[_HoudiniPolygons]:
         """Return the polygons of a packed geometry, or of the part of it that a fragment names, at the position of its point.
 
         The list is empty if the file does not contain the geometry."""
@@ -228,18 +228,18 @@ class _Detail:
             self._notes.count_skipped(f"`{kind}` without its geometry, from byte {self._document.find_offset(kind):,} on")
             return []
         if key not in self._detail_by_key:
-            self._detail_by_key[key] = _Detail(self._document, self._embedded[key], self._notes, self._depth + 1)
+            self._detail_by_key[key] = _HoudiniGeometry(self._document, self._embedded[key], self._notes, self._depth + 1)
         matrix, turn = np.eye(4), _to_floats(fields.get("transform", np.eye(3)), "`transform`")
         pivot = _to_floats(fields.get("pivot", np.zeros(3)), "`pivot`")
         if len(turn) != 9 or len(pivot) != 3:
             raise MeshError("has a packed geometry with a transform of an unknown form", _CONVERT_HELP)
         matrix[:3, :3] = turn.reshape(3, 3)
-        matrix[3, :3] = points[self._vertex_points[vertex]] - _turn_rows(pivot[None], matrix)[0]
+        matrix[3, :3] = points[self._vertex_points[vertex]] - _transform_row_vectors(pivot[None], matrix)[0]
         selection = (str(parameters.get("attribute")), str(parameters.get("name"))) if kind == "PackedFragment" else None
-        return [self._detail_by_key[key].read_polygons(selection).move(matrix)]
+        return [self._detail_by_key[key].read_polygons(selection).transform(matrix)]
 
 
-def _turn_rows(vectors: Floats, matrix: Floats) -> Floats:
+def _transform_row_vectors(vectors: Floats, matrix: Floats) -> Floats:
     """Return vectors (n, 3) times the first three rows of a matrix (4, 4), with the same bits on every processor."""
     return vectors[:, :1] * matrix[0, :3] + vectors[:, 1:2] * matrix[1, :3] + vectors[:, 2:3] * matrix[2, :3]
 
@@ -253,14 +253,14 @@ def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: 
         vertices = _to_integers(fields.get("vertex", []), "`vertex`")
         return (np.array([len(vertices)]), vertices) if fields.get("closed", True) else (none, none)
     if kind == "Polygon_run":
-        runs = _pick(fields, "nvertices_rle", "r_v", None)
+        runs = _get_long_or_short_key(fields, "nvertices_rle", "r_v", None)
         if runs is None:
-            counts = _to_integers(_pick(fields, "nvertices", "n_v", []), "`nvertices`")
+            counts = _to_integers(_get_long_or_short_key(fields, "nvertices", "n_v", []), "`nvertices`")
         else:
             counts = _expand_runs(_to_integers(runs, "`nvertices_rle`"), vertex_count)
         if len(counts) != number or (counts < 0).any() or counts.sum() > vertex_count:
             raise MeshError(f"has a run of {number:,} polygons with the corners of {len(counts):,}", _CONVERT_HELP)
-        start = _to_count(_pick(fields, "startvertex", "s_v", 0))
+        start = _to_count(_get_long_or_short_key(fields, "startvertex", "s_v", 0))
         return counts, np.arange(start, start + int(counts.sum()))
     if kind == "PolySoup":
         info = fields.get("polyinfo", [])
@@ -276,41 +276,41 @@ def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: 
     return none, none
 
 
-def _expand_runs(runs: Integers, most: int) -> Integers:
+def _expand_runs(runs: Integers, max_count: int) -> Integers:
     """Expand pairs of a number and its count. Returns at most `most` numbers; their sum is also at most `most`."""
     if len(runs) % 2 or (runs < 0).any():
         raise MeshError("has runs of polygons that are not pairs of counts", _CONVERT_HELP)
     sizes, counts = runs[::2].astype(np.float64), runs[1::2].astype(np.float64)
-    if max(counts.sum(), (sizes * counts).sum()) > most:
+    if max(counts.sum(), (sizes * counts).sum()) > max_count:
         raise MeshError("has a polygon that names a missing vertex", _CONVERT_HELP)
     return np.repeat(runs[::2], runs[1::2])
 
 
-def _read_tuples(values: dict[str, Any], count: int, what: str) -> Floats:
+def _read_tuples(values: dict[str, Any], count: int, subject: str) -> Floats:
     """Return the numbers of an attribute, float64[count, size]: stored as tuples, as an array per component, or in pages."""
     size = _to_count(values.get("size", 1))
     if "tuples" in values:
-        table = _to_floats(values["tuples"], what).reshape(-1)
+        table = _to_floats(values["tuples"], subject).reshape(-1)
     elif "arrays" in values:
-        table = _to_floats(values["arrays"], what).reshape(size, -1).T.reshape(-1)
+        table = _to_floats(values["arrays"], subject).reshape(size, -1).T.reshape(-1)
     else:
-        table = _unpack_pages(values, count, size, what)
+        table = _unpack_pages(values, count, size, subject)
     if size < 1 or len(table) != count * size:
-        raise MeshError(f"has {len(table):,} numbers in {what}, not {count * size:,}", _CONVERT_HELP)
+        raise MeshError(f"has {len(table):,} numbers in {subject}, not {count * size:,}", _CONVERT_HELP)
     return table.reshape(count, size)
 
 
-def _unpack_pages(values: dict[str, Any], count: int, size: int, what: str) -> Floats:
+def _unpack_pages(values: dict[str, Any], count: int, size: int, subject: str) -> Floats:
     """Return the numbers of an attribute in pages of some elements each, float64[count * size].
 
     A page has one block for each subvector of `packing`. A block of a constant page has one element."""
-    raw, page = _to_floats(values.get("rawpagedata", []), what), _to_count(values.get("pagesize", 0))
+    raw, page = _to_floats(values.get("rawpagedata", []), subject), _to_count(values.get("pagesize", 0))
     widths = _to_integers(values.get("packing", [size]), "`packing`").tolist()
     if page < 1 or min(widths, default=0) < 1 or sum(widths) != size:
-        raise MeshError(f"has pages of an unknown form in {what}", _CONVERT_HELP)
-    flags = [_to_floats(each, what) != 0 for each in _to_list(values.get("constantpageflags", []), what)]
+        raise MeshError(f"has pages of an unknown form in {subject}", _CONVERT_HELP)
+    flags = [_to_floats(each, subject) != 0 for each in _to_list(values.get("constantpageflags", []), subject)]
     if len(raw) * page < count * size:
-        raise MeshError(f"has too few numbers in {what}", _CONVERT_HELP)
+        raise MeshError(f"has too few numbers in {subject}", _CONVERT_HELP)
     table, offset = np.zeros((count, size)), 0
     for number, first in enumerate(range(0, count, page)):
         rows, column = min(page, count - first), 0
@@ -318,30 +318,30 @@ def _unpack_pages(values: dict[str, Any], count: int, size: int, what: str) -> F
             is_constant = pack < len(flags) and number < len(flags[pack]) and bool(flags[pack][number])
             block = raw[offset : offset + width * (1 if is_constant else rows)]
             if len(block) < width * (1 if is_constant else rows):
-                raise MeshError(f"has too few numbers in {what}", _CONVERT_HELP)
+                raise MeshError(f"has too few numbers in {subject}", _CONVERT_HELP)
             table[first : first + rows, column : column + width] = block.reshape(-1, width)
             offset, column = offset + len(block), column + width
     return table.reshape(-1)
 
 
-def _pick(fields: dict[str, Any], name: str, short_name: str, default: Any) -> Any:
+def _get_long_or_short_key(fields: dict[str, Any], name: str, short_name: str, default: Any) -> Any:
     """Return a field that has a name, and a short name in newer files."""
     return fields.get(name, fields.get(short_name, default))
 
 
-def _to_map(value: Any, what: str) -> dict[str, Any]:
+def _to_map(value: Any, subject: str) -> dict[str, Any]:
     """Return a map, which may be stored as a list of keys and values in turn."""
     if isinstance(value, dict):
         return value
     if isinstance(value, list) and len(value) % 2 == 0 and all(isinstance(key, str) for key in value[::2]):
         return dict(zip(value[::2], value[1::2], strict=True))
-    raise MeshError(f"has no names in {what}", _CONVERT_HELP)
+    raise MeshError(f"has no names in {subject}", _CONVERT_HELP)
 
 
-def _to_list(value: Any, what: str) -> list[Any]:
+def _to_list(value: Any, subject: str) -> list[Any]:
     """Return a list."""
     if not isinstance(value, list):
-        raise MeshError(f"has no list in {what}", _CONVERT_HELP)
+        raise MeshError(f"has no list in {subject}", _CONVERT_HELP)
     return value
 
 
@@ -357,17 +357,17 @@ def _to_count(value: Any) -> int:
     return value
 
 
-def _to_floats(value: Any, what: str) -> Floats:
+def _to_floats(value: Any, subject: str) -> Floats:
     """Return numbers as one array (n,)."""
     try:
         return np.asarray(value, np.float64).reshape(-1)
     except (TypeError, ValueError):
-        raise MeshError(f"has something that is not a number in {what}", _CONVERT_HELP) from None
+        raise MeshError(f"has something that is not a number in {subject}", _CONVERT_HELP) from None
 
 
-def _to_integers(value: Any, what: str) -> Integers:
+def _to_integers(value: Any, subject: str) -> Integers:
     """Return whole numbers as one array (n,)."""
-    numbers = _to_floats(value, what)
+    numbers = _to_floats(value, subject)
     if not (np.abs(numbers) < 2**53).all() or (numbers != np.rint(numbers)).any():
-        raise MeshError(f"has something that is not a whole number in {what}", _CONVERT_HELP)
+        raise MeshError(f"has something that is not a whole number in {subject}", _CONVERT_HELP)
     return numbers.astype(np.int64)

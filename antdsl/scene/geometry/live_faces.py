@@ -12,24 +12,24 @@ from antdsl.numerics.near_pairs import find_pairs_within
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-_JOIN_DISTANCE = 1e-6  # share of the extent of all surfaces; corners nearer than this are one corner
+_JOIN_DISTANCE_SHARE = 1e-6  # share of the extent of all surfaces; corners nearer than this are one corner
 _FLAT_TRIANGLE_RATIO = 1e-7  # ratio of height to longest edge; below it, a triangle is a line
-_ISOLATION_GRAINS = 5.0  # grains; a corner this far from all others is not merged
+_ISOLATION_DISTANCE_GRAINS = 5.0  # grains; a corner this far from all others is not merged
 _FACES_TRIED_FIRST = 8  # number of largest faces that are examined before all others
 
 
-def has_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
+def has_nonzero_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
     """Return whether each triangle with the corners a, b, c (m, 3) has an area."""
     area = _compute_lengths(np.cross(b - a, c - a))
     longest = np.maximum.reduce([_compute_lengths(edge) for edge in (b - a, c - a, c - b)])
     return np.asarray((area > _FLAT_TRIANGLE_RATIO * longest * longest) & (area > 0))
 
 
-def find_live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
+def find_faces_with_area(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
     """Return whether each face is ground, bool[m]. `a`, `b`, `c` (m, 3): the corners of faces.
 
-    `numbers`: the result of `number_corners`."""
-    live = has_area(a, b, c)
+    `numbers`: the result of `number_welded_corners`."""
+    live = has_nonzero_area(a, b, c)
     key = np.sort(numbers, axis=1)
     live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
     order = np.lexsort((np.arange(len(key)), ~live, key[:, 2], key[:, 1], key[:, 0]))
@@ -38,13 +38,13 @@ def find_live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[n
     return live
 
 
-def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
+def has_any_face_with_area(vertices: Floats, faces: Ints, extent: float) -> bool:
     """Return whether any face of a mesh is ground. `extent`: the width of all surfaces together.
 
     Usually one of the largest faces has corners far from all others. Then most corners need no numbers."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = np.where(has_area(a, b, c), _compute_lengths(np.cross(b - a, c - a)), 0.0)
-    clearance = _ISOLATION_GRAINS * extent * _JOIN_DISTANCE
+    area = np.where(has_nonzero_area(a, b, c), _compute_lengths(np.cross(b - a, c - a)), 0.0)
+    clearance = _ISOLATION_DISTANCE_GRAINS * extent * _JOIN_DISTANCE_SHARE
     for face in np.argsort(-area, kind="stable")[:_FACES_TRIED_FIRST]:
         if not area[face]:
             break
@@ -54,7 +54,9 @@ def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
             isolated_count += not ((away > 0) & (away <= clearance)).any()
         if isolated_count >= 2:
             return True
-    return bool(find_live_faces(number_corners(vertices, faces, np.zeros(len(faces), np.int32), extent), a, b, c).any())
+    return bool(
+        find_faces_with_area(number_welded_corners(vertices, faces, np.zeros(len(faces), np.int32), extent), a, b, c).any()
+    )
 
 
 def _compute_lengths(v: Floats) -> Floats:
@@ -62,13 +64,13 @@ def _compute_lengths(v: Floats) -> Floats:
     return length
 
 
-def number_corners(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
+def number_welded_corners(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
     """Return numbers int32[m, 3] of the corners of faces. Corners of one mesh at one position share a number.
 
     `vertices` float64[n, 3]; `faces` int32[m, 3].
     `mesh` int32[m]: the mesh of each face.
     `extent`: the width of all meshes together."""
-    grain = max(extent * _JOIN_DISTANCE, 1e-300)
+    grain = max(extent * _JOIN_DISTANCE_SHARE, 1e-300)
     flat = faces.ravel()
     place = np.round((vertices[flat] - vertices[flat].min(axis=0, initial=np.inf)) / grain).astype(np.int64)
     owner = np.repeat(mesh, 3)
@@ -80,7 +82,7 @@ def number_corners(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
     return weld.reshape(-1, 3)
 
 
-def number_components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
+def number_connected_components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
     """Return the connected component int32[count] of each node. `pairs` (k, 2): the nodes that are connected.
 
     Components are numbered from 0, in the order of their first nodes."""
@@ -106,5 +108,5 @@ def _merge_cells(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: fl
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
     if not near.size:
         return cell
-    joined: NDArray[np.int64] = number_components(near, begin.size).astype(np.int64)[cell]
+    joined: NDArray[np.int64] = number_connected_components(near, begin.size).astype(np.int64)[cell]
     return joined

@@ -21,11 +21,11 @@ from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.obj_file import read_obj
 from antdsl.scene.geometry.ply import HeaderError
 from antdsl.scene.geometry.ply_body import read_ply
-from antdsl.scene.geometry.polygons import PolygonMesh, TooManyCorners, triangulate_polygons
+from antdsl.scene.geometry.polygons import PolygonMesh, TooManyCornersError, triangulate_polygons
 from antdsl.scene.geometry.stl_file import read_stl
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.setting import MeshData
-from antdsl.scene.staging.mesh_cache import cached_per_mesh
+from antdsl.scene.staging.mesh_cache import cache_per_mesh
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -123,7 +123,7 @@ def _raise_mesh_errors() -> Iterator[None]:
         raise
     except HeaderError as error:
         raise MeshError(str(error)) from None
-    except TooManyCorners as error:
+    except TooManyCornersError as error:
         raise MeshError(str(error), "cut it into smaller faces in the program that made the mesh") from None
     except Exception as problem:  # a library may raise any error for an untrusted file
         raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
@@ -225,7 +225,7 @@ def _reject_sibling(path: str, max_bytes: int) -> bytes:
     raise MeshError("has a buffer in another file", "export it as .glb, which has its buffers inside")
 
 
-def rotate_up(points: Floats, own_up: str, scene_up: str) -> Floats:
+def rotate_up_axis(points: Floats, own_up: str, scene_up: str) -> Floats:
     """Return points of a file with the up axis `own_up`, rotated about x into a scene with the up axis `scene_up`."""
     if own_up == scene_up:
         return points
@@ -246,8 +246,8 @@ def rotate_points(points: Floats, angles: tuple[float, float, float]) -> Floats:
     return points
 
 
-@cached_per_mesh
-def place_mesh(
+@cache_per_mesh
+def transform_raw_mesh(
     mesh: RawMesh,
     *,
     factor: float,
@@ -259,7 +259,7 @@ def place_mesh(
     """Return a file's mesh in the scene: in millimetres and the scene's axes. Raises MeshError if a vertex is too far out.
 
     A mirrored mesh keeps its outside."""
-    vertices = rotate_points(rotate_up(mesh.vertices * factor, own_up, up), angles) + np.array(position)
+    vertices = rotate_points(rotate_up_axis(mesh.vertices * factor, own_up, up), angles) + np.array(position)
     mesh_data = make_limited_mesh(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
     if not mesh.vertices.flags.writeable:
         for array in (mesh_data.vertices, mesh_data.faces):
@@ -274,7 +274,7 @@ def make_limited_mesh(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
 
 
-@cached_per_mesh
+@cache_per_mesh
 def compute_mesh_area(mesh: MeshData) -> float:
     """Return the area of all faces in mm²."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))

@@ -134,7 +134,7 @@ class TextBlock:
             self._words,
         )
 
-    def line(self, k: int) -> list[bytes]:
+    def get_line_words(self, k: int) -> list[bytes]:
         """Return the words of line `k` of the block."""
         return self.words[self.first_words[k] : self.first_words[k] + self.word_counts[k]]
 

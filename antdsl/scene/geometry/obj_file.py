@@ -66,7 +66,7 @@ class _ObjReader:
             self._read_faces(block, np.flatnonzero(chosen), vertex_counts[chosen])
         rest = within & ~(vertex | face | (kind == b"vn") | (kind == b"vt"))
         for k in np.flatnonzero(rest).tolist():
-            word = block.line(k)[0].lower()
+            word = block.get_line_words(k)[0].lower()
             if word in _IGNORED_KEYWORDS:
                 continue
             line = int(block.line_numbers[k])
@@ -117,7 +117,7 @@ class _ObjReader:
         begin = 0
         for k in np.flatnonzero((kind == b"g") | (kind == b"o")).tolist():
             is_chosen[begin:k] = self.is_in_group or self.is_in_object
-            words = [word.decode("utf-8", "replace") for word in block.line(k)[1:]]
+            words = [word.decode("utf-8", "replace") for word in block.get_line_words(k)[1:]]
             if kind[k] == b"g":
                 words = words or ["default"]
                 self.is_in_group = self.group in words

@@ -16,7 +16,7 @@ from antdsl.scene.geometry.arrays import convert_to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_text import MeshError, TextBlock, format_word, normalise_text, read_blocks
 from antdsl.scene.geometry.ply import HeaderError, PlyElement, PlyHeader, read_header
-from antdsl.scene.geometry.polygons import PolygonMesh, split_strip
+from antdsl.scene.geometry.polygons import PolygonMesh, split_triangle_strips
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -72,13 +72,13 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
             counts.append(column.counts)
             indices.append(column.values)
         else:
-            triangles = split_strip(_insert_restarts(column.values, column.counts))
+            triangles = split_triangle_strips(_insert_strip_restarts(column.values, column.counts))
             counts.append(np.full(len(triangles), 3))
             indices.append(triangles.reshape(-1))
     return PolygonMesh(points, np.concatenate(counts), np.concatenate(indices))
 
 
-def _insert_restarts(values: Integers, counts: Integers) -> Integers:
+def _insert_strip_restarts(values: Integers, counts: Integers) -> Integers:
     """Return the corners of several strips, with -1 between strips."""
     return np.insert(values, np.cumsum(counts)[:-1], -1)
 
@@ -195,7 +195,7 @@ class _TextBody:
     def _check_lines(block: TextBlock, is_valid: NDArray[np.bool_], noun: str) -> None:
         if not is_valid.all():
             k = int(np.flatnonzero(~is_valid)[0])
-            text = format_word(b" ".join(block.line(k)[:6]))
+            text = format_word(b" ".join(block.get_line_words(k)[:6]))
             raise HeaderError(f"has an incomplete {noun} in line {block.line_numbers[k]:,}: `{text}`")
 
 

@@ -18,15 +18,17 @@ Integers = NDArray[np.int64]
 GridCorner = tuple[int, int]
 
 MAX_POLYGON_CORNERS = 20_000  # limit for one polygon that no fan covers; cutting it takes about a second
-MAX_FILE_WORK = 16 * MAX_POLYGON_CORNERS**2  # limit for all such polygons of a file: sum of squared corner counts, plus calls
-_WORK_PER_EARCUT_CALL = 20_000  # cost of each polygon in this sum for its call
+MAX_TRIANGULATION_WORK = (
+    16 * MAX_POLYGON_CORNERS**2
+)  # limit for all such polygons of a file: sum of squared corner counts, plus calls
+_WORK_UNITS_PER_EARCUT_CALL = 20_000  # cost of each polygon in this sum for its call
 _MAX_FAN_TRIES = 8  # corners that are tried as the centre of a fan
 _GRID_CELLS = 2.0**24  # cells of the grid across a polygon; products of two sides stay below 2**53
 _FLAT_AREA_RATIO = 1e-10  # share of the squared extent of a polygon; triangles with less area count as empty
 _AREA_TOLERANCE = 1e-5  # share of a polygon's area; its triangles may differ from it by rounding to the grid
 
 
-class TooManyCorners(Exception):
+class TooManyCornersError(Exception):
     """Error for polygons that would take too long to cut. The message fits after a file's name."""
 
 
@@ -48,7 +50,7 @@ class Triangulation:
 
 
 def triangulate_polygons(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
-    """Return polygons cut into triangles with the same winding. Raises TooManyCorners if a polygon is too large to cut.
+    """Return polygons cut into triangles with the same winding. Raises TooManyCornersError if a polygon is too large to cut.
 
     `points` float64[n, 3].
     `counts` int64[p]: the number of corners of each polygon; polygons with fewer than three give no triangles.
@@ -90,16 +92,16 @@ def _cut_polygons(points: Floats, counts: Integers, indices: Integers) -> Triang
             parts.append((these, at[:, None, :]))
             continue
         rings = points[indices[at]]
-        fans, middle, crossed = _cut_fans(rings)
+        fans, middle, crossed = _cut_fan_triangles(rings)
         known = middle >= 0
         parts.append((these[known], at[known][np.arange(int(known.sum()))[:, None, None], fans[known]]))
-        concave += int(_find_concave(rings[middle != 0]).sum())
+        concave += int(_find_concave_polygons(rings[middle != 0]).sum())
         crossing += these[crossed].tolist()
         hard += these[~known].tolist()
     _check_cutting_work(counts[hard])
     for number in sorted(hard):
         at = np.arange(start[number], start[number] + counts[number])
-        triangles, crossed_itself = _cut_ears(_project_outlines(points[indices[at]][None])[0][0])
+        triangles, crossed_itself = _cut_ear_triangles(_project_outlines(points[indices[at]][None])[0][0])
         parts.append((np.full(1, number), at[triangles][None]))
         if crossed_itself:
             crossing.append(number)
@@ -110,11 +112,11 @@ def _cut_polygons(points: Floats, counts: Integers, indices: Integers) -> Triang
 
 
 def _check_cutting_work(counts: Integers) -> None:
-    """Raise TooManyCorners if the polygons would take too long to cut. `counts`: their numbers of corners."""
+    """Raise TooManyCornersError if the polygons would take too long to cut. `counts`: their numbers of corners."""
     if len(counts) and counts.max() > MAX_POLYGON_CORNERS:
-        raise TooManyCorners(f"has a polygon of {counts.max():,} corners, more than {MAX_POLYGON_CORNERS:,}")
-    if (counts.astype(np.float64) ** 2 + _WORK_PER_EARCUT_CALL).sum() > MAX_FILE_WORK:
-        raise TooManyCorners(f"has {len(counts):,} polygons with too many corners to triangulate")
+        raise TooManyCornersError(f"has a polygon of {counts.max():,} corners, more than {MAX_POLYGON_CORNERS:,}")
+    if (counts.astype(np.float64) ** 2 + _WORK_UNITS_PER_EARCUT_CALL).sum() > MAX_TRIANGULATION_WORK:
+        raise TooManyCornersError(f"has {len(counts):,} polygons with too many corners to triangulate")
 
 
 def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -141,15 +143,15 @@ def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     return outline, np.abs(size) > _FLAT_AREA_RATIO
 
 
-def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
+def _cut_fan_triangles(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """Cut polygons [p, n, 3] into fans of triangles.
 
     Returns triangles [p, n - 2, 3]; the corner at the centre of each fan, or -1 if none of the tried fans covers the polygon; and
     whether each polygon crosses itself."""
     count = rings.shape[1]
-    outline, has_area = _project_outlines(rings)
-    crossed = ~has_area & _find_crossing(rings)
-    middle = np.where(has_area, -1, 0)  # a polygon without area has no fan
+    outline, has_nonzero_area = _project_outlines(rings)
+    crossed = ~has_nonzero_area & _find_self_crossing_polygons(rings)
+    middle = np.where(has_nonzero_area, -1, 0)  # a polygon without area has no fan
     step = np.arange(1, count - 1)
     for k in range(min(count, _MAX_FAN_TRIES)):
         open_ = np.flatnonzero(middle < 0)
@@ -171,16 +173,16 @@ def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     return fans, middle, crossed
 
 
-def _find_concave(rings: Floats) -> NDArray[np.bool_]:
+def _find_concave_polygons(rings: Floats) -> NDArray[np.bool_]:
     """Return whether each of the polygons [p, n, 3] has a corner that points inward."""
-    outline, has_area = _project_outlines(rings)
+    outline, has_nonzero_area = _project_outlines(rings)
     side = np.roll(outline, -1, axis=1) - outline
     previous_side = np.roll(side, 1, axis=1)
     turn = previous_side[..., 0] * side[..., 1] - previous_side[..., 1] * side[..., 0]
-    return np.asarray(has_area & (turn < -_FLAT_AREA_RATIO).any(axis=1))
+    return np.asarray(has_nonzero_area & (turn < -_FLAT_AREA_RATIO).any(axis=1))
 
 
-def _find_crossing(rings: Floats) -> NDArray[np.bool_]:
+def _find_self_crossing_polygons(rings: Floats) -> NDArray[np.bool_]:
     """Return whether each of the polygons [p, n, 3] crosses itself, like an 8. The polygons must have a total area of zero.
 
     Such a polygon crosses itself if one of its triangles has an area."""
@@ -190,7 +192,7 @@ def _find_crossing(rings: Floats) -> NDArray[np.bool_]:
     return np.asarray(across > 1e-6 * extent * extent)
 
 
-def _cut_ears(outline: Floats) -> tuple[Integers, bool]:
+def _cut_ear_triangles(outline: Floats) -> tuple[Integers, bool]:
     """Return the triangles (m, 3) of the corners of one polygon, and whether the polygon crosses itself.
 
     `outline` [n, 2]: the corners, counter-clockwise."""
@@ -275,7 +277,7 @@ def _find_corner_chain(a: int, b: int, needed_edges: dict[int, list[int]], corne
 T = TypeVar("T", bound=np.integer)
 
 
-def split_strip(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
+def split_triangle_strips(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
     """Return the triangles (n, 3) of a strip of corners. Every second one is reversed, so that all face the same side.
 
     Triangles with a repeated corner only connect parts of a strip and are left out. `restart`: the value that begins a new

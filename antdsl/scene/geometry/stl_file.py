@@ -14,7 +14,7 @@ from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import find_distinct_points
 from antdsl.scene.geometry.polygons import PolygonMesh
 
-_HEADER_BYTES, _FACE_BYTES = 84, 50  # bytes before the first face, and bytes per face
+_BINARY_HEADER_BYTES, _BYTES_PER_BINARY_FACE = 84, 50  # bytes before the first face, and bytes per face
 _BEFORE_SOLID_PATTERN = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*")
 _MISSING_PART_MESSAGE = "is not a .stl file, or a part of it is missing"
 
@@ -31,7 +31,10 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
 
 def _is_text(data: bytes) -> bool:
     """Return whether a file is text. A binary file may also begin with `solid`, but contains bytes that text does not have."""
-    if len(data) >= _HEADER_BYTES and len(data) == _HEADER_BYTES + _FACE_BYTES * struct.unpack_from("<I", data, 80)[0]:
+    if (
+        len(data) >= _BINARY_HEADER_BYTES
+        and len(data) == _BINARY_HEADER_BYTES + _BYTES_PER_BINARY_FACE * struct.unpack_from("<I", data, 80)[0]
+    ):
         return False
     head = data[: 64 * limits.KIB]
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -42,23 +45,25 @@ def _is_text(data: bytes) -> bool:
 
 def _read_binary_corners(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     notes.form = "binary .stl"
-    if len(data) < _HEADER_BYTES:
+    if len(data) < _BINARY_HEADER_BYTES:
         raise mesh_text.MeshError(_MISSING_PART_MESSAGE)
     count = int(struct.unpack_from("<I", data, 80)[0])
-    rest = len(data) - _HEADER_BYTES - _FACE_BYTES * count
+    rest = len(data) - _BINARY_HEADER_BYTES - _BYTES_PER_BINARY_FACE * count
     if rest < 0:
-        capacity = (len(data) - _HEADER_BYTES) // _FACE_BYTES
+        capacity = (len(data) - _BINARY_HEADER_BYTES) // _BYTES_PER_BINARY_FACE
         raise mesh_text.MeshError(
             f"{_MISSING_PART_MESSAGE}: it says it has {count:,} faces, and {capacity:,} fit in its {len(data):,} bytes"
         )
     mesh_text.check_count(count, limits.MAX_MESH_FACES, "faces")
     tail = data[len(data) - rest :]
     is_padding = not tail.strip(b"\0 \n\r\t\x1a")
-    if rest >= _FACE_BYTES and rest % _FACE_BYTES == 0 and not is_padding:
-        raise mesh_text.MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE_BYTES:,}")
+    if rest >= _BYTES_PER_BINARY_FACE and rest % _BYTES_PER_BINARY_FACE == 0 and not is_padding:
+        raise mesh_text.MeshError(f"says it has {count:,} faces, and has {count + rest // _BYTES_PER_BINARY_FACE:,}")
     if not is_padding:
         notes.count_skipped(f"{rest:,} bytes after the last face")
-    rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEADER_BYTES)
+    rows = np.frombuffer(
+        data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _BINARY_HEADER_BYTES
+    )
     return convert_to_float64(rows["corners"].reshape(-1, 3))
 
 
@@ -87,7 +92,7 @@ def _read_text_corners(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
             _check_unknown_lines(
                 block.line_numbers,
                 kind,
-                [mesh_text.format_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER_LINE)],
+                [mesh_text.format_word(b" ".join(block.get_line_words(int(k)))) for k in np.flatnonzero(kind == _OTHER_LINE)],
                 notes,
             )
         used = (kind != _LOOP_LINE) & (kind != _SOLID_LINE) & (kind != _OTHER_LINE)

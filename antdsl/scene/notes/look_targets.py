@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Discriminator, Tag
 
 from antdsl.scene.crowds.casting_model import FacingDirection
 from antdsl.scene.notes.selectors import NearTarget
-from antdsl.scene.values import SceneName, describe_value, make_error
+from antdsl.scene.values import SceneName, describe_value, make_value_error
 
 _Direction = Annotated[FacingDirection, Tag("direction")]
 _NearTarget = Annotated[NearTarget, Tag("near")]
@@ -18,7 +18,9 @@ _LookTarget = Annotated[_Direction | _NearTarget, Discriminator(lambda value: "d
 def _require_parts(value: Any) -> Any:
     if isinstance(value, str | list):
         text = value if isinstance(value, str) else "[0, 100, 0]"
-        raise make_error(f"{describe_value(value)} does not say which part of the body looks", f"write `{{head: {text[:40]}}}`")
+        raise make_value_error(
+            f"{describe_value(value)} does not say which part of the body looks", f"write `{{head: {text[:40]}}}`"
+        )
     return value
 
 

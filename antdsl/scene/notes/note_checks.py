@@ -7,13 +7,13 @@ from math import isfinite
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program, TypeKind
-from antdsl.scene.checks.entry_checks import check_value, report_unknown_name
+from antdsl.scene.checks.entry_checks import check_attribute_value, report_unknown_name
 from antdsl.scene.crowds.casting_model import FacingDirection
 from antdsl.scene.crowds.initial_values import is_settable
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
-from antdsl.scene.notes.note_programs import LOOK_MACHINE, PLAY_MACHINE
-from antdsl.scene.notes.note_regions import Band, NoteBall, NoteRegion
+from antdsl.scene.notes.note_programs import LOOK_MACHINE_PREFIX, PLAY_MACHINE_NAME
+from antdsl.scene.notes.note_regions import NoteBall, NoteRegion, RegionBand
 from antdsl.scene.notes.notes_model import (
     AttractNote,
     ChangeNote,
@@ -37,7 +37,7 @@ from antdsl.scene.notes.selectors import (
     View,
     find_camera_problems,
     find_name_problems,
-    find_problems,
+    find_selector_problems,
 )
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
@@ -50,7 +50,9 @@ def check_notes(scene: Scene, program: Program, report: Report, names: SelectorN
     """Report everything in the notes of a scene that does not match the scene and its programs."""
     for number in range(len(scene.model.notes)):
         check_note(scene, program, report, names, number)
-    reserved = [m for s in program.species.values() for m in s.machines if m.name.startswith((PLAY_MACHINE, LOOK_MACHINE))]
+    reserved = [
+        m for s in program.species.values() for m in s.machines if m.name.startswith((PLAY_MACHINE_NAME, LOOK_MACHINE_PREFIX))
+    ]
     for machine in reserved if scene.model.notes else ():
         words = f"notes of a scene use the name `{machine.name}` for a machine of their own"
         report.error("reserved-name", words, machine.span, "rename the machine")
@@ -58,7 +60,7 @@ def check_notes(scene: Scene, program: Program, report: Report, names: SelectorN
 
 def check_note(scene: Scene, program: Program, report: Report, names: SelectorNames, number: int) -> None:
     """Report everything in one note of a scene that does not match the scene and its programs."""
-    _NoteCheck(scene, program, report, names, scene.model.notes[number], ("notes", number)).run()
+    _NoteCheck(scene, program, report, names, scene.model.notes[number], ("notes", number)).check_all()
 
 
 class _NoteCheck:
@@ -69,23 +71,25 @@ class _NoteCheck:
     ) -> None:
         self.scene, self.program, self.report, self.names, self.note, self.path = scene, program, report, names, note, path
 
-    def run(self) -> None:
+    def check_all(self) -> None:
         """Check all names and values of the note."""
         note = self.note
-        problems = [*find_problems(note.agents, self.names, *self.path, note.verb)]
+        problems = [*find_selector_problems(note.agents, self.names, *self.path, note.verb)]
         if isinstance(note, SelectorKeys):
-            problems += find_problems(note, self.names, *self.path)
+            problems += find_selector_problems(note, self.names, *self.path)
         for path, target in self._iterate_targets():
             if isinstance(target, FacingDirection) and not any(target.direction):
                 help = "write one that is not zero, such as `{direction: [0, 1, 0]}`"
-                self.report.error("wrong-value", "a direction of zeros leads nowhere", self.scene.span(*self.path, *path), help)
+                self.report.error(
+                    "wrong-value", "a direction of zeros leads nowhere", self.scene.find_span(*self.path, *path), help
+                )
             if isinstance(target, AgentName):
                 problems += self._find_target_problems(target, (*self.path, *path))
         problems += self._find_region_problems()
         if isinstance(note, PartNote):
             problems += self._find_thing_problems(note.thing, "for")
         for problem in problems:
-            self.report.error("unknown-thing", problem.message, self.scene.span(*problem.path), problem.help)
+            self.report.error("unknown-thing", problem.message, self.scene.find_span(*problem.path), problem.help)
         self._check_things()
         self._check_frames()
         if isinstance(note, SetNote):
@@ -102,7 +106,7 @@ class _NoteCheck:
     def _find_region_problems(self) -> Iterator[SelectorProblem]:
         for key, region in self._iterate_regions():
             around = region.around if isinstance(region, NoteBall) else None
-            line = region.along if isinstance(region, Band) and isinstance(region.along, tuple) else ()
+            line = region.along if isinstance(region, RegionBand) and isinstance(region.along, tuple) else ()
             for number, target in enumerate(line):
                 if isinstance(target, AgentName):
                     yield from self._find_target_problems(target, (*self.path, key, "along", number))
@@ -123,7 +127,7 @@ class _NoteCheck:
         """Yield the names of a thing of the world, or of agents, that do not exist."""
         things = self._list_things(*MESH_GROUPS) | self.names.items | self.names.cameras
         words = "no mesh, item, camera, crowd line or species is named"
-        return find_problems(thing, self.names, *self.path, *path, others=things, what=words)
+        return find_selector_problems(thing, self.names, *self.path, *path, others=things, what=words)
 
     def _iterate_targets(self) -> Iterator[tuple[tuple[PathKey, ...], Target]]:
         note = self.note
@@ -163,7 +167,7 @@ class _NoteCheck:
             message, help = f"the scene begins at frame {first}, after this note", "write a later frame"
         else:
             return
-        self.report.warning("out-of-range", message, self.scene.span(*self.path, key), help)
+        self.report.warning("out-of-range", message, self.scene.find_span(*self.path, key), help)
 
     def _list_things(self, *groups: str) -> frozenset[str]:
         """Return the names of the world's things in some groups."""
@@ -172,8 +176,8 @@ class _NoteCheck:
 
     def _report_unknown(self, words: str, names: frozenset[str], *path: PathKey, help: str = "") -> None:
         if help and not names:
-            name = self.scene.span(*self.path, *path).text
-            self.report.error("unknown-thing", f"{words} `{name}`", self.scene.span(*self.path, *path), help)
+            name = self.scene.find_span(*self.path, *path).text
+            self.report.error("unknown-thing", f"{words} `{name}`", self.scene.find_span(*self.path, *path), help)
         else:
             report_unknown_name(self.report, self.scene, (*self.path, *path), words, names, key=False)
 
@@ -188,11 +192,11 @@ class _NoteCheck:
                 known = {a.name for s in species for a in self.program.species[s].attributes if is_settable(a)}
                 report_unknown_name(self.report, self.scene, path, f"`{'`, `'.join(species)}` has no attribute", known)
             elif isinstance(value, bool) != (fitting[0].type.kind is TypeKind.BOOL):
-                is_bool, span = fitting[0].type.kind is TypeKind.BOOL, self.scene.span(*path)
+                is_bool, span = fitting[0].type.kind is TypeKind.BOOL, self.scene.find_span(*path)
                 words = f"`{name}` is {'' if is_bool else 'not '}true or false, so it cannot be `{span.text}`"
                 self.report.error("wrong-value", words, span, "write `true` or `false`" if is_bool else "write a number")
             elif not isinstance(value, bool):
-                check_value(self.scene, self.report, value, fitting[0], *path)
+                check_attribute_value(self.scene, self.report, value, fitting[0], *path)
 
 
 def _find_species(selector: AnySelector | None, scene: Scene) -> set[str]:

@@ -13,7 +13,7 @@ _SOURCE_PREFIX = "<note "
 _EXAMPLE = "write a line such as `{hold: guards, frames: 10..20}`"
 
 
-def name_note_source(number: int) -> str:
+def format_note_source(number: int) -> str:
     """Return the name of the source of an additional note."""
     return f"{_SOURCE_PREFIX}{number + 1}>"
 
@@ -25,7 +25,7 @@ def is_note_source(path: str) -> bool:
 
 def read_note_line(text: str, number: int = 0) -> tuple[MappingNode | None, Report]:
     """Return the tree of a line such as `{hold: guards, frames: 10..20}`, and a report. The tree is None if there are errors."""
-    source, report = decode_source(text.encode("utf-8", "replace"), name_note_source(number), "a note")
+    source, report = decode_source(text.encode("utf-8", "replace"), format_note_source(number), "a note")
     return read_document(source, "the note", _EXAMPLE) if report.ok else (None, report)
 
 

@@ -27,18 +27,18 @@ from antdsl.scene.load import Scene
 from antdsl.scene.notes.notes_model import ChangeNote, Note
 from antdsl.source import Span
 
-PLAY_MACHINE, LOOK_MACHINE, OFF_STATE, ON_STATE = "notes_play", "notes_look_", "off", "on"
+PLAY_MACHINE_NAME, LOOK_MACHINE_PREFIX, OFF_STATE_NAME, ON_STATE_NAME = "notes_play", "notes_look_", "off", "on"
 _LOOK_TARGET_PREFIX = "note#"
 _LOOK_TARGET_TYPE = ValueType(TypeKind.VECTOR, Dimension(length=1))
-_COLOUR = (0.6, 0.6, 0.6)
+_NOTE_STATE_COLOUR = (0.6, 0.6, 0.6)
 
 
-def name_event(machine: str, state: str) -> str:
+def format_event_name(machine: str, state: str) -> str:
     """Return the name of the event that brings a machine into a state. Names of a program have no `#`."""
     return f"note#{machine}.{state}"
 
 
-def name_look_target(group: str) -> str:
+def format_look_target_name(group: str) -> str:
     """Return the name of the vector attribute with the point that a group looks at."""
     return f"{_LOOK_TARGET_PREFIX}{group}"
 
@@ -50,47 +50,51 @@ def split_state_name(name: str, machine: str) -> str:
 
 def add_note_machines(program: Program, scene: Scene) -> Program:
     """Return the program with the additions that the notes of a scene need. The same object without notes."""
-    notes = [(note, scene.span("notes", number)) for number, note in enumerate(scene.model.notes)]
+    notes = [(note, scene.find_span("notes", number)) for number, note in enumerate(scene.model.notes)]
     if not notes:
         return program
-    return replace(program, species={name: _extend_species(species, notes, scene) for name, species in program.species.items()})
+    return replace(
+        program, species={name: _add_note_machines_to_species(species, notes, scene) for name, species in program.species.items()}
+    )
 
 
 def remove_note_machines(program: Program) -> Program:
     """Return the program without the machines and attributes that notes added. Transitions by notes stay."""
-    return replace(program, species={name: _shrink_species(species) for name, species in program.species.items()})
+    return replace(
+        program, species={name: _remove_note_machines_of_species(species) for name, species in program.species.items()}
+    )
 
 
-def _shrink_species(species: Species) -> Species:
-    machines = tuple(each for each in species.machines if not each.name.startswith((PLAY_MACHINE, LOOK_MACHINE)))
+def _remove_note_machines_of_species(species: Species) -> Species:
+    machines = tuple(each for each in species.machines if not each.name.startswith((PLAY_MACHINE_NAME, LOOK_MACHINE_PREFIX)))
     attributes = tuple(each for each in species.attributes if not each.name.startswith(_LOOK_TARGET_PREFIX))
     return replace(species, machines=machines, attributes=attributes)
 
 
-def _extend_species(species: Species, notes: list[tuple[Note, Span]], scene: Scene) -> Species:
+def _add_note_machines_to_species(species: Species, notes: list[tuple[Note, Span]], scene: Scene) -> Species:
     frame_seconds = float(1 / scene.model.fps)
-    machines = [_add_changes(species, machine, notes) for machine in species.machines]
+    machines = [_add_change_transitions(species, machine, notes) for machine in species.machines]
     clips = {note.played_clip: (note, span) for note, span in notes if note.played_clip}
     if clips:
         plays = [
             (clip, span, Play(clip, "", None, None, span), note.ease_frames * frame_seconds)
             for clip, (note, span) in clips.items()
         ]
-        machines.append(_make_machine(species, PLAY_MACHINE, plays))
+        machines.append(_make_machine(species, PLAY_MACHINE_NAME, plays))
     groups = {group: (note, span) for note, span in notes for group in note.looks}
     targets = []
     for group, (note, span) in groups.items():
-        name = name_look_target(group)
+        name = format_look_target_name(group)
         zero = Constant(LENGTH_TYPE, ChangeRate.CONST, span, 0.0)
         origin = OperationExpr(_LOOK_TARGET_TYPE, ChangeRate.CONST, span, "vector", (zero, zero, zero))
         targets.append(AttributeDecl(name, _LOOK_TARGET_TYPE, origin, False, "", span))
         seconds = Constant(TIME_TYPE, ChangeRate.CONST, span, max(note.ease_frames * frame_seconds / 3, frame_seconds))
         look = Look(group, AttributeRef(_LOOK_TARGET_TYPE, ChangeRate.AGENT, span, None, name), None, seconds, span)
-        machines.append(_make_machine(species, f"{LOOK_MACHINE}{group}", [(ON_STATE, span, look, 0.0)]))
+        machines.append(_make_machine(species, f"{LOOK_MACHINE_PREFIX}{group}", [(ON_STATE_NAME, span, look, 0.0)]))
     return replace(species, machines=tuple(machines), attributes=(*species.attributes, *targets))
 
 
-def _add_changes(species: Species, machine: Machine, notes: Iterable[tuple[Note, Span]]) -> Machine:
+def _add_change_transitions(species: Species, machine: Machine, notes: Iterable[tuple[Note, Span]]) -> Machine:
     """Return a machine with a transition from every state to each state that a `change` names."""
     spans = {split_state_name(note.to, machine.name): span for note, span in notes if isinstance(note, ChangeNote)}
     targets = [state for state in machine.states if state.name in spans]
@@ -105,7 +109,7 @@ def _make_machine(species: Species, name: str, displays: Sequence[tuple[str, Spa
 
     A display is the name of the state, a location, the statement that the state runs, and the fade time (s)."""
     first = displays[0][1]
-    states = [_make_state(OFF_STATE, 0, (), first)]
+    states = [_make_state(OFF_STATE_NAME, 0, (), first)]
     states += [_make_state(state, k, (line,), span) for k, (state, span, line, _) in enumerate(displays, 1)]
     fades = [max(seconds for *_, seconds in displays), *(seconds for *_, seconds in displays)]
     transitions = tuple(
@@ -115,11 +119,11 @@ def _make_machine(species: Species, name: str, displays: Sequence[tuple[str, Spa
 
 
 def _make_state(name: str, index: int, body: tuple[Statement, ...], span: Span) -> State:
-    return State(name, index, "", _COLOUR, None, (), (), (), body, span)
+    return State(name, index, "", _NOTE_STATE_COLOUR, None, (), (), (), body, span)
 
 
 def _make_transition(species: Species, machine: str, state: State, span: Span, fade_seconds: float) -> Transition:
-    event = ThingRef(BOOL_TYPE, ChangeRate.CONST, span, name_event(machine, state.name))
+    event = ThingRef(BOOL_TYPE, ChangeRate.CONST, span, format_event_name(machine, state.name))
     fade = Constant(TIME_TYPE, ChangeRate.CONST, span, fade_seconds) if fade_seconds else None
     return Transition(
         f"{species.name}.{machine}.{FROM_ANY_KEY}->{state.name}#note", True,

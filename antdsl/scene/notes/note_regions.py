@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from antdsl import limits
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
 from antdsl.scene.notes.selectors import Box, NearTarget, Selector, View, require_region
-from antdsl.scene.values import PointValue, PositiveLength, SceneName, ScenePart, describe_value, make_error
+from antdsl.scene.values import PointValue, PositiveLength, SceneName, ScenePart, describe_value, make_value_error
 
 
 def _find_curve_tag(value: Any) -> str:
@@ -19,7 +19,7 @@ def _find_curve_tag(value: Any) -> str:
 def _require_curve(value: Any) -> Any:
     """Return a value unchanged. Raises an error that pydantic reports for a list without points."""
     if isinstance(value, dict) or (isinstance(value, list) and not all(isinstance(each, list) for each in value)):
-        raise make_error(f"{describe_value(value)} is not a curve", "write its name, or points: `[[0, 0, 0], [50, 0, 0]]`")
+        raise make_value_error(f"{describe_value(value)} is not a curve", "write its name, or points: `[[0, 0, 0], [50, 0, 0]]`")
     return value
 
 
@@ -51,7 +51,7 @@ def _find_centre_tag(value: Any) -> str:
     return "point" if is_point else "agents-or-item"
 
 
-_Centre = Annotated[
+_RegionCentre = Annotated[
     Annotated[PointValue, Tag("point")] | Annotated[Selector, Tag("agents-or-item")], Discriminator(_find_centre_tag)
 ]
 
@@ -60,11 +60,11 @@ class NoteBall(ScenePart):
     """All points within `radius` of a point, an item, the nearest of some items, a camera, a mesh, or of agents,
     which it follows."""
 
-    around: _Centre
+    around: _RegionCentre
     radius: PositiveLength
 
 
-class Band(ScenePart):
+class RegionBand(ScenePart):
     """All points within half of `width` of a curve, or of the line through points, items, agents, cameras and meshes."""
 
     along: _CurveOrTargets
@@ -82,7 +82,7 @@ def _find_region_tag(value: Any) -> str:
 NoteRegion = Annotated[
     Annotated[Box, Tag("box-region")]
     | Annotated[NoteBall, Tag("ball-region")]
-    | Annotated[Band, Tag("band-region")]
+    | Annotated[RegionBand, Tag("band-region")]
     | Annotated[View, Tag("view-region")],
     Discriminator(_find_region_tag),
     BeforeValidator(require_region),

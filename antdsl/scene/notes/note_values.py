@@ -10,13 +10,13 @@ from pydantic import BeforeValidator
 from antdsl import limits
 from antdsl.program.model import Dimension
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.values import describe_value, make_error, parse_any_quantity, parse_integer_between, parse_share
+from antdsl.scene.values import describe_value, make_value_error, parse_any_quantity, parse_integer_between, parse_share
 
 DEFAULT_EASE_FRAMES = 6
 _MAX_EASE_FRAMES = 10_000
 FrameNumber = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
 FrameCount = Annotated[int, BeforeValidator(parse_integer_between(0, _MAX_EASE_FRAMES))]
-Share = Annotated[float, BeforeValidator(parse_share)]
+ShareValue = Annotated[float, BeforeValidator(parse_share)]
 
 
 def _parse_share_up_to_all(excess: str, advice: str) -> Callable[[Any], float]:
@@ -24,8 +24,8 @@ def _parse_share_up_to_all(excess: str, advice: str) -> Callable[[Any], float]:
 
     def parse(value: Any) -> float:
         quantity = parse_any_quantity(value)
-        if quantity.dim == Dimension() and quantity.number > 1:
-            raise make_error(f"`{quantity.text}` is {excess}", advice)
+        if quantity.dimension == Dimension() and quantity.number > 1:
+            raise make_value_error(f"`{quantity.text}` is {excess}", advice)
         return parse_share(value)
 
     return parse
@@ -45,10 +45,10 @@ SpeedShare = Annotated[float, BeforeValidator(_parse_speed_share)]
 def _parse_share_range(value: Any) -> tuple[float, float]:
     """Return the shares from A to B of a list `[A, B]`."""
     if not isinstance(value, list) or len(value) != 2:
-        raise make_error(f"{describe_value(value)} is not a part of a picture", "write `[0 %, 33 %]`")
+        raise make_value_error(f"{describe_value(value)} is not a part of a picture", "write `[0 %, 33 %]`")
     first, last = map(parse_share, value)
     if first >= last:
-        raise make_error("this part of the picture is empty", f"write the smaller share first: `[{value[1]}, {value[0]}]`")
+        raise make_value_error("this part of the picture is empty", f"write the smaller share first: `[{value[1]}, {value[0]}]`")
     return first, last
 
 

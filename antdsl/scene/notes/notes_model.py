@@ -19,7 +19,7 @@ from antdsl.scene.notes.note_regions import CurveOrPoints, NoteRegion
 from antdsl.scene.notes.note_values import DEFAULT_EASE_FRAMES, SetValue, SpeedShare, ThinShare
 from antdsl.scene.notes.note_values import FrameCount as FrameCount
 from antdsl.scene.notes.note_values import FrameNumber as FrameNumber
-from antdsl.scene.notes.note_values import Share as Share
+from antdsl.scene.notes.note_values import ShareValue as ShareValue
 from antdsl.scene.notes.selectors import AgentConditions as AgentConditions
 from antdsl.scene.notes.selectors import AgentName, AnySelector, NearTarget, Selector, SelectorKeys, combine_selector
 from antdsl.scene.notes.stagger import Stagger, StaggerValue
@@ -31,7 +31,7 @@ from antdsl.scene.values import (
     ScenePart,
     SceneWord,
     describe_value,
-    make_error,
+    make_value_error,
     parse_one_of,
 )
 
@@ -97,7 +97,7 @@ class StaggeredNote(Note):
     def _check_stagger(self) -> StaggeredNote:
         if self.stagger is None or isfinite(self.first_frame if self.last_frame == inf else self.last_frame):
             return self
-        raise make_error("`stagger` has no effect without `frames`", "add `frames: 100..150`")
+        raise make_value_error("`stagger` has no effect without `frames`", "add `frames: 100..150`")
 
 
 class EasedNote(StaggeredNote):
@@ -235,7 +235,7 @@ class ReachNote(EasedNote, SelectorKeys):
     @model_validator(mode="after")
     def _check_target(self) -> ReachNote:
         if (self.target is None) == (self.along is None):
-            raise make_error("`reach` needs either `target` or `along`", "add `target: [0, 0, 0]`, or remove one of them")
+            raise make_value_error("`reach` needs either `target` or `along`", "add `target: [0, 0, 0]`, or remove one of them")
         return self
 
     @property
@@ -268,13 +268,13 @@ class RegionNote(TimedNote):
 
     region: NoteRegion | None = Field(None, alias="in")
     falloff: PositiveLength | None = None
-    strength: Share = 1.0
+    strength: ShareValue = 1.0
     painted: SceneName | None = None
 
     @model_validator(mode="after")
     def _check_falloff(self) -> RegionNote:
         if self.falloff is not None and self.region is None and not isinstance(self, LaneNote):
-            raise make_error("`falloff` has no effect without `in`", "add `in: {around: [0, 0, 0], radius: 50 mm}`")
+            raise make_value_error("`falloff` has no effect without `in`", "add `in: {around: [0, 0, 0], radius: 50 mm}`")
         return self
 
 
@@ -380,16 +380,16 @@ def _check_verb(value: Any) -> Any:
     if not isinstance(value, dict):
         joined = explain_joined_entry(value) if isinstance(value, str) else None
         words = f"{describe_value(value)} is not a note" if joined is None else joined[0]
-        raise make_error(words, "write `{hold: guards, frames: 10..20}`" if joined is None else joined[1])
+        raise make_value_error(words, "write `{hold: guards, frames: 10..20}`" if joined is None else joined[1])
     verb = next(iter(value), "")
     if verb in NOTE_MODELS:
         return value
     known = next((key for key in value if key in NOTE_MODELS), None)
     if known is not None:
-        raise make_error(f"`{verb}` comes before the verb of this note", f"write `{{{known}: {value[known]}, {verb}: …}}`")
+        raise make_value_error(f"`{verb}` comes before the verb of this note", f"write `{{{known}: {value[known]}, {verb}: …}}`")
     near, listed = find_nearest_name(str(verb), NOTE_MODELS), ", ".join(f"`{each}`" for each in NOTE_MODELS)
     help = f"did you mean `{near}`?" if near else f"write one of {listed}; {_EDITS_HELP}"
-    raise make_error(f"`{verb}` is not a verb of notes", help)
+    raise make_value_error(f"`{verb}` is not a verb of notes", help)
 
 
 if TYPE_CHECKING:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.randomness import draw_uniform
 from antdsl.numerics.vector_rows import length
-from antdsl.scene.crowds.line_ids import LineIds
+from antdsl.scene.crowds.line_ids import CrowdLineIds
 from antdsl.scene.notes.selectors import AgentConditions, AgentName, AnySelector, Ball, Box, View
 from antdsl.scene.thing_models import convert_point
 
-SHARE_SITE = "share"  # of the random draws of `share`
+SHARE_RANDOM_SITE = "share"  # of the random draws of `share`
 Floats = NDArray[np.float64]
-Mask = dict[str, NDArray[np.bool_]]  # by species, one flag for each row
+RowMasksBySpecies = dict[str, NDArray[np.bool_]]  # by species, one flag for each row
 
 
 class StateColumn(NamedTuple):
@@ -41,7 +41,7 @@ class SelectableAgents:
 class SelectableCamera(Protocol):
     """A camera in one frame. Positions are in mm, from the scene's zero point."""
 
-    def find_place(self) -> Floats:
+    def find_position(self) -> Floats:
         """Return its position (3,)."""
 
     def find_visible(self, position: Floats, view: View) -> NDArray[np.bool_]:
@@ -58,7 +58,7 @@ class SelectableFrame:
     frame."""
 
     agents: Mapping[str, SelectableAgents]
-    lines: Mapping[str, LineIds] = field(default_factory=dict)
+    lines: Mapping[str, CrowdLineIds] = field(default_factory=dict)
     item_points: Mapping[str, Floats] = field(default_factory=dict)
     seed: int = 0
     unit_mm: float = 1.0
@@ -71,29 +71,29 @@ def select_ids(selector: AnySelector, frame: SelectableFrame) -> dict[str, NDArr
     return {name: np.sort(frame.agents[name].ids[mask]) for name, mask in masks.items() if mask.any()}
 
 
-def select_rows(selector: AnySelector, frame: SelectableFrame) -> Mask:
+def select_rows(selector: AnySelector, frame: SelectableFrame) -> RowMasksBySpecies:
     """Return for each row of each species whether a selector selects it."""
     if isinstance(selector, AgentName):
-        return {name: _find_named(selector, name, agents, frame) for name, agents in frame.agents.items()}
+        return {name: _find_agents_by_name(selector, name, agents, frame) for name, agents in frame.agents.items()}
     if isinstance(selector, AgentConditions):
         return _select_by_conditions(selector, frame)
     masks = [select_rows(each, frame) for each in selector]
     return {name: np.logical_or.reduce([mask[name] for mask in masks]) for name in frame.agents}
 
 
-def _find_named(name: AgentName, species: str, agents: SelectableAgents, frame: SelectableFrame) -> NDArray[np.bool_]:
+def _find_agents_by_name(name: AgentName, species: str, agents: SelectableAgents, frame: SelectableFrame) -> NDArray[np.bool_]:
     """Return which agents of a species have the name `name`, bool[n]."""
     line = frame.lines.get(name.name)
     if line is None:
         numbers = agents.ids if name.name == species else np.full(len(agents.ids), -1, np.int64)
     else:
-        numbers = line.find_numbers(agents.ids) if line.species == species else np.full(len(agents.ids), -1, np.int64)
+        numbers = line.find_positions_in_line(agents.ids) if line.species == species else np.full(len(agents.ids), -1, np.int64)
     if name.first is None or name.last is None:
         return numbers >= 0
     return (numbers >= name.first) & (numbers <= name.last)
 
 
-def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -> Mask:
+def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -> RowMasksBySpecies:
     masks = (
         {name: np.ones(len(agents.ids), np.bool_) for name, agents in frame.agents.items()}
         if conditions.of is None
@@ -111,7 +111,7 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
             mask &= _find_in_region(conditions.region, agents.position, frame)
         if conditions.share is not None:
             seed = frame.seed if conditions.seed is None else conditions.seed
-            mask &= draw_uniform(seed, 0, name, SHARE_SITE, 0, agents.ids) < np.float32(conditions.share)
+            mask &= draw_uniform(seed, 0, name, SHARE_RANDOM_SITE, 0, agents.ids) < np.float32(conditions.share)
         for view in conditions.views:
             mask &= frame.cameras[view.in_view].find_visible(agents.position, view)
         if without is not None:
@@ -121,10 +121,12 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
     if targets is None or (conditions.most is None and conditions.farthest is None):
         return masks
     sign = 1.0 if conditions.farthest is None else -1.0
-    return _select_first(masks, frame, targets, sign, conditions.most or conditions.farthest or 0)
+    return _select_nearest(masks, frame, targets, sign, conditions.most or conditions.farthest or 0)
 
 
-def _select_first(masks: Mask, frame: SelectableFrame, targets: Floats, sign: float, count: int) -> Mask:
+def _select_nearest(
+    masks: RowMasksBySpecies, frame: SelectableFrame, targets: Floats, sign: float, count: int
+) -> RowMasksBySpecies:
     """Return a mask of the `count` selected agents with the least distance times `sign` from targets. Equal distances are ordered
     by species and id."""
     names = sorted(masks)
@@ -149,7 +151,7 @@ def _find_in_state(state: str, agents: SelectableAgents) -> NDArray[np.bool_]:
     return mask
 
 
-def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[Floats | None, Mask | None]:
+def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[Floats | None, RowMasksBySpecies | None]:
     """Return the points (k, 3) to which `near` is measured, and a mask of the agents at these points. Each is None if there is
     none.
 
@@ -162,7 +164,7 @@ def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[
     if near.first is None and near.name in frame.item_points:
         return frame.item_points[near.name], None
     if near.first is None and near.name in frame.cameras and near.name not in frame.lines and near.name not in frame.agents:
-        return frame.cameras[near.name].find_place()[None], None
+        return frame.cameras[near.name].find_position()[None], None
     masks = select_rows(near, frame)
     return np.concatenate([np.empty((0, 3)), *(frame.agents[name].position[mask] for name, mask in masks.items())]), masks
 

@@ -27,7 +27,7 @@ from antdsl.scene.values import (
     ScenePart,
     SceneWord,
     describe_value,
-    make_error,
+    make_value_error,
     parse_integer_between,
     parse_share,
     require_text,
@@ -60,12 +60,12 @@ def parse_agent_name(value: Any) -> AgentName:
     match = _NAME_PATTERN.fullmatch(text)
     if match is None:
         help = suggest_selector(text) or SELECTOR_FORMS
-        raise make_error(f"{describe_value(text)} names no agents", help)
+        raise make_value_error(f"{describe_value(text)} names no agents", help)
     if match[2] is None:
         return AgentName(match[1])
     first, last = int(match[2]), int(match[3] or match[2])
     if last < first:
-        raise make_error(f"{describe_value(text)} ends before it begins", f"write `{AgentName(match[1], last, first)}`")
+        raise make_value_error(f"{describe_value(text)} ends before it begins", f"write `{AgentName(match[1], last, first)}`")
     return AgentName(match[1], first, last)
 
 
@@ -83,7 +83,7 @@ def _suggest_near(name: str) -> str:
 def _reject_agents(value: Any) -> Any:
     """Return a value unchanged. Raises an error that pydantic reports for an agent such as `guards.7`."""
     if isinstance(value, str) and "." in value and _NAME_PATTERN.fullmatch(value):
-        raise make_error(f"`{value}` is an agent, not an item", _suggest_near(value))
+        raise make_value_error(f"`{value}` is an agent, not an item", _suggest_near(value))
     return value
 
 
@@ -112,7 +112,7 @@ def require_region(value: Any) -> Any:
     """Return a value unchanged. Raises an error that pydantic reports for a text, such as the name of an item."""
     if isinstance(value, str):
         example = value.strip()[:40] or "leaf"
-        raise make_error(f"{describe_value(value)} is not a region", f"write `{{around: {example}, radius: 50 mm}}`")
+        raise make_value_error(f"{describe_value(value)} is not a region", f"write `{{around: {example}, radius: 50 mm}}`")
     return value
 
 
@@ -137,14 +137,14 @@ SelectorRegion = Annotated[
 def _parse_target_name(value: Any) -> AgentName:
     """Return the thing or the agents that a text such as `leaf` names. Raises an error that pydantic reports."""
     if not isinstance(value, str) or not _NAME_PATTERN.fullmatch(value.strip()):
-        raise make_error(f"{describe_value(value)} is not a target", _TARGET_FORMS)
+        raise make_value_error(f"{describe_value(value)} is not a target", _TARGET_FORMS)
     return parse_agent_name(value)
 
 
 def _require_single_target(value: Any) -> Any:
     """Return a value unchanged. Raises an error that pydantic reports for a list of names."""
     if isinstance(value, list) and any(isinstance(each, str) and each[:1].isalpha() for each in value):
-        raise make_error("this is more than one target", "write a line for each of them")
+        raise make_value_error("this is more than one target", "write a line for each of them")
     return value
 
 
@@ -167,11 +167,11 @@ def _find_single_tag(value: Any) -> str:
     return "mapping-selector" if isinstance(value, dict) else "name-selector"
 
 
-_Mapping = Annotated["AgentConditions", Tag("mapping-selector")]
-_Name = Annotated[AgentName, BeforeValidator(parse_agent_name), Tag("name-selector")]
-_Single = Annotated[_Mapping | _Name, Discriminator(_find_single_tag)]
-_List = Annotated[tuple[_Single, ...], Field(min_length=1), Tag("list-selector")]
-Selector = Annotated[_Mapping | _List | _Name, Discriminator(_find_selector_tag)]
+_ConditionsSelector = Annotated["AgentConditions", Tag("mapping-selector")]
+_NameSelector = Annotated[AgentName, BeforeValidator(parse_agent_name), Tag("name-selector")]
+_SingleSelector = Annotated[_ConditionsSelector | _NameSelector, Discriminator(_find_single_tag)]
+_ListSelector = Annotated[tuple[_SingleSelector, ...], Field(min_length=1), Tag("list-selector")]
+Selector = Annotated[_ConditionsSelector | _ListSelector | _NameSelector, Discriminator(_find_selector_tag)]
 
 
 class SelectorKeys(ScenePart):
@@ -204,16 +204,18 @@ class SelectorKeys(ScenePart):
     def _check_pairs(self) -> SelectorKeys:
         keys = [name for name in ("within", "most", "farthest") if getattr(self, name) is not None]
         if self.near is None and keys:
-            raise make_error(f"`{keys[0]}` has no effect without `near`", "add `near: [0, 0, 0]`")
+            raise make_value_error(f"`{keys[0]}` has no effect without `near`", "add `near: [0, 0, 0]`")
         if self.near is not None and not keys:
-            raise make_error("`near` has no effect without `within` or `most`", "add `within: 50 mm`, or `most: 3`")
+            raise make_value_error("`near` has no effect without `within` or `most`", "add `within: 50 mm`, or `most: 3`")
         if self.most is not None and self.farthest is not None:
-            raise make_error("`most` and `farthest` exclude each other", "leave out one of them")
+            raise make_value_error("`most` and `farthest` exclude each other", "leave out one of them")
         if self.seed is not None and self.share is None:
-            raise make_error("`seed` has no effect without `share`", "add `share: 30 %`")
+            raise make_value_error("`seed` has no effect without `share`", "add `share: 30 %`")
         parts = [name for name in ("across", "up") if getattr(self, name) is not None]
         if self.in_view is None and parts:
-            raise make_error(f"`{parts[0]}` has no effect without `in_view`", "add `in_view: shot`, the camera of the picture")
+            raise make_value_error(
+                f"`{parts[0]}` has no effect without `in_view`", "add `in_view: shot`, the camera of the picture"
+            )
         return self
 
     @property
@@ -223,7 +225,7 @@ class SelectorKeys(ScenePart):
         return (*((own,) if self.in_view is not None else ()), *((self.region,) if isinstance(self.region, View) else ()))
 
     @property
-    def is_narrow(self) -> bool:
+    def has_conditions(self) -> bool:
         """Return whether the keys exclude any agents."""
         return any(getattr(self, name) is not None for name in SelectorKeys.model_fields)
 
@@ -241,20 +243,20 @@ AnySelector = AgentName | tuple[Any, ...] | AgentConditions
 
 def combine_selector(selector: AnySelector | None, keys: SelectorKeys) -> AnySelector:
     """Return the agents `selector` that also meet the selector keys of a line."""
-    if selector is not None and not keys.is_narrow:
+    if selector is not None and not keys.has_conditions:
         return selector
     values = {name: getattr(keys, name) for name in SelectorKeys.model_fields}
     return AgentConditions.model_construct(of=selector, **values)
 
 
-def reads_frame(selector: AnySelector | None) -> bool:
+def needs_frame(selector: AnySelector | None) -> bool:
     """Return whether a selector depends on positions or states of a frame, and not only on ids."""
     if selector is None or isinstance(selector, AgentName):
         return False
     if isinstance(selector, tuple):
-        return any(map(reads_frame, selector))
+        return any(map(needs_frame, selector))
     own = (selector.state, selector.near, selector.region, selector.in_view)
-    return any(each is not None for each in own) or reads_frame(selector.of) or reads_frame(selector.without)
+    return any(each is not None for each in own) or needs_frame(selector.of) or needs_frame(selector.without)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +286,7 @@ class SelectorProblem(NamedTuple):
 _NO_AGENTS = "no crowd line or species is named"
 
 
-def find_problems(
+def find_selector_problems(
     selector: AnySelector | SelectorKeys,
     names: SelectorNames,
     *path: PathKey,
@@ -297,12 +299,12 @@ def find_problems(
         yield from find_name_problems(selector, names, path, others, what)
     elif isinstance(selector, tuple):
         for number, each in enumerate(selector):
-            yield from find_problems(each, names, *path, number)
+            yield from find_selector_problems(each, names, *path, number)
     else:
         for key in ("of", "without"):
             inner = getattr(selector, key, None)
             if inner is not None:
-                yield from find_problems(inner, names, *path, key)
+                yield from find_selector_problems(inner, names, *path, key)
         if isinstance(selector.near, AgentName):
             what = "no crowd line, species, item or camera is named"
             yield from find_name_problems(selector.near, names, (*path, "near"), names.items | names.cameras, what)

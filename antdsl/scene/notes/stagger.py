@@ -8,9 +8,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from antdsl.scene.notes.note_values import FrameCount
 from antdsl.scene.notes.selectors import NearTarget
-from antdsl.scene.values import PositiveSpeed, ScenePart, describe_value, make_error, parse_one_of
+from antdsl.scene.values import PositiveSpeed, ScenePart, describe_value, make_value_error, parse_one_of
 
-_FORMS = "write `{from: [0, 0, 0], speed: 40 mm/s}`, `{each: 2}` or `{random: 12}`"
+_STAGGER_FORMS = "write `{from: [0, 0, 0], speed: 40 mm/s}`, `{each: 2}` or `{random: 12}`"
 
 
 class Stagger(ScenePart):
@@ -29,20 +29,24 @@ class Stagger(ScenePart):
     def _check_kind(self) -> Stagger:
         kinds = [name for name in ("speed", "each", "random") if getattr(self, name) is not None]
         if not kinds:
-            raise make_error("this does not define a delay for each agent", _FORMS)
+            raise make_value_error("this does not define a delay for each agent", _STAGGER_FORMS)
         if len(kinds) > 1:
-            raise make_error(f"`{kinds[0]}` and `{kinds[1]}` exclude each other", _FORMS)
+            raise make_value_error(f"`{kinds[0]}` and `{kinds[1]}` exclude each other", _STAGGER_FORMS)
         if self.speed is not None and self.origin is None:
-            raise make_error("`speed` has no effect without `from`", f"write `{{from: [0, 0, 0], speed: {self.speed.text}}}`")
+            raise make_value_error(
+                "`speed` has no effect without `from`", f"write `{{from: [0, 0, 0], speed: {self.speed.text}}}`"
+            )
         if self.random is not None and self.origin is not None:
-            raise make_error("`from` has no effect with `random`", "write `{from: …, speed: 40 mm/s}`, or only `{random: 12}`")
+            raise make_value_error(
+                "`from` has no effect with `random`", "write `{from: …, speed: 40 mm/s}`, or only `{random: 12}`"
+            )
         return self
 
 
 def require_stagger(value: object) -> object:
     """Return a value unchanged. Raises an error that pydantic reports for a text or a list."""
     if not isinstance(value, dict):
-        raise make_error(f"{describe_value(value)} does not define a delay for each agent", _FORMS)
+        raise make_value_error(f"{describe_value(value)} does not define a delay for each agent", _STAGGER_FORMS)
     return value
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from antdsl.numerics.elementary import atan2_float64
 from antdsl.program.model import Dimension, TypeKind, WorldThing
 from antdsl.scene import setting as setting_data
-from antdsl.scene.looks import LAMP_LOOK
-from antdsl.scene.staging.mesh_cache import cached_per_mesh
+from antdsl.scene.looks import LAMP_LOOK_WORD
+from antdsl.scene.staging.mesh_cache import cache_per_mesh
 from antdsl.scene.staging.stage_things import compute_item_positions, follow_surface, list_simulated_frames, stage_usd_items
 from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_misspelled_names
 from antdsl.scene.thing_models import ItemThing, LampThing, UsdThing
@@ -42,7 +42,7 @@ def place_items(
             continue
         radius = None if placing.radius is None else placing.radius.to_millimetres(model.unit_mm)
         attributes = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (placing.model_extra or {}).items()}
-        position = to_tuple(track[0])
+        position = to_point_tuple(track[0])
         radius = DEFAULT_ITEM_RADIUS if radius is None else radius
         items.append(setting_data.ItemData(item, position, radius, attributes, placing.look))
         tracks.append(track)
@@ -58,7 +58,7 @@ def _place_lamp(staging: SceneStaging, name: str, thing: LampThing) -> setting_d
     if len(track) > 1:
         staging.item_tracks[name] = track[:, None]
     radius = DEFAULT_ITEM_RADIUS if thing.radius is None else thing.radius.to_millimetres(staging.scene.model.unit_mm)
-    return setting_data.ItemData(name, to_tuple(track[0]), radius, {}, LAMP_LOOK, thing.power, thing.colour)
+    return setting_data.ItemData(name, to_point_tuple(track[0]), radius, {}, LAMP_LOOK_WORD, thing.power, thing.colour)
 
 
 def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> NDArray[np.float64] | None:
@@ -76,16 +76,16 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
         frame_mesh = (
             mesh if moves is None or k == 0 else setting_data.MeshData(moves.compute_vertices(mesh.vertices, k), mesh.faces)
         )
-        height = find_surface_height(frame_mesh, to_tuple(place), staging.scene.model.up)
+        height = find_surface_height(frame_mesh, to_point_tuple(place), staging.scene.model.up)
         if height is None:
             words = f"`{item}` is neither above nor below `{thing.on}`"
             if k:
                 words += f" at frame {list_simulated_frames(staging)[k]}"
-            span = staging.scene.span("world", name, item, "keys" if k else "at")
+            span = staging.scene.find_span("world", name, item, "keys" if k else "at")
             staging.report.error("off-surface", words, span, "move it, or leave out `on`")
             return None
         place[tall] = height
-    return follow_surface(mesh, moves, to_tuple(track[0])) if moves is not None and not thing.keys else track
+    return follow_surface(mesh, moves, to_point_tuple(track[0])) if moves is not None and not thing.keys else track
 
 
 def check_crowds(staging: SceneStaging, crowds: Sequence[setting_data.CrowdData]) -> None:
@@ -95,7 +95,7 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[setting_data.CrowdData]
             words = f"there is no surface where `{crowd.species}` starts, so it starts at the nearest point"
             ball = ", write a larger `radius`" if crowd.place.is_by_area else ""
             help = f"move it with `around`{ball}, or check the `units` of the mesh"
-            staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.line_index, "place"), help)
+            staging.report.warning("off-surface", words, staging.scene.find_span("crowd", crowd.line_index, "place"), help)
 
 
 def is_away_from_surfaces(
@@ -111,7 +111,7 @@ def is_away_from_surfaces(
     return len(meshes) > 0 and not any(_is_in_reach(mesh, placement.disc_centre, placement.radius, axes) for mesh in meshes)
 
 
-@cached_per_mesh
+@cache_per_mesh
 def _is_in_reach(mesh: setting_data.MeshData, middle: setting_data.PointMm, radius: float, axes: tuple[int, ...]) -> bool:
     """Return whether a mesh reaches into a ball. If an axis is left out of `axes`, the ball is a disc seen along this axis."""
     faces = _find_near_faces(mesh, middle, axes, radius)
@@ -145,7 +145,7 @@ def _place_usd_items(
     each = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
     radius = None if value.each.radius is None else value.each.radius.to_millimetres(model.unit_mm)
     own = {a.name: a.type.dimension for a in thing.attributes if a.type.kind is TypeKind.NUMBER}
-    file = UsdFile(staging, value.usd, staging.scene.span("world", name, "usd"), points)
+    file = UsdFile(staging, value.usd, staging.scene.find_span("world", name, "usd"), points)
     columns = {key: read_in_base_units(file, key, dim) for key, dim in own.items()}
     wide = read_in_base_units(file, "radius", Dimension(length=1)) * abs(value.scale)
     for key, column in zip(_list_turn_attributes(value), _make_turn_columns(model.up, value, points.ahead), strict=True):
@@ -156,7 +156,9 @@ def _place_usd_items(
         attributes = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
         sizes = (points.radius[number], wide[number], DEFAULT_ITEM_RADIUS if radius is None else radius)
         size = next(float(size) for size in sizes if np.isfinite(size) and size > 0)
-        items.append(setting_data.ItemData(item, to_tuple(points.positions[0, number]), size, {**each, **attributes}, value.look))
+        items.append(
+            setting_data.ItemData(item, to_point_tuple(points.positions[0, number]), size, {**each, **attributes}, value.look)
+        )
     if len(points.positions) > 1:
         staging.item_tracks[name] = points.positions
     return tuple(items)
@@ -182,7 +184,7 @@ def _make_turn_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> 
     return [np.where(level > 1e-6, atan2_float64(left, x), np.nan)]
 
 
-def to_tuple(point: NDArray[np.float64]) -> setting_data.PointMm:
+def to_point_tuple(point: NDArray[np.float64]) -> setting_data.PointMm:
     """Return a point as three Python floats."""
     return float(point[0]), float(point[1]), float(point[2])
 
@@ -201,7 +203,7 @@ def _find_near_faces(
     return faces
 
 
-@cached_per_mesh
+@cache_per_mesh
 def find_surface_height(mesh: setting_data.MeshData, point: setting_data.PointMm, up: str) -> float | None:
     """Return the highest coordinate of a mesh on the vertical line through a point; None if the line misses the mesh."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 _MAX_CACHED_MESHES, _MAX_CACHED_ANSWERS = 16, 4096  # maximum cache sizes: meshes for each kind of work, and results for each mesh
 
 
-class _Mesh(Protocol):
+class _HasVertices(Protocol):
     @property
     def vertices(self) -> NDArray[object]: ...  # type: ignore[type-var]
 
 
-M = TypeVar("M", bound=_Mesh)
+M = TypeVar("M", bound=_HasVertices)
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def cached_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
+def cache_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
     """Return `work`, cached by mesh and arguments. The results must not be changed.
 
     Only results for read-only meshes are stored. Such meshes are cached as well."""

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.scene import setting as setting_data
-from antdsl.scene.geometry.closed_meshes import count_border_edges, count_open_solid_edges, find_odd_edges
+from antdsl.scene.geometry.closed_meshes import count_border_edges, count_open_solid_edges, find_edges_with_odd_faces
 from antdsl.scene.geometry.import_notes import MeshImport
-from antdsl.scene.geometry.live_faces import has_area, has_live_face, number_components
+from antdsl.scene.geometry.live_faces import has_any_face_with_area, has_nonzero_area, number_connected_components
 from antdsl.scene.geometry.matrices import find_distinct_points
 from antdsl.scene.geometry.mesh_files import RawMesh
 from antdsl.scene.setting import compute_world_origin
@@ -36,11 +36,11 @@ _MAX_CLOSING_TRIES = 4  # tolerances for closing gaps; each is twice the previou
 
 
 _FAR_FROM_ORIGIN_MM = 2.0**23  # mm from the origin of the world; beyond it, float32 has steps of a millimetre
-_MANY_REMOVED_FACES = 20  # welding causes a warning if it removes more than one in this number of faces
+_MIN_REPORTED_REMOVED_FACES = 20  # welding causes a warning if it removes more than one in this number of faces
 _DEFAULT_WELD_VOXELS = 0.01  # share of a voxel; voxels lose finer detail in any case
 
 
-def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: Span | None) -> None:
+def report_import_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: Span | None) -> None:
     """Warn about contents of a mesh file that are not in the scene."""
     report, notes = staging.report, raw.notes
     if raw.dropped_faces:
@@ -70,17 +70,17 @@ def check_origin_distances(staging: SceneStaging, setting: setting_data.WorldSet
             staging.report.warning("far-away", words, find_mesh_location(staging, name)[1], help)
 
 
-def weld_thing(
+def weld_thing_mesh(
     staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing, mesh: setting_data.MeshData
 ) -> setting_data.MeshData:
     """Return the mesh with its vertices welded, if the scene has `weld`. On an error, report it and return the mesh unchanged."""
     if isinstance(value, HeightThing) or value.weld is None:
         return mesh
     if name in staging.moves_by_mesh:
-        words, span = f"`{name}` moves, but only static meshes can be welded", staging.scene.span("world", name, "weld")
+        words, span = f"`{name}` moves, but only static meshes can be welded", staging.scene.find_span("world", name, "weld")
         staging.report.error("wrong-value", words, span, "delete `weld`, and weld it in the program that made the mesh")
         return mesh
-    tolerance, span = value.weld.to_millimetres(staging.scene.model.unit_mm), staging.scene.span("world", name, "weld")
+    tolerance, span = value.weld.to_millimetres(staging.scene.model.unit_mm), staging.scene.find_span("world", name, "weld")
     written = f"`weld: {span.text if span is not None else f'{tolerance:g} mm'}`"
     lengths = compute_edge_lengths(mesh.vertices, mesh.faces)
     shortest = float(lengths[lengths > 0].min())
@@ -98,7 +98,7 @@ def weld_thing(
         staging.report.error("wrong-value", words, span, help)
         return mesh
     removed_count, median = int((~welding.is_retained_face).sum()), float(np.median(lengths))
-    if removed_count * _MANY_REMOVED_FACES > len(mesh.faces) or tolerance > median / 2:
+    if removed_count * _MIN_REPORTED_REMOVED_FACES > len(mesh.faces) or tolerance > median / 2:
         words = f"{written} removes {removed_count:,} of {len(mesh.faces):,} triangles of `{name}`"
         words = words if removed_count else f"{written} is more than half of the median edge of `{name}`, {median:.3g} mm"
         staging.report.warning("degenerate-faces", words, span, f"write `weld: {round_down_digit(median / 4):g} mm` or less")
@@ -127,7 +127,9 @@ def _weld_mesh(mesh: setting_data.MeshData, tolerance: float) -> _WeldedMesh | N
     keep = has_distinct_corners(vertices, mesh.faces)
     welded_mesh = setting_data.MeshData(vertices, mesh.faces[keep])
     return (
-        _WeldedMesh(welded_mesh, count, keep) if has_area(*(vertices[welded_mesh.faces[:, k]] for k in range(3))).any() else None
+        _WeldedMesh(welded_mesh, count, keep)
+        if has_nonzero_area(*(vertices[welded_mesh.faces[:, k]] for k in range(3))).any()
+        else None
     )
 
 
@@ -196,10 +198,10 @@ def check_live_faces(staging: SceneStaging) -> None:
     low, high = (edge([edge(points, axis=0) for points in used], axis=0) for edge in (np.min, np.max))
     extent = float((high - low).max())
     for name, mesh in staging.surfaces.items():
-        if has_live_face(mesh.vertices, mesh.faces, extent):
+        if has_any_face_with_area(mesh.vertices, mesh.faces, extent):
             continue
         display_name, span = find_mesh_location(staging, name)
-        if has_area(*(mesh.vertices[mesh.faces[:, k]] for k in range(3))).any():
+        if has_nonzero_area(*(mesh.vertices[mesh.faces[:, k]] for k in range(3))).any():
             words = f"the mesh `{display_name}` is less than a millionth as wide as all surfaces together ({extent:.3g} mm)"
             help = "check its `units` and `scale`, or leave it out"
         else:
@@ -213,7 +215,9 @@ def find_mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | No
     value = staging.scene.model.world[name]
     assert isinstance(value, ThingModel)
     key = "prim" if isinstance(value, UsdThing) else value.find_form_key()
-    return str(value.prim_path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
+    return str(value.prim_path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.find_span(
+        "world", name, key
+    )
 
 
 def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
@@ -263,7 +267,7 @@ def weld_vertices(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     if not len(pairs):
         return vertices, 0
-    number = number_components(pairs, len(points))[which]
+    number = number_connected_components(pairs, len(points))[which]
     first = np.full(int(number.max()) + 1, len(vertices))
     np.minimum.at(first, number, np.arange(len(vertices)))  # the first vertex in the file, independent of the library's numbers
     welded_vertices = vertices[first[number]]
@@ -315,7 +319,7 @@ def measure_openings(vertices: Floats, faces: Faces, tolerance: float) -> MeshOp
     """Return the openings of a mesh. `tolerance`: positions nearer to each other than this coincide."""
     from scipy.spatial import KDTree
 
-    edges, points = find_odd_edges(vertices, faces, tolerance)
+    edges, points = find_edges_with_odd_faces(vertices, faces, tolerance)
     ends = points[edges]
     lengths = np.sqrt(((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1))
     rim = np.unique(edges)
@@ -335,11 +339,13 @@ def measure_openings(vertices: Floats, faces: Faces, tolerance: float) -> MeshOp
         if (
             has_distinct_corners(moved, faces).any()
             and not is_flat(moved, faces)
-            and not len(find_odd_edges(moved, faces, tolerance)[0])
+            and not len(find_edges_with_odd_faces(moved, faces, tolerance)[0])
         ):
             return MeshOpenings(gap, width, 0, 0, 0.0)
         gap *= 2
-    _, piece, count = np.unique(number_components(edges, len(points))[edges[:, 0]], return_inverse=True, return_counts=True)
+    _, piece, count = np.unique(
+        number_connected_components(edges, len(points))[edges[:, 0]], return_inverse=True, return_counts=True
+    )
     largest = int(count.argmax())
     return MeshOpenings(0.0, 0.0, len(count), int(count[largest]), float(lengths[piece == largest].max()))
 

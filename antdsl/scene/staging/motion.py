@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeshMoves:
+class MeshMotion:
     """The vertices of a mesh over frames.
 
     `tracks` float64 (tracks, frames, 3, 4): `tracks[track_indices[v], k]` is the transform of vertex v from frame 0 to frame k.
@@ -36,37 +36,37 @@ class MeshMoves:
     offsets: NDArray[np.float64]
 
     @property
-    def frames(self) -> int:
+    def frame_count(self) -> int:
         """Return the number of frames."""
         return int(self.tracks.shape[1])
 
     @staticmethod
-    def from_transforms(transforms: Floats, count: int) -> MeshMoves:
+    def from_transforms(transforms: Floats, count: int) -> MeshMotion:
         """Return moves of `count` vertices that all follow the same transforms (frames, 3, 4) from a common space.
 
         The first transform must have an inverse."""
         track = compose_transforms(transforms, invert_transforms(transforms[0]))
         track[(transforms == transforms[0]).all(axis=(1, 2))] = make_identity_transforms()
-        return MeshMoves(np.zeros(count, np.int32), track[None], np.empty(0, np.int64), np.empty((0, 0, 3), np.float64))
+        return MeshMotion(np.zeros(count, np.int32), track[None], np.empty(0, np.int64), np.empty((0, 0, 3), np.float64))
 
     @staticmethod
-    def from_positions(positions: Floats) -> MeshMoves:
+    def from_positions(positions: Floats) -> MeshMotion:
         """Return moves of vertices that move independently. `positions` (frames, n, 3)."""
         frames, count = positions.shape[:2]
         offsets = (positions - positions[0]).astype(np.float64)
-        return MeshMoves(np.zeros(count, np.int32), make_identity_transforms(1, frames), np.arange(count), offsets)
+        return MeshMotion(np.zeros(count, np.int32), make_identity_transforms(1, frames), np.arange(count), offsets)
 
     def compute_vertices(self, rest_positions: Floats, frame: int) -> Floats:
         """Return the vertices (n, 3) at a frame, counted from 0. `rest_positions`: their positions at frame 0.
 
         Before the first and after the last frame, the vertices do not move."""
-        k = min(max(frame, 0), self.frames - 1)
+        k = min(max(frame, 0), self.frame_count - 1)
         place = apply_transforms(self.tracks[:, k].take(self.track_indices, axis=0), rest_positions)
         if len(self.deformed_vertices):
             place[self.deformed_vertices] += self.offsets[k]
         return np.ascontiguousarray(place)
 
-    def transform_motion(self, transforms: Floats) -> MeshMoves:
+    def transform_motion(self, transforms: Floats) -> MeshMotion:
         """Return the same motion in another space. `transforms` (frames, 3, 4): from the current space to the other."""
         back = invert_transforms(transforms[0])
         tracks = compose_transforms(compose_transforms(transforms[None], self.tracks), back)
@@ -75,27 +75,27 @@ class MeshMoves:
         ] = make_identity_transforms()
         turn = transforms[: len(self.offsets), :, :3]
         offsets = multiply_matrices(self.offsets, np.swapaxes(turn, 1, 2))
-        return MeshMoves(self.track_indices, tracks, self.deformed_vertices, offsets)
+        return MeshMotion(self.track_indices, tracks, self.deformed_vertices, offsets)
 
-    def select_vertices(self, vertex_numbers: NDArray[np.int64]) -> MeshMoves:
+    def select_vertices(self, vertex_numbers: NDArray[np.int64]) -> MeshMotion:
         """Return the moves of some vertices only. `vertex_numbers`: the indices of these vertices, ascending."""
         place = np.full(len(self.track_indices), -1)
         place[vertex_numbers] = np.arange(len(vertex_numbers))
         left = np.flatnonzero(place[self.deformed_vertices] >= 0)
-        return MeshMoves(
+        return MeshMotion(
             self.track_indices[vertex_numbers], self.tracks, place[self.deformed_vertices[left]], self.offsets[:, left]
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GeometryMoves:
+class GeometryMotion:
     """All moving things, by name.
 
     `first`: the frame of the scene that counts as 0.
     `items`, `curves`: positions (frames, n, 3) in mm."""
 
     first: int = 0
-    meshes: Mapping[str, MeshMoves] = field(default_factory=dict)
+    meshes: Mapping[str, MeshMotion] = field(default_factory=dict)
     items: Mapping[str, Floats] = field(default_factory=dict)
     curves: Mapping[str, Floats] = field(default_factory=dict)
 

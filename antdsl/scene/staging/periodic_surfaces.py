@@ -28,7 +28,7 @@ def fit_surfaces_to_box(staging: SceneStaging) -> None:
     if box is None or not staging.report.ok:
         return
     for name, mesh in staging.surfaces.items():
-        span, gaps = staging.scene.span("world", name), list(_list_gaps(mesh, box))
+        span, gaps = staging.scene.find_span("world", name), list(_list_gaps(mesh, box))
         if gaps:
             words = f"`{name}` reaches from {gaps[0][1]:g} to {gaps[0][2]:g} mm along {gaps[0][0]}, and the world wraps beyond"
             advice = f"write `{gaps[0][0]}: {gaps[0][1]:g} mm .. {gaps[0][2]:g} mm` below `wrap`, or a larger surface"

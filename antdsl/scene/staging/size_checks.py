@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _MAX_WORLD_BODY_LENGTHS = 1e6  # body lengths; larger surfaces, such as a county for ants, probably have a wrong unit
 # body lengths; voxels larger than the first are too coarse, the second is a good size
-_MAX_VOXEL_PER_BODY, _GOOD_VOXEL_PER_BODY = 1 / 3, 1 / 4
+_MAX_VOXEL_SHARE_OF_BODY, _GOOD_VOXEL_SHARE_OF_BODY = 1 / 3, 1 / 4
 
 
 def check_sizes(staging: SceneStaging) -> None:
@@ -42,7 +42,7 @@ def _check_cells(staging: SceneStaging) -> None:
         place = declared.surfaces[0] if declared.surfaces else ""
         # a tilted plane touches up to 1.7 voxels per voxel of its area; one is the lower bound
         labels = (Label(declared.cell.span, "the cell's size"),)
-        report_too_many(
+        report_too_many_parts(
             staging,
             area / (edge * edge),
             limits.MAX_FIELD_CELLS,
@@ -70,14 +70,14 @@ def _check_scale(staging: SceneStaging) -> None:
             if not 3 * length <= width <= _MAX_WORLD_BODY_LENGTHS * length:
                 words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
                 staging.report.warning(
-                    "odd-scale", words, staging.scene.span("world", name), "define the mesh's `units`, such as `units: m`"
+                    "odd-scale", words, staging.scene.find_span("world", name), "define the mesh's `units`, such as `units: m`"
                 )
         for name, solid in staging.solids.items():
-            if solid.voxel > _MAX_VOXEL_PER_BODY * length:
+            if solid.voxel > _MAX_VOXEL_SHARE_OF_BODY * length:
                 words = f"voxels of `{name}` are {solid.voxel:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
                 place, help = (
-                    staging.scene.span("world", name, "voxel"),
-                    f"write `voxel: {_GOOD_VOXEL_PER_BODY * length:.3g} mm` or less",
+                    staging.scene.find_span("world", name, "voxel"),
+                    f"write `voxel: {_GOOD_VOXEL_SHARE_OF_BODY * length:.3g} mm` or less",
                 )
                 staging.report.warning("odd-scale", words, place, help)
 
@@ -96,7 +96,7 @@ def _find_first_length(expression: Expr, staging: SceneStaging) -> float | None:
     return None
 
 
-def report_too_many(
+def report_too_many_parts(
     staging: SceneStaging,
     count: float,
     max_count: int,
@@ -112,4 +112,4 @@ def report_too_many(
         message = f"{subject} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {max_count:,}"
         larger = edge * (count / max_count) ** (1 / 3 if parts == "voxels" else 1 / 2)
         help = f"write {parts[:-1]}s of {larger * 1.05:.3g} mm or more, or check the `units` of the mesh"
-        staging.report.error("too-large", message, staging.scene.span(*path), help, labels=labels)
+        staging.report.error("too-large", message, staging.scene.find_span(*path), help, labels=labels)

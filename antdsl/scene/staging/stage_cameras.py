@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.scene import setting as setting_data
-from antdsl.scene.camera_models import Camera, UsdCamera
+from antdsl.scene.camera_models import PlacedCamera, UsdCamera
 from antdsl.scene.staging.stage_things import interpolate_values, read_usd
 from antdsl.scene.thing_models import UP_VECTORS, convert_point
 
@@ -21,14 +21,14 @@ def stage_cameras(staging: SceneStaging) -> dict[str, setting_data.CameraData]:
     """Return the cameras that do not depend on agents, by name. On failure, report an error and leave the camera out."""
     cameras: dict[str, setting_data.CameraData] = {}
     for name, value in staging.scene.model.named_cameras.items():
-        if isinstance(value, Camera):
+        if isinstance(value, PlacedCamera):
             cameras[name] = _stage_placed_camera(staging, value)
         elif isinstance(value, UsdCamera) and (camera := _stage_usd_camera(staging, name, value)) is not None:
             cameras[name] = camera
     return cameras
 
 
-def _stage_placed_camera(staging: SceneStaging, value: Camera) -> setting_data.CameraData:
+def _stage_placed_camera(staging: SceneStaging, value: PlacedCamera) -> setting_data.CameraData:
     model = staging.scene.model
     frames = range(model.frames.first, model.frames.last + 1 if value.keys else model.frames.first + 1)
 

@@ -13,7 +13,7 @@ from antdsl.diagnostics import Report
 from antdsl.program.model import Dimension, TypeKind
 from antdsl.scene import setting as setting_data
 from antdsl.scene.crowds.crowd_data import ReleaseData
-from antdsl.scene.crowds.crowd_model import Placement, UsdPositions, Walk
+from antdsl.scene.crowds.crowd_model import Placement, ScriptedWalk, UsdPositions
 from antdsl.scene.crowds.initial_values import stage_initial_values
 from antdsl.scene.document import PathKey
 from antdsl.scene.library_bodies import BODY_WORDS
@@ -60,7 +60,7 @@ def stage_placement(
     if isinstance(placement.points, UsdPositions):
         usd_points = stage_usd_places(staging, placement.points, *path)
         if usd_points is not None:
-            file = UsdFile(staging, placement.points.usd, scene.span(*path, "points", "usd"), usd_points)
+            file = UsdFile(staging, placement.points.usd, scene.find_span(*path, "points", "usd"), usd_points)
             points, ahead, values = (
                 usd_points.positions[0],
                 _normalise_rows(usd_points.ahead),
@@ -103,7 +103,7 @@ def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.fl
     return {name: column for name, column in columns.items() if np.isfinite(column).any()}
 
 
-def stage_walk(scene: Scene, walk: Walk | None) -> setting_data.WalkData | None:
+def stage_walk(scene: Scene, walk: ScriptedWalk | None) -> setting_data.ScriptedWalkData | None:
     """Return a walk with a unit direction, in mm and seconds; None without a walk."""
     if walk is None:
         return None
@@ -112,10 +112,10 @@ def stage_walk(scene: Scene, walk: Walk | None) -> setting_data.WalkData | None:
     size = math.sqrt((x * x + y * y) + z * z)
     speed = (
         walk.speed.to_millimetres(model.unit_mm)
-        if walk.speed.is_bare
+        if walk.speed.has_no_unit
         else walk.speed.to_base_units(model.unit_mm, float(1 / model.fps))
     )
-    return setting_data.WalkData((x / size, y / size, z / size), speed, walk.length.to_millimetres(model.unit_mm))
+    return setting_data.ScriptedWalkData((x / size, y / size, z / size), speed, walk.length.to_millimetres(model.unit_mm))
 
 
 def _read_spacing(scene: Scene, spacing: Quantity | str | None) -> float:

@@ -11,12 +11,12 @@ from antdsl import limits
 from antdsl.scene import setting as setting_data
 from antdsl.scene import thing_models as model
 from antdsl.scene.checks.entry_checks import report_unknown_name
-from antdsl.scene.geometry.mesh_files import RawMesh, rotate_points, rotate_up
+from antdsl.scene.geometry.mesh_files import RawMesh, rotate_points, rotate_up_axis
 from antdsl.scene.geometry.painted import PaintError, read_painted_values
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import find_flow_target, find_painted_surface, is_file_path
 from antdsl.scene.setting import FlowTarget
-from antdsl.scene.staging.stage_things import find_first_rotation, limit_length, stage_usd_paint
+from antdsl.scene.staging.stage_things import find_first_rotation, limit_vector_lengths, stage_usd_paint
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import SceneStaging
@@ -59,7 +59,7 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
     return setting_data.SpreadFlowData(direction, target, radius, thing.falloff, thing.strength, cell, on, gather)  # type: ignore[arg-type]
 
 
-def _stage_flow_target(staging: SceneStaging, name: str, key: str, target: model.Target) -> FlowTarget | None:
+def _stage_flow_target(staging: SceneStaging, name: str, key: str, target: model.FlowTargetValue) -> FlowTarget | None:
     """Return the target of a flow in mm. `key`: the key of the scene that names it. On failure, report an error and return
     None."""
     scene, items = staging.scene, staging.items
@@ -93,7 +93,7 @@ def _report_no_target(staging: SceneStaging, name: str, key: str, target: str) -
         return
     if target in items:
         words, help = f"`{target}` has no items, so `{name}` leads nowhere", f"add one: `{target}: {{one: {{at: [0, 0, 0]}}}}`"
-        staging.report.error("missing-thing", words, staging.scene.span("world", name, key), help)
+        staging.report.error("missing-thing", words, staging.scene.find_span("world", name, key), help)
         return
     known = [*items, *(item.name for each in items.values() for item in each)]
     report_unknown_name(staging.report, staging.scene, ("world", name, key), "no curve and no item is named", known, key=False)
@@ -117,7 +117,7 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
     data = staging.read_file(thing.painted, limits.MAX_MESH_BYTES, "world", name, "painted")
     if data is None or raw is None or not isinstance(mesh, model.MeshThing | model.HeightThing):
         return None  # the error was reported with the mesh
-    span = staging.scene.span("world", name, "painted")
+    span = staging.scene.find_span("world", name, "painted")
     attribute = name if thing.attribute is None else thing.attribute
     try:
         rows = read_painted_values(data, thing.painted, attribute, width)
@@ -136,7 +136,7 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
         up = staging.scene.model.up
         mirrored, own_up = (mesh.scale < 0, mesh.own_up or up) if isinstance(mesh, model.MeshThing) else (False, "y")
         values = values * (-1.0 if mirrored else 1.0)
-        values = limit_length(rotate_points(rotate_up(values, own_up, up), find_first_rotation(staging, mesh)))
+        values = limit_vector_lengths(rotate_points(rotate_up_axis(values, own_up, up), find_first_rotation(staging, mesh)))
     return setting_data.PaintedValues(surface, values if width == 3 else values[:, 0], of_faces)
 
 
@@ -150,13 +150,13 @@ def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[
     return (rows[raw.file_face_indices], True) if len(rows) == faces else None
 
 
-def check_densities(staging: SceneStaging) -> None:
+def check_density_maps(staging: SceneStaging) -> None:
     """Report a crowd with a density map that is 0 everywhere, or that is painted on another surface."""
     for number, line in enumerate(staging.scene.model.crowd):
         name = line.place.density
         if name is None or name not in staging.maps:
             continue
-        span = staging.scene.span("crowd", number, "place", "density")
+        span = staging.scene.find_span("crowd", number, "place", "density")
         painted = staging.maps[name]
         if line.place.on not in (None, painted.surface):
             words = f"`{name}` is painted on `{painted.surface}`, but the crowd is placed on `{line.place.on}`"

@@ -8,12 +8,12 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.scene import setting as setting_data
-from antdsl.scene.geometry.heights import compute_deviation, make_height_surface, read_heights
-from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, make_limited_mesh, place_mesh, read_mesh
+from antdsl.scene.geometry.heights import compute_sampling_deviation, make_height_surface, read_heights
+from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, make_limited_mesh, read_mesh, transform_raw_mesh
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.paths import PathRefused
-from antdsl.scene.staging.mesh_imports import close_solid, report_losses, weld_thing
-from antdsl.scene.staging.size_checks import report_too_many
+from antdsl.scene.staging.mesh_imports import close_solid, report_import_losses, weld_thing_mesh
+from antdsl.scene.staging.size_checks import report_too_many_parts
 from antdsl.scene.staging.stage_things import place_motion, read_moving_mesh, stage_usd_mesh
 from antdsl.scene.thing_models import UNIT_MM, HeightThing, MeshThing, UsdThing, convert_point, convert_rotation
 
@@ -42,9 +42,9 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
     if geometry is None:
         return None
     raw, inner = geometry
-    span = scene.span("world", name, key)
+    span = scene.find_span("world", name, key)
     try:
-        mesh = place_mesh(
+        mesh = transform_raw_mesh(
             raw, factor=factor, own_up=own_up, up=up, angles=convert_rotation(value), position=convert_point(value.at, unit_mm)
         )
         moving = place_motion(staging, value, raw, inner, factor, own_up)
@@ -57,8 +57,8 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
         report.error("bad-mesh", f"the mesh `{display_name}` {error}", span, error.help)
         return None
     staging.raw_meshes[name] = raw
-    mesh = weld_thing(staging, name, value, mesh)
-    report_losses(staging, display_name, raw, span)
+    mesh = weld_thing_mesh(staging, name, value, mesh)
+    report_import_losses(staging, display_name, raw, span)
     return mesh
 
 
@@ -71,11 +71,11 @@ def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tup
         return read_mesh(data, value.mesh, value.group, staging.make_sibling_reader(value.mesh)), None
     except PathRefused as error:
         words = f"the mesh `{value.mesh}` names a buffer: {error}"
-        staging.report.error(error.code, words, staging.scene.span("world", name, "mesh"), error.help)
+        staging.report.error(error.code, words, staging.scene.find_span("world", name, "mesh"), error.help)
         return None
     except MeshError as why:
         key = "mesh" if value.group is None else "group"
-        staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key), why.help)
+        staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.find_span("world", name, key), why.help)
         return None
 
 
@@ -91,10 +91,10 @@ def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> t
         x, z = (side.to_millimetres(unit_mm) for side in value.extent)
         raw = check_mesh(*make_height_surface(heights, (x, z)))
     except MeshError as error:
-        span = staging.scene.span("world", name, "height")
+        span = staging.scene.find_span("world", name, "height")
         staging.report.error("bad-mesh", f"the heights `{value.height}` {error}", span, error.help)
         return None
-    staging.deviations[name] = compute_deviation(heights)
+    staging.deviations[name] = compute_sampling_deviation(heights)
     return raw, None
 
 
@@ -107,7 +107,7 @@ def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -
         return None
     edge = value.voxel.to_millimetres(staging.scene.model.unit_mm)
     across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
-    report_too_many(
+    report_too_many_parts(
         staging, across[0] * across[1] * across[2], limits.MAX_VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
     )
     solid = setting_data.SolidData(mesh, edge)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program
 from antdsl.scene import setting as setting_data
-from antdsl.scene.camera_models import DEFAULT_CAMERA
+from antdsl.scene.camera_models import DEFAULT_CAMERA_NAME
 from antdsl.scene.checks.wrap_checks import make_periodic_box
 from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.closed_meshes import check_obstacle_sides
@@ -29,12 +29,12 @@ from antdsl.scene.quantities import Quantity
 from antdsl.scene.scene_kinds import SCENE_KINDS
 from antdsl.scene.staging.item_placement import check_crowds, place_items
 from antdsl.scene.staging.mesh_imports import check_live_faces, check_origin_distances, collect_imports
-from antdsl.scene.staging.motion import GeometryMoves, MeshMoves
+from antdsl.scene.staging.motion import GeometryMotion, MeshMotion
 from antdsl.scene.staging.periodic_surfaces import fit_surfaces_to_box
 from antdsl.scene.staging.size_checks import check_sizes
 from antdsl.scene.staging.stage_cameras import stage_cameras
 from antdsl.scene.staging.stage_crowd import stage_crowd
-from antdsl.scene.staging.stage_flows import check_densities, stage_flow, stage_map
+from antdsl.scene.staging.stage_flows import check_density_maps, stage_flow, stage_map
 from antdsl.scene.staging.stage_meshes import stage_mesh, stage_solid
 from antdsl.scene.staging.stage_shapes import convert_length, stage_point
 from antdsl.scene.staging.stage_things import stage_curve
@@ -58,22 +58,22 @@ class SceneStaging:
     flows: dict[str, setting_data.FlowData] = field(default_factory=dict)
     maps: dict[str, setting_data.PaintedValues] = field(default_factory=dict)
     raw_meshes: dict[str, RawMesh] = field(default_factory=dict)  # meshes as in their files
-    moves_by_mesh: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
+    moves_by_mesh: dict[str, MeshMotion] = field(default_factory=dict)  # by mesh
     # mm, for height surfaces: the largest distance of triangles from bilinear patches
     deviations: dict[str, float] = field(default_factory=dict)
     closures: dict[str, Any] = field(default_factory=dict)  # collected USD files, by name
     weld_counts: dict[str, int] = field(default_factory=dict)  # vertices merged with others, by mesh
 
-    def read_thing(self, group: str, name: str, value: Any) -> Any:
+    def read_group_entry(self, group: str, name: str, value: Any) -> Any:
         """Return the data of a thing for the mapping `group` of the setting. On failure, report an error and return None."""
-        return READERS[group](self, name, value)
+        return READER_BY_GROUP[group](self, name, value)
 
     def read_file(self, text: str, max_bytes: int, *path: PathKey) -> bytes | None:
         """Return a file's bytes. On failure, report an error at the path that names the file, and return None."""
         try:
             data = self.scene.roots.read_file(text, max_bytes)
         except PathRefused as error:
-            self.report.error(error.code, str(error), self.scene.span(*path), error.help)
+            self.report.error(error.code, str(error), self.scene.find_span(*path), error.help)
             return None
         self.hashes[text] = hashlib.blake2b(data, digest_size=16).hexdigest()
         return data
@@ -102,7 +102,7 @@ class SceneStaging:
         try:
             return read_points(data, min_count)
         except PointsError as error:
-            self.report.error("bad-points", f"`{text}` {error}", self.scene.span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
+            self.report.error("bad-points", f"`{text}` {error}", self.scene.find_span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
             return None
 
     def find_sequence(self, text: str, *path: PathKey) -> dict[int, str] | None:
@@ -110,16 +110,16 @@ class SceneStaging:
         try:
             return self.scene.roots.find_sequence(text)
         except PathRefused as error:
-            self.report.error(error.code, str(error), self.scene.span(*path), error.help)
+            self.report.error(error.code, str(error), self.scene.find_span(*path), error.help)
             return None
 
 
 # By mapping of the setting.
-READERS: Mapping[str, Callable[[SceneStaging, str, Any], Any]] = {
+READER_BY_GROUP: Mapping[str, Callable[[SceneStaging, str, Any], Any]] = {
     "surfaces": stage_mesh, "obstacles": stage_mesh, "solids": stage_solid, "curves": stage_curve, "items": place_items,
     "flows": stage_flow, "maps": stage_map,
 }  # fmt: skip
-CHECKS: Mapping[str, Callable[[SceneStaging], None]] = {
+CHECK_BY_GROUP: Mapping[str, Callable[[SceneStaging], None]] = {
     "surfaces": check_live_faces, "obstacles": check_obstacle_sides, "solids": check_sizes,
 }  # fmt: skip
 
@@ -137,8 +137,8 @@ def _stage_things(staging: SceneStaging, *groups: str) -> None:
             if data is not None:
                 getattr(staging, kind.group)[name] = data
     for group in groups:
-        if group in CHECKS:
-            CHECKS[group](staging)
+        if group in CHECK_BY_GROUP:
+            CHECK_BY_GROUP[group](staging)
 
 
 def build_setting(
@@ -157,7 +157,7 @@ def build_setting(
         name: group[0].position for name, group in staging.items.items() if group
     }
     crowds = tuple(stage_crowd(staging, item_points, number) for number in range(len(model.crowd)))
-    check_densities(staging)
+    check_density_maps(staging)
     check_crowds(staging, crowds)
     cameras = stage_cameras(staging)
     starts = {
@@ -173,7 +173,7 @@ def build_setting(
     dt = float(1 / model.fps)
     param_values = {**model.set, **(overrides or {})}
     params = {name: value.to_base_units(model.unit_mm, dt) for name, value in param_values.items() if name in program.params}
-    things: dict[str, Any] = {group: getattr(staging, group) for group in READERS}
+    things: dict[str, Any] = {group: getattr(staging, group) for group in READER_BY_GROUP}
     things["curves"] = {name: positions[0] for name, positions in staging.curves.items()}
     setting = setting_data.WorldSetting(
         fps=model.fps,
@@ -189,17 +189,17 @@ def build_setting(
         crowds=crowds,
         params=params,
         field_start=starts,
-        motion=GeometryMoves(
+        motion=GeometryMotion(
             first=model.frames.first - model.preroll,
             meshes={name: moves for name, moves in staging.moves_by_mesh.items() if name not in staging.solids},
             items=staging.item_tracks,
             curves={name: positions for name, positions in staging.curves.items() if len(positions) > 1},
         ),
         cameras=cameras,
-        level_of_detail=_stage_level_of_detail(scene, cameras.get(DEFAULT_CAMERA)),
+        level_of_detail=_stage_level_of_detail(scene, cameras.get(DEFAULT_CAMERA_NAME)),
         deviations=staging.deviations,
         imports=collect_imports(staging),
-        spans={name: scene.span("world", name) for name in model.world},
+        spans={name: scene.find_span("world", name) for name in model.world},
         notes=model.notes,
         period=make_periodic_box(scene),
         **things,
@@ -216,10 +216,10 @@ def collect_import_reports(scene: Scene, program: Program) -> dict[str, MeshImpo
     return collect_imports(staging)
 
 
-def _stage_level_of_detail(scene: Scene, camera: setting_data.CameraData | None) -> setting_data.DetailData | None:
+def _stage_level_of_detail(scene: Scene, camera: setting_data.CameraData | None) -> setting_data.DetailLevelData | None:
     """Return the level of detail, or None if the scene has none. `camera`: the default camera."""
     lod = scene.model.lod
     if lod is None or camera is None:
         return None
     near, far = lod.near.to_millimetres(scene.model.unit_mm), convert_length(scene, lod.far)
-    return setting_data.DetailData(camera.at, near, float("inf") if far is None else far, camera.first)
+    return setting_data.DetailLevelData(camera.at, near, float("inf") if far is None else far, camera.first)

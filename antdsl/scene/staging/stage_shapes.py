@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene import setting as setting_data
-from antdsl.scene.crowds.casting_model import FACING_WORDS, Facing, FacingDirection, Ranks
+from antdsl.scene.crowds.casting_model import FACING_WORDS, FacingDirection, FacingValue, RankFormation
 from antdsl.scene.crowds.crowd_data import ClumpsData, FacingData, ItemCentre, RanksData, VolumeData
 from antdsl.scene.crowds.crowd_model import Placement
 from antdsl.scene.document import PathKey
@@ -46,7 +46,7 @@ def stage_point(
     if around not in item_points and staging.report.ok:
         near = find_nearest_name(around, item_points)
         help = f"did you mean `{near}`?" if near else None
-        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
+        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.find_span(*path, key), help)
     return item_points.get(around)
 
 
@@ -55,8 +55,8 @@ def stage_shapes(staging: SceneStaging, item_points: PointsByName, placement: Pl
     scene, clumps = staging.scene, placement.clumps
     return {
         "ranks": None if placement.ranks is None else _stage_ranks(scene, placement.ranks, int(path[1])),
-        "line": placement.along,
-        "edge_of": placement.edge,
+        "curve_name": placement.along,
+        "border_surface": placement.edge,
         "volume": None if placement.volume is None else _stage_volume(staging, item_points, placement.volume, *path),
         "clumps": None if clumps is None else ClumpsData(clumps.number, _convert_required_length(scene, clumps.radius)),
         "facing": None if placement.facing is None else _stage_facing(staging, item_points, placement.facing, *path),
@@ -68,7 +68,7 @@ def _convert_required_length(scene: Scene, value: Quantity) -> float:
     return value.to_millimetres(scene.model.unit_mm)
 
 
-def _stage_ranks(scene: Scene, ranks: Ranks, number: int) -> RanksData:
+def _stage_ranks(scene: Scene, ranks: RankFormation, number: int) -> RanksData:
     """Return ranks with as many rows as the crowd line needs."""
     model = scene.model
     count = model.crowd[number].count_agents(model.frames.first, model.fps)
@@ -90,7 +90,7 @@ def _stage_volume(staging: SceneStaging, item_points: PointsByName, volume: Regi
     return None if centre is None else VolumeData(centre, radius=_convert_required_length(staging.scene, volume.radius))
 
 
-def _stage_facing(staging: SceneStaging, item_points: PointsByName, facing: Facing, *path: PathKey) -> FacingData | None:
+def _stage_facing(staging: SceneStaging, item_points: PointsByName, facing: FacingValue, *path: PathKey) -> FacingData | None:
     """Return the direction in which agents begin, in mm and the scene's axes; None after an error."""
     if isinstance(facing, FacingDirection):
         x, y, z = facing.direction

@@ -16,11 +16,11 @@ from antdsl.scene.crowds.crowd_model import UsdPositions
 from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import apply_transforms, has_inverse
-from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, read_mesh_arrays, rotate_points, rotate_up
+from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, read_mesh_arrays, rotate_points, rotate_up_axis
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.staging.motion import MeshMoves
+from antdsl.scene.staging.motion import MeshMotion
 from antdsl.scene.thing_models import (
     UNIT_MM,
     CurveThing,
@@ -66,7 +66,7 @@ def find_frame_files(staging: SceneStaging, text: str, *path: PathKey) -> list[s
     if None in used:
         frame = frames[used.index(None)]
         staging.report.error(
-            "no-such-file", f"`{text}` has no file for frame {frame}", staging.scene.span(*path), "write all frames out"
+            "no-such-file", f"`{text}` has no file for frame {frame}", staging.scene.find_span(*path), "write all frames out"
         )
         return None
     return [file for file in used if file is not None]
@@ -109,7 +109,7 @@ def _make_key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing,
     placed = interpolate_keys(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
     if placed is None:
         return None
-    axes = rotate_up(np.eye(3) * factor, own_up, model.up)
+    axes = rotate_up_axis(np.eye(3) * factor, own_up, model.up)
     transforms = np.empty((len(frames), 3, 4))
     for k, (at, turn) in enumerate(zip(*placed, strict=True)):
         transforms[k, :, :3] = rotate_points(axes, (float(turn[0]), float(turn[1]), float(turn[2]))).T
@@ -120,12 +120,12 @@ def _make_key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing,
 # ---- meshes
 
 
-def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMoves | None] | None:
+def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMotion | None] | None:
     """Return a mesh from files per frame, and the motion of its vertices in the file's own units and axes."""
     files = find_frame_files(staging, value.mesh, "world", name, "mesh")
     if files is None:
         return None
-    span = staging.scene.span("world", name, "mesh")
+    span = staging.scene.find_span("world", name, "mesh")
     read: dict[str, Floats] = {}
     raw, first, positions = None, None, None
     for k, file in enumerate(files):
@@ -161,10 +161,10 @@ def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tupl
             return None
         read = {file: positions[k]}
     assert raw is not None and positions is not None
-    return raw, None if (positions == positions[0]).all() else MeshMoves.from_positions(positions)
+    return raw, None if (positions == positions[0]).all() else MeshMotion.from_positions(positions)
 
 
-def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
+def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMotion | None] | None:
     """Return the meshes below a prim and their motion, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
@@ -173,13 +173,13 @@ def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[R
         return None
     if mesh.unread_shape_types:
         words = f"shapes of the types {', '.join(mesh.unread_shape_types)} below `{value.prim_path}` are not read"
-        staging.report.warning("usd-left-out", words, staging.scene.span("world", name, "prim"), "turn them into meshes")
+        staging.report.warning("usd-left-out", words, staging.scene.find_span("world", name, "prim"), "turn them into meshes")
     return mesh.raw_mesh, mesh.motion
 
 
 def place_motion(
-    staging: SceneStaging, value: PlacedThing, raw: RawMesh, file_motion: MeshMoves | None, factor: float, own_up: str
-) -> tuple[Floats, MeshMoves | None] | None:
+    staging: SceneStaging, value: PlacedThing, raw: RawMesh, file_motion: MeshMotion | None, factor: float, own_up: str
+) -> tuple[Floats, MeshMotion | None] | None:
     """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both. None if it does not move."""
     transforms = _make_key_transforms(staging, value, factor, own_up)
     if file_motion is None and transforms is None:
@@ -190,7 +190,7 @@ def place_motion(
     rest = apply_transforms(transforms[0], raw.vertices)
     if file_motion is not None:
         return rest, file_motion.transform_motion(transforms)
-    return rest, None if (transforms == transforms[0]).all() else MeshMoves.from_transforms(transforms, len(rest))
+    return rest, None if (transforms == transforms[0]).all() else MeshMotion.from_transforms(transforms, len(rest))
 
 
 def find_first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[float, float, float]:
@@ -202,7 +202,7 @@ def find_first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[floa
     return convert_rotation(value)
 
 
-def limit_length(vectors: Floats) -> Floats:
+def limit_vector_lengths(vectors: Floats) -> Floats:
     """Return vectors (n, 3). Vectors longer than 1 are scaled to length 1."""
     return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1.0)[:, None])
 
@@ -213,7 +213,7 @@ def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh:
     from antdsl.scene.geometry.usd import read_usd_mesh
 
     attribute = name if thing.attribute is None else thing.attribute
-    span = staging.scene.span("world", name, "attribute")
+    span = staging.scene.find_span("world", name, "attribute")
     if not isinstance(attribute, str):
         staging.report.error("bad-paint", "a primvar has one name", span, f"write `attribute: {attribute[0]}`")
         return None
@@ -232,7 +232,7 @@ def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh:
         return None
     if width == 1:
         return values
-    return limit_length(rotate_points(values * (-1.0 if mesh.scale < 0 else 1.0), find_first_rotation(staging, mesh)))
+    return limit_vector_lengths(rotate_points(values * (-1.0 if mesh.scale < 0 else 1.0), find_first_rotation(staging, mesh)))
 
 
 # ---- curves
@@ -263,7 +263,7 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
         other = next((k for k, line in enumerate(complete_lines) if line.shape != complete_lines[0].shape), None)
         if other is not None:
             words = f"`{files[other]}` has a different number of points from `{files[0]}`"
-            span = staging.scene.span("world", name, "curve")
+            span = staging.scene.find_span("world", name, "curve")
             staging.report.error("moving-topology", words, span, "write all frames with the same number of points")
             return None
         positions = np.stack(complete_lines)
@@ -274,11 +274,11 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
     if transforms is None:
         at = np.array(convert_point(value.at, model.unit_mm))
         turn = convert_rotation(value) if isinstance(value, UsdThing) else (0.0, 0.0, 0.0)
-        return np.stack([rotate_points(rotate_up(line * factor, own_up, model.up), turn) + at for line in positions])
-    return _apply_by_frame(transforms, positions)
+        return np.stack([rotate_points(rotate_up_axis(line * factor, own_up, model.up), turn) + at for line in positions])
+    return _apply_transforms_by_frame(transforms, positions)
 
 
-def _apply_by_frame(transforms: Floats, positions: Floats) -> Floats:
+def _apply_transforms_by_frame(transforms: Floats, positions: Floats) -> Floats:
     """Return positions (frames, k, 3) after the transforms of their frames. The shorter input is extended with its last frame."""
     count = max(len(positions), len(transforms))
     frames = [(min(k, len(transforms) - 1), min(k, len(positions) - 1)) for k in range(count)]
@@ -297,7 +297,7 @@ def compute_item_positions(staging: SceneStaging, name: str, item: str | None, t
         return np.array([convert_point(thing.at, unit_mm)])
     if any(key.rotate is not None for key in thing.keys.values()):
         frame = next(f for f, key in thing.keys.items() if key.rotate is not None)
-        span = staging.scene.span("world", name, *([] if item is None else [item]), "keys", str(frame), "rotate")
+        span = staging.scene.find_span("world", name, *([] if item is None else [item]), "keys", str(frame), "rotate")
         staging.report.error(
             "wrong-value", f"the item `{item or name}` has no orientation, so it cannot rotate", span, "delete `rotate`"
         )
@@ -327,7 +327,10 @@ def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoi
         value.scale
     )
     return replace(
-        points, positions=_apply_by_frame(transforms, points.positions), radius=points.radius * abs(value.scale), ahead=ahead
+        points,
+        positions=_apply_transforms_by_frame(transforms, points.positions),
+        radius=points.radius * abs(value.scale),
+        ahead=ahead,
     )
 
 
@@ -341,7 +344,7 @@ def stage_usd_places(staging: SceneStaging, value: UsdPositions, *path: PathKey)
     return read_usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
 
 
-def follow_surface(mesh: setting_data.MeshData, mesh_moves: MeshMoves, point: setting_data.PointMm) -> Floats:
+def follow_surface(mesh: setting_data.MeshData, mesh_moves: MeshMotion, point: setting_data.PointMm) -> Floats:
     """Return the positions (frames, 3) of a point that is attached to its triangle on a moving surface."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -355,7 +358,7 @@ def follow_surface(mesh: setting_data.MeshData, mesh_moves: MeshMoves, point: se
     )
     face = int(off.argmin())
     positions = []
-    for k in range(mesh_moves.frames):
+    for k in range(mesh_moves.frame_count):
         p = mesh_moves.compute_vertices(mesh.vertices, k)[mesh.faces[face]]
         positions.append(p[0] + w1[face] * (p[1] - p[0]) + w2[face] * (p[2] - p[0]))
     return np.array(positions)
@@ -385,10 +388,13 @@ def read_usd(
         staging.hashes |= stage.hashes
         return read(stage)
     except UsdError as error:
-        staging.report.error(error.code, str(error), staging.scene.span(*path, error.key), error.help)
+        staging.report.error(error.code, str(error), staging.scene.find_span(*path, error.key), error.help)
     except MeshError as error:
         words = f"the mesh `{prim}` of `{text}` {error}"
         staging.report.error(
-            "bad-mesh", words, staging.scene.span(*path, "prim"), "repair it in the program that made it, and export it again"
+            "bad-mesh",
+            words,
+            staging.scene.find_span(*path, "prim"),
+            "repair it in the program that made it, and export it again",
         )
     return None

@@ -174,7 +174,7 @@ class GoldenRecorder:
             self.known = sums_by_key
         self.frames.append(frame)
 
-    def end(self, world: World) -> None:
+    def finish(self, world: World) -> None:
         """Build the golden run from the recorded frames."""
         self.result.frames = len(self.frames)
         summary = {name: f"{len(population)} agents" for name, population in sorted(world.populations.items())}
@@ -221,7 +221,7 @@ class GoldenComparer:
             else:
                 self.result.message = "no later frame is stored in detail"
 
-    def end(self, world: World) -> None:
+    def finish(self, world: World) -> None:
         """Do nothing: the result is complete."""
 
     def _record_difference(self, frame: int, words: str) -> None:

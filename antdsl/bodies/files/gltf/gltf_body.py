@@ -100,7 +100,7 @@ def _assign_unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int
     names: dict[int, str] = {}
     taken: set[str] = set()
     for number in joint_nodes:
-        name = make_unused_name(file.name(file.get_top_list("nodes")[number], f"node{number}"), taken)
+        name = make_unused_name(file.get_name(file.get_top_list("nodes")[number], f"node{number}"), taken)
         taken.add(name)
         names[number] = name
     return names
@@ -164,7 +164,7 @@ def _read_layer(body: GltfBody) -> Layer:
         morphs = any("targets" in each for each in file.get_objects(meshes[mesh], "primitives"))
         key = (mesh, -1 if skin is None else skin, number if morphs else -1)
         if key not in known:
-            name = make_unused_name(file.name(meshes[mesh], file.name(node, f"mesh{mesh}")), body.shapes)
+            name = make_unused_name(file.get_name(meshes[mesh], file.get_name(node, f"mesh{mesh}")), body.shapes)
             if not read_shape(body, name, meshes[mesh], None if skin is None else skins[skin], node):
                 continue
             known[key] = name

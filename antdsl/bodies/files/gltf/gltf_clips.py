@@ -41,7 +41,7 @@ def read_clips(
     clips: dict[str, Clip] = {}
     left = limits.MAX_CLIP_BYTES
     for number, animation in enumerate(animations):
-        name = make_unused_name(file.name(animation, f"clip{number}"), clips)
+        name = make_unused_name(file.get_name(animation, f"clip{number}"), clips)
         clip, size = _read_clip(file, animation, name, joint_names, weights, rig, rate, left)
         left -= size
         if clip is not None:

@@ -15,9 +15,9 @@ from antdsl.bodies.agents.definition import STATE_MATERIAL, BlendTargets, BodyEr
 from antdsl.bodies.body import normalise_normals
 from antdsl.bodies.files.gltf.gltf_textures import COLOUR_ATTRIBUTE, TextureError, Textures
 from antdsl.scene.geometry.gltf_file import (
-    FAN_MODE,
-    STRIP_MODE,
-    TRIANGLES_MODE,
+    TRIANGLE_FAN_PRIMITIVE_MODE,
+    TRIANGLE_STRIP_PRIMITIVE_MODE,
+    TRIANGLES_PRIMITIVE_MODE,
     GltfDocument,
     GltfError,
     make_primitive_triangles,
@@ -120,7 +120,11 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
 def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], skinned: bool) -> None:
     """Append the points, faces, normals, materials and morph targets of a primitive to `pieces`."""
     file = body.file
-    if primitive.get("mode", TRIANGLES_MODE) not in (TRIANGLES_MODE, STRIP_MODE, FAN_MODE):
+    if primitive.get("mode", TRIANGLES_PRIMITIVE_MODE) not in (
+        TRIANGLES_PRIMITIVE_MODE,
+        TRIANGLE_STRIP_PRIMITIVE_MODE,
+        TRIANGLE_FAN_PRIMITIVE_MODE,
+    ):
         body.omissions["points and lines of meshes are not read"] = None
         return
     if "KHR_draco_mesh_compression" in file.get_object(primitive, "extensions"):
@@ -201,7 +205,7 @@ def _compute_point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int
         material = next((m for m, of in zip(pieces.material, pieces.point_indices, strict=True) if of == number), None)
         pbr = {} if material is None else file.get_object(known[material], "pbrMetallicRoughness")
         if material is not None and "baseColorTexture" in pbr:
-            name = file.name(known[material], f"material{material}")
+            name = file.get_name(known[material], f"material{material}")
             try:
                 if uvs is None:
                     raise TextureError("its mesh has no texture coordinates")
@@ -338,7 +342,7 @@ def _read_materials(body: GltfBody, pieces: _MeshPieces) -> tuple[tuple[str, ...
     names: dict[str, None] = {}
     numbers = []
     for material, faces in zip(pieces.material, pieces.faces, strict=True):
-        name = "default" if material is None else file.name(known[material], f"material{material}")
+        name = "default" if material is None else file.get_name(known[material], f"material{material}")
         colour = (1.0, 1.0, 1.0)
         if material is not None:
             pbr = file.get_object(known[material], "pbrMetallicRoughness")

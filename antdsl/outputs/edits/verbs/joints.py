@@ -18,7 +18,7 @@ from antdsl.outputs.edits.frame_rows import FrameRows
 from antdsl.outputs.edits.verbs.agent_moves import IDENTITY
 from antdsl.outputs.edits.verbs.placing import EasedLine, compute_line_ease, convert_displacement
 from antdsl.scene.notes.selectors import Selector
-from antdsl.scene.values import Angle, PointValue, SceneWord, make_error
+from antdsl.scene.values import Angle, PointValue, SceneWord, make_value_error
 
 
 class OffsetLine(EasedLine):
@@ -35,7 +35,7 @@ class OffsetLine(EasedLine):
     @model_validator(mode="after")
     def _check_one(self) -> OffsetLine:
         if self.rotate is None and self.by is None:
-            raise make_error("`offset` needs `rotate` or `by`", "write `rotate: [0, 30 deg, 0]`")
+            raise make_value_error("`offset` needs `rotate` or `by`", "write `rotate: [0, 30 deg, 0]`")
         return self
 
 

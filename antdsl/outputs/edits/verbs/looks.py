@@ -24,7 +24,7 @@ from antdsl.program.tables.colours import COLOUR_BY_NAME
 from antdsl.scene.crowds.crowd_model import BodyText
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.notes.selectors import Selector
-from antdsl.scene.values import SceneName, make_error, parse_number_between, parse_one_of
+from antdsl.scene.values import SceneName, make_value_error, parse_number_between, parse_one_of
 
 _Part = Annotated[float, BeforeValidator(parse_number_between(0.0, 1.0))]
 _MAX_IDS = 50_000_000  # of a species, that are examined for a body
@@ -51,9 +51,9 @@ class ReplaceLine(AgentsLine):
     @model_validator(mode="after")
     def _check_keys(self) -> ReplaceLine:
         if self.body is None and self.colour is None and self.wear is None:
-            raise make_error("`replace` needs `body`, `colour` or `wear`", "write `colour: red`")
+            raise make_value_error("`replace` needs `body`, `colour` or `wear`", "write `colour: red`")
         if self.body is not None and self.frames is not None:
-            raise make_error("agents have one body in all frames", "leave `frames` out")
+            raise make_value_error("agents have one body in all frames", "leave `frames` out")
         return self
 
     def list_files(self, manifest: Manifest) -> tuple[EditFile, ...]:

@@ -23,7 +23,7 @@ from antdsl.outputs.edits.grounding import Grounds, move_on_ground
 from antdsl.outputs.edits.verbs.agent_moves import AgentMoves, find_axes, make_moves, make_rotation, move_agents, rotate_vectors
 from antdsl.scene.notes.selectors import Selector
 from antdsl.scene.thing_models import UNIT_MM, UP_VECTORS
-from antdsl.scene.values import Angle, PointOrName, PointValue, make_error, parse_one_of
+from antdsl.scene.values import Angle, PointOrName, PointValue, make_value_error, parse_one_of
 
 _EACH = "each"
 REQUIRED_ARRAYS = ("id", "P", "orient", "pscale")
@@ -62,7 +62,7 @@ class MoveLine(PlacingLine):
     @model_validator(mode="after")
     def _check_one(self) -> MoveLine:
         if (self.by is None) == (self.to is None):
-            raise make_error("`move` needs either `by` or `to`", "write `by: [40 mm, 0, 0]`")
+            raise make_value_error("`move` needs either `by` or `to`", "write `by: [40 mm, 0, 0]`")
         return self
 
 

@@ -13,7 +13,7 @@ from antdsl.outputs.edits.cache_selection import select_agents
 from antdsl.outputs.edits.edit_layer import AgentsLine, EditLayer
 from antdsl.outputs.edits.frame_rows import keep_rows
 from antdsl.scene.notes.selectors import AgentConditions, Ball, Region, Selector
-from antdsl.scene.values import make_error
+from antdsl.scene.values import make_value_error
 
 
 class KillLine(AgentsLine):
@@ -33,7 +33,7 @@ class ClipLine(AgentsLine):
     @model_validator(mode="after")
     def _check_one(self) -> ClipLine:
         if self.frames is None and self.inside is None:
-            raise make_error("`clip` needs `frames` or `inside`", "write `inside: {from: [0, 0, 0], to: [50, 20, 50]}`")
+            raise make_value_error("`clip` needs `frames` or `inside`", "write `inside: {from: [0, 0, 0], to: [50, 20, 50]}`")
         return self
 
     def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:

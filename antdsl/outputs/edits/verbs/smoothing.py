@@ -20,7 +20,7 @@ from antdsl.outputs.edits.frame_rows import match_rows
 from antdsl.outputs.edits.grounding import Grounds, move_on_ground
 from antdsl.outputs.edits.verbs.agent_moves import make_moves
 from antdsl.scene.notes.selectors import Selector
-from antdsl.scene.values import make_error, parse_integer_between
+from antdsl.scene.values import make_value_error, parse_integer_between
 
 MIN_SMOOTHING_FRAMES, MAX_SMOOTHING_FRAMES = 3, 99  # frames
 
@@ -29,7 +29,9 @@ def parse_window(value: object) -> int:
     """Return the number of frames of a window. It must be odd, so that equally many frames are before and after its middle."""
     width = parse_integer_between(MIN_SMOOTHING_FRAMES, MAX_SMOOTHING_FRAMES)(value)
     if width % 2 == 0:
-        raise make_error(f"`{width}` is not odd", f"write `{width + 1}`, for {width // 2} frames before and {width // 2} after")
+        raise make_value_error(
+            f"`{width}` is not odd", f"write `{width + 1}`, for {width // 2} frames before and {width // 2} after"
+        )
     return width
 
 
@@ -49,7 +51,9 @@ class SmoothLine(AgentsLine):
     @model_validator(mode="after")
     def _check_one(self) -> SmoothLine:
         if self.orient is None and self.position is None:
-            raise make_error("`smooth` needs `orient` or `position`", "write `orient: 9`, for four frames before and four after")
+            raise make_value_error(
+                "`smooth` needs `orient` or `position`", "write `orient: 9`, for four frames before and four after"
+            )
         return self
 
 

@@ -17,7 +17,7 @@ from antdsl.outputs.edits.edit_values import DEFAULT_EASE_FRAMES, FrameCount, Fr
 from antdsl.outputs.edits.frame_rows import join_frames, keep_rows
 from antdsl.outputs.edits.verbs.agent_moves import blend_frames
 from antdsl.scene.notes.selectors import Selector
-from antdsl.scene.values import FrameRangeValue, make_error
+from antdsl.scene.values import FrameRangeValue, make_value_error
 
 
 class TimeLine(AgentsLine):
@@ -51,9 +51,9 @@ class RetimeLine(TimeLine):
     @model_validator(mode="after")
     def _check_one(self) -> RetimeLine:
         if (self.speed is None) == (self.later is None):
-            raise make_error("`retime` needs either `speed` or `later`", "write `frames: 100..150, speed: 50 %`")
+            raise make_value_error("`retime` needs either `speed` or `later`", "write `frames: 100..150, speed: 50 %`")
         if self.later is not None and self.frames is not None:
-            raise make_error("`later` applies to all frames", "leave `frames` out, or write `speed` instead")
+            raise make_value_error("`later` applies to all frames", "leave `frames` out, or write `speed` instead")
         return self
 
 

@@ -40,8 +40,8 @@ from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.body_choice import find_species_of_key
 from antdsl.scene.library_bodies import (
     CAPSULE_BY_BODY,
+    COMPLETE_CAPSULE_BY_BODY,
     LOAD_FRONT_BY_BODY,
-    WHOLE_CAPSULE_BY_BODY,
     TrunkCapsule,
     find_body_for_species,
 )
@@ -66,7 +66,7 @@ def find_capsule(world: World, key: str) -> TrunkCapsule:
     if own is not None:
         capsule = TrunkCapsule(own.length, own.width, own.height, own.forward_offset)
     else:
-        capsule = (WHOLE_CAPSULE_BY_BODY if is_whole else CAPSULE_BY_BODY)[_find_library_body(world, species)]
+        capsule = (COMPLETE_CAPSULE_BY_BODY if is_whole else CAPSULE_BY_BODY)[_find_library_body(world, species)]
     return replace(capsule, height=max(capsule.height, capsule.width / 2 + _GROUND_GAP)) if is_whole else capsule
 
 

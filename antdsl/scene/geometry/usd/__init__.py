@@ -13,22 +13,22 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from antdsl.scene.geometry.usd.answers import (
-        UsdCamera,
+        UsdCameraTracks,
         UsdMesh,
         read_usd_camera,
         read_usd_curve,
         read_usd_mesh,
         read_usd_points,
     )
-    from antdsl.scene.geometry.usd.closure import Closure
+    from antdsl.scene.geometry.usd.closure import UsdFileClosure
     from antdsl.scene.geometry.usd.errors import UsdError, import_pxr_module
     from antdsl.scene.geometry.usd.points import UsdPoints
     from antdsl.scene.geometry.usd.stage import UsdStage, open_stage
 
 __all__ = [
-    "Closure",
-    "UsdCamera",
+    "UsdCameraTracks",
     "UsdError",
+    "UsdFileClosure",
     "UsdMesh",
     "UsdPoints",
     "UsdStage",
@@ -40,7 +40,7 @@ __all__ = [
     "read_usd_points",
 ]  # fmt: skip
 _MODULE_BY_NAME = {
-    "Closure": "closure", "UsdError": "errors", "UsdPoints": "points", "import_pxr_module": "errors", "UsdStage": "stage",
+    "UsdFileClosure": "closure", "UsdError": "errors", "UsdPoints": "points", "import_pxr_module": "errors", "UsdStage": "stage",
     "open_stage": "stage",
 }  # fmt: skip
 

@@ -16,7 +16,7 @@ from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.geometry.usd.points import UsdPoints
 from antdsl.scene.geometry.usd.stage import UsdStage
-from antdsl.scene.staging.motion import MeshMoves
+from antdsl.scene.staging.motion import MeshMotion
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
@@ -33,13 +33,13 @@ class UsdMesh:
     `unread_shape_types`: types of shapes that are not read."""
 
     raw_mesh: RawMesh
-    motion: MeshMoves | None
+    motion: MeshMotion | None
     values: Mapping[str, Floats]
     unread_shape_types: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UsdCamera:
+class UsdCameraTracks:
     """A camera. Positions are in mm, one row per frame, or a single row for a static camera.
 
     `up`: the direction to the top of the picture. `focal`: the focal length in mm for a sensor 36 mm wide."""
@@ -72,14 +72,14 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
     return UsdMesh(raw, None if moves is None else moves.select_vertices(raw.file_vertex_indices), used_values, passed_over)
 
 
-def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMoves:
+def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMotion:
     """Return the checked motion of `count` vertices over `frames` frames."""
     tracks = answer.require_array("moves:tracks", "f8", None, frames, 3, 4)
     deformed = answer.require_indices("moves:bent", "i8", count, None)
     offsets = answer.require_array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
     if len(deformed) > 1 and not (np.diff(deformed) > 0).all():
         raise ProtocolError("`bent` is not ascending")
-    return MeshMoves(answer.require_indices("moves:group", "i4", len(tracks), count), tracks, deformed, offsets)
+    return MeshMotion(answer.require_indices("moves:group", "i4", len(tracks), count), tracks, deformed, offsets)
 
 
 def _read_values(answer: ReaderMessage, name: str, count: int) -> Floats:
@@ -144,11 +144,11 @@ def read_usd_curve(stage: UsdStage) -> Floats:
 
 
 @wrap_usd_errors
-def read_usd_camera(stage: UsdStage) -> UsdCamera:
+def read_usd_camera(stage: UsdStage) -> UsdCameraTracks:
     """Return the camera at the stage's prim, or the only camera below it."""
     answer = stage.send_request("usd-camera")
     at = answer.require_array("at", "f8", None, 3)
     if len(at) not in (1, len(stage.frames)):
         raise ProtocolError("`at` has the wrong frames")
     look_at, up = (answer.require_array(name, "f8", len(at), 3) for name in ("look_at", "up"))
-    return UsdCamera(at, look_at, up, answer.require_array("focal", "f8", len(at)))
+    return UsdCameraTracks(at, look_at, up, answer.require_array("focal", "f8", len(at)))

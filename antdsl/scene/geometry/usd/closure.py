@@ -47,7 +47,7 @@ _DISPLAY_WIDTH = 80
 LayerLocation = tuple[str, str]  # the full path of a file, and for a package the layer in it, else ""
 
 
-class Closure:
+class UsdFileClosure:
     """The files that make up the USD file `text`. Raises UsdError if one cannot be read.
 
     `path`: its copy in the private `folder`.
@@ -110,7 +110,7 @@ class Closure:
                 "usd",
             )
         try:
-            return os.path.abspath(self._roots.path(text))
+            return os.path.abspath(self._roots.resolve_path(text))
         except PathRefused as error:
             raise _make_refusal_error(error, naming_layer) from None
 

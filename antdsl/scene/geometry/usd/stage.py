@@ -14,7 +14,7 @@ import numpy as np
 from antdsl.reader import client, confinement
 from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.usd.closure import Closure
+from antdsl.scene.geometry.usd.closure import UsdFileClosure
 from antdsl.scene.geometry.usd.errors import UsdError, make_missing_extra_error
 from antdsl.scene.paths import Roots
 
@@ -25,7 +25,7 @@ _FRAMES_PER_EXTRA_SECOND = 8  # optional fields of a request
 class UsdStage:
     """The contents of a USD file at and below one prim. `frames`: the requested frames; at the first, everything is at rest."""
 
-    closure: Closure
+    closure: UsdFileClosure
     prim: str
     up: str
     frames: Sequence[int]
@@ -94,7 +94,7 @@ def open_stage(
     frames: Sequence[int],
     fps: Fraction,
     purpose: str = "render",
-    closures: dict[str, Closure | UsdError] | None = None,
+    closures: dict[str, UsdFileClosure | UsdError] | None = None,
 ) -> UsdStage:
     """Open a file for the contents at and below a prim path.
 
@@ -107,7 +107,7 @@ def open_stage(
     stored = {} if closures is None else closures
     if text not in stored:
         try:
-            stored[text] = Closure(roots, text)
+            stored[text] = UsdFileClosure(roots, text)
         except UsdError as error:
             stored[text] = error
     closure = stored[text]

@@ -20,10 +20,10 @@ from antdsl.scene.geometry.matrices import (
     make_identity_transforms,
 )
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.polygons import TooManyCorners, triangulate_polygons
+from antdsl.scene.geometry.polygons import TooManyCornersError, triangulate_polygons
 from antdsl.scene.geometry.usd.child.shapes import (
     BAKE_HELP,
-    PlacedMesh,
+    PlacedUsdMesh,
     check_motion_bytes,
     find_placed_meshes,
     list_unread_types,
@@ -40,7 +40,7 @@ class JoinedMesh:
 
     `vertices` float64 (n, 3): in mm and the scene's axes.
     `faces` int64 (m, 3): in the order of the file.
-    `motion_arrays`: the arrays of a `MeshMoves`, by name; None if the mesh is static.
+    `motion_arrays`: the arrays of a `MeshMotion`, by name; None if the mesh is static.
     `values`: by the name of a primvar, numbers (n,), or vectors (n, 3) rotated with their mesh.
     `unread_shape_types`: types of shapes that are not read."""
 
@@ -57,7 +57,7 @@ class _MeshShape:
 
     `points`: its vertices at the first frame. `is_deformed`: whether the vertices move relative to the prim."""
 
-    placed_mesh: PlacedMesh
+    placed_mesh: PlacedUsdMesh
     points: Floats
     faces: Faces
     is_deformed: bool
@@ -93,7 +93,7 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
     return JoinedMesh(*_join_shapes(shapes), _make_moves(stage, shapes), values, passed_over)
 
 
-def _read_shape(stage: OpenStage, placed_mesh: PlacedMesh) -> _MeshShape:
+def _read_shape(stage: OpenStage, placed_mesh: PlacedUsdMesh) -> _MeshShape:
     """Return the points and triangles of a mesh prim. Holes and left-handed orientation are respected, subdivision is not."""
     prim, mesh = placed_mesh.prim, import_pxr_module("UsdGeom").Mesh(placed_mesh.prim)
     path = prim.GetPath()
@@ -149,7 +149,7 @@ def _make_triangles(
         raise MeshError(f"has at `{path}` a vertex that is not a finite point")
     try:
         return np.asarray(filled_corners[triangulate_polygons(points, counts[is_filled], filled_corners).corners])
-    except TooManyCorners as error:
+    except TooManyCornersError as error:
         raise MeshError(f"has at `{path}` a part that {error}", "cut it into smaller faces in the program that made it") from None
 
 
@@ -167,13 +167,13 @@ def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
 
 
 def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays of a `MeshMoves`, or None if nothing moves. Each place that moves has one track.
+    """Return the arrays of a `MeshMotion`, or None if nothing moves. Each place that moves has one track.
 
     If points deform, or a place begins without a size, each vertex moves separately."""
     frames = len(stage.times)
     if not any(shape.is_deformed or shape.placed_mesh.transforms.shape[1] > 1 for shape in shapes):
         return None
-    free = [_find_free_places(shape) for shape in shapes]
+    free = [_find_undeformed_vertices(shape) for shape in shapes]
     sizes = [
         len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed_mesh.transforms.shape[1] * 96 * int((~alone).sum())
         for shape, alone in zip(shapes, free, strict=True)
@@ -202,7 +202,7 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
     return {"group": np.concatenate(group), "tracks": np.concatenate(tracks), "bent": numbers, "offsets": offsets}
 
 
-def _find_free_places(shape: _MeshShape) -> NDArray[np.bool_]:
+def _find_undeformed_vertices(shape: _MeshShape) -> NDArray[np.bool_]:
     """Return whether the vertices of a shape move separately, for each of its places."""
     transforms = shape.placed_mesh.transforms
     if shape.is_deformed:

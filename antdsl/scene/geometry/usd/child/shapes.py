@@ -19,7 +19,7 @@ _MAX_NESTED_INSTANCERS = 8  # maximum nesting of point instancers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlacedMesh:
+class PlacedUsdMesh:
     """A mesh prim and its places. `transforms` (places, frames, 3, 4): into the scene; a single frame if no place moves."""
 
     prim: Any
@@ -27,7 +27,7 @@ class PlacedMesh:
 
 
 @dataclass(slots=True)
-class PlaceCounter:
+class PlacedMeshCounter:
     """The number of places that point instancers create below `path`. Nested instancers multiply.
 
     Places are counted before they are built."""
@@ -52,12 +52,12 @@ class PlaceCounter:
             raise UsdError("too-large", words, "name a part of it, or scatter fewer instances")
 
 
-def find_placed_meshes(stage: OpenStage) -> Iterator[PlacedMesh]:
+def find_placed_meshes(stage: OpenStage) -> Iterator[PlacedUsdMesh]:
     """Yield every mesh at or below the stage's prim, in the order of the file."""
-    count = PlaceCounter(str(stage.prim.GetPath()))
+    count = PlacedMeshCounter(str(stage.prim.GetPath()))
     for prim in stage.find_visible_prims(stage.prim):
         if prim.IsA(import_pxr_module("UsdGeom").Mesh):
-            yield PlacedMesh(prim, stage.compute_scene_transforms(prim, stage.is_moving(prim))[None])
+            yield PlacedUsdMesh(prim, stage.compute_scene_transforms(prim, stage.is_moving(prim))[None])
         elif prim.IsA(import_pxr_module("UsdGeom").PointInstancer):
             yield from _find_placed_instances(
                 stage, prim, stage.compute_scene_transforms(prim, stage.is_moving(prim))[None], count, 1
@@ -77,8 +77,8 @@ def list_unread_types(stage: OpenStage) -> list[str]:
 
 
 def _find_placed_instances(
-    stage: OpenStage, prim: Any, transforms: Floats, count: PlaceCounter, depth: int
-) -> Iterator[PlacedMesh]:
+    stage: OpenStage, prim: Any, transforms: Floats, count: PlacedMeshCounter, depth: int
+) -> Iterator[PlacedUsdMesh]:
     """Yield the meshes that a point instancer places. `transforms`: from the instancer's space to the scene."""
     if depth > _MAX_NESTED_INSTANCERS:
         raise UsdError(
@@ -97,17 +97,17 @@ def _find_placed_instances(
     for number, root in enumerate(roots):
         of_this = np.flatnonzero(chosen & (index == number))
         if root and len(of_this):
-            inside = _compose_pairs(transforms, own[of_this])
+            inside = _compose_all_transform_pairs(transforms, own[of_this])
             for child, transform in _find_prototype_meshes(stage, root):
-                child_transforms = _compose_pairs(inside, transform[None])
+                child_transforms = _compose_all_transform_pairs(inside, transform[None])
                 if child.IsA(import_pxr_module("UsdGeom").Mesh):
                     count.add_mesh(len(child_transforms))
-                    yield PlacedMesh(child, child_transforms)
+                    yield PlacedUsdMesh(child, child_transforms)
                 else:
                     yield from _find_placed_instances(stage, child, child_transforms, count, depth + 1)
 
 
-def _compose_pairs(outer: Floats, inner: Floats) -> Floats:
+def _compose_all_transform_pairs(outer: Floats, inner: Floats) -> Floats:
     """Return the product of each outer with each inner transform, which is applied first.
 
     Transforms (a, f, 3, 4) and (b, g, 3, 4) of f and g frames give (a·b, max(f, g), 3, 4)."""

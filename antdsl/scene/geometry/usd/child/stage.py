@@ -168,7 +168,7 @@ def _make_scene_transform(factor: float, own_up: str, up: str) -> Floats:
     if own_up == up:
         rows = [(0, 1.0), (1, 1.0), (2, 1.0)]
     elif own_up == "z":
-        rows = [(0, 1.0), (2, 1.0), (1, -1.0)]  # the same as `meshes.rotate_up`
+        rows = [(0, 1.0), (2, 1.0), (1, -1.0)]  # the same as `meshes.rotate_up_axis`
     else:
         rows = [(0, 1.0), (2, -1.0), (1, 1.0)]
     for row, (column, sign) in enumerate(rows):
