@@ -11,7 +11,7 @@ import pytest
 from meaning import crowd
 from plan_text import plan_of
 
-from antdsl.passes import optimise
+from antdsl.passes import optimise_plan
 from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.body_positions import compute_body_positions
 from antdsl.runtime.moving.clearance.bodies_inside import find_bodies_inside
@@ -46,7 +46,7 @@ def walking(count: int, clears: bool = True, options: Options | None = None, **f
     setting = WorldSetting(
         fps=Fraction(24), crowds=(crowd(count, radius=6),), solids={"soil": SolidData(slot(), 0.5)}, seed=4, **fields
     )
-    return bind(optimise(plan_of(text, "")), setting, options or Options(backend="numpy"))
+    return bind(optimise_plan(plan_of(text, "")), setting, options or Options(backend="numpy"))
 
 
 def test_bodies_stay_outside_the_walls_of_a_slot_and_as_fast() -> None:
