@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from antdsl.api.errors import AntdslError
 from antdsl.diagnostics.suggestion import find_nearest_name
+from antdsl.fields.pheromone import PheromoneField
+from antdsl.fields.vector_field import VectorField, list_program_fields
 from antdsl.plan.ir import ValueKind
 from antdsl.program.tables.vocabulary import explain_range, is_limit_attribute
 from antdsl.runtime.world import AXES
@@ -247,30 +249,33 @@ class ItemGroup:
 
 
 class Field:
-    """A pheromone field. `values` float32 (n,): the amount of each cell; `positions` (n, 3): the middle of each cell in mm."""
+    """A field. `values` (n,): the amount of each cell, or vectors (n, 3). `positions` (n, 3): the middle of each cell in mm."""
 
     def __init__(self, simulation: Simulation, name: str) -> None:
         self._simulation, self.name = simulation, name
 
     @property
     def values(self) -> NDArray[Any]:
-        """The amounts (n,) of all cells, a read-only copy."""
-        field = self._simulation.world.fields[self.name]
-        return make_read_only(np.array(field.amounts))
+        """The amounts (n,) or vectors (n, 3) of all cells, a read-only copy."""
+        field = self._find_field()
+        return make_read_only(field.vectors if isinstance(field, VectorField) else np.array(field.amounts))
 
     @property
     def positions(self) -> NDArray[np.float64]:
         """The positions (n, 3) of all cells, in mm."""
-        field = self._simulation.world.fields[self.name]
+        field = self._find_field()
         return make_read_only(np.asarray(field.cells.position, np.float64) + self._simulation.world.origin)
 
     @property
     def total(self) -> float:
-        """The sum of all cells."""
-        return float(np.sum(self.values, dtype=np.float64))
+        """The sum of all cells; of vectors, the sum of their lengths."""
+        return float(np.sum(self._find_field().amounts, dtype=np.float64))
 
     def __len__(self) -> int:
         return len(self.values)
 
     def __repr__(self) -> str:
         return f"<field {self.name!r}: {len(self):,} cells, total {self.total:.6g}>"
+
+    def _find_field(self) -> PheromoneField | VectorField:
+        return list_program_fields(self._simulation.world)[self.name]

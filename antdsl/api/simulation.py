@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, SupportsIndex, TypeVar
 from antdsl.api.crowds import Crowd, Field, ItemGroup, make_unknown_name_error
 from antdsl.api.errors import AntdslError
 from antdsl.diagnostics import Report
+from antdsl.fields.vector_field import list_program_fields
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -142,8 +143,8 @@ class Simulation:
 
     @property
     def fields(self) -> Mapping[str, Field]:
-        """The pheromone fields, by name."""
-        return MappingProxyType({name: Field(self, name) for name in self.world.fields})
+        """The fields, by name."""
+        return MappingProxyType({name: Field(self, name) for name in list_program_fields(self.world)})
 
     @property
     def measures(self) -> Mapping[str, float | int | None]:

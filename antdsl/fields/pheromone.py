@@ -33,7 +33,8 @@ class PheromoneField:
     `limit`: the largest amount of a cell.
     `amounts` float64[cells]: the amounts at the start of a step.
     `stencil`: with 4, cells that share a face exchange pheromone; with 8, also cells that share an edge.
-    `deposits_first`: deposits are added before diffusion and evaporation, otherwise at the end of the step."""
+    `deposits_first`: deposits are added before diffusion and evaporation, otherwise at the end of the step.
+    `has_signed_amounts`: amounts may be below 0, as components of vectors are. Otherwise negative amounts become 0."""
 
     def __init__(
         self,
@@ -42,9 +43,11 @@ class PheromoneField:
         limit: float = np.inf,
         stencil: int = 4,
         deposits_first: bool = False,
+        has_signed_amounts: bool = False,
     ) -> None:
         self.cells, self.combine, self.limit = cells, combine, float(limit)
         self.stencil, self.deposits_first = stencil, deposits_first
+        self._flush_floor = -ZERO_FLUSH_THRESHOLD if has_signed_amounts else -np.inf
         self._padded = np.zeros(len(cells) + 1)  # the extra entry is the amount of "no cell"
         self._pending = np.zeros(len(cells), np.int64)
         self.version = 0  # increases whenever an array of the field or of its cells is replaced
@@ -157,10 +160,11 @@ class PheromoneField:
         lands = 0 if not self._has_pending else 1 if self.combine == "add" else 2
         self._has_pending = False
         if self.deposits_first:
-            run_kernel(_NO_REMAINING_SHARES, self._pending, 0.0, 1.0, DEPOSIT_QUANTUM, self.limit, -np.inf, lands)
+            run_kernel(_NO_REMAINING_SHARES, self._pending, 0.0, 1.0, DEPOSIT_QUANTUM, self.limit, 0.0, 0.0, lands)
         change = self._laplacian.compute_flow(self._padded, threads) if spread > 0 else _NO_REMAINING_SHARES
         last = (0.0, np.inf, 0) if self.deposits_first else (DEPOSIT_QUANTUM, self.limit, lands)
-        run_kernel(change, self._pending, spread, remaining_share, *last[:2], ZERO_FLUSH_THRESHOLD, last[2])
+        flushed = (self._flush_floor, ZERO_FLUSH_THRESHOLD)
+        run_kernel(change, self._pending, spread, remaining_share, *last[:2], *flushed, last[2])
 
     @cached_property
     def _laplacian(self) -> _DiffusionOperator:
@@ -341,6 +345,7 @@ def advance_cells(
     remaining_share: F64,
     deposit_quantum: F64,
     max_amount: F64,
+    flush_floor: F64,
     flush_threshold: F64,
     deposit_mode: I64,
     begin: I64,
@@ -351,7 +356,7 @@ def advance_cells(
     Adds `spread` times `change` (nothing if the array is empty), multiplies by `remaining_share`, then applies deposits.
     `pending_deposits`: the deposits in multiples of `deposit_quantum`; set to 0 after they are applied.
     `deposit_mode`: 1 adds deposits; 2 uses them as the least amount of the cell.
-    `max_amount`: the largest amount. Amounts below `flush_threshold` become 0."""
+    `max_amount`: the largest amount. Amounts between `flush_floor` and `flush_threshold` become 0."""
     spreads = change.size > 0
     for n in simd_range(begin, end):
         value = values[n]
@@ -366,7 +371,7 @@ def advance_cells(
                 value = landed
             pending_deposits[n] = 0
         value = min(value, max_amount)
-        if value < flush_threshold:
+        if value < flush_threshold and value > flush_floor:
             value = 0.0
         values[n] = value
 

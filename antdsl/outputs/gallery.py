@@ -19,6 +19,7 @@ from antdsl.numerics.records import take_rows
 from antdsl.outputs.agent_paths import AgentPaths, PathWindow, match_agents
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.field_strengths import FieldReader, list_program_fields
 from antdsl.outputs.cache.frame_agents import find_species_rows, get_agent_ids
 from antdsl.outputs.cache.manifest import MeshEntry, SpeciesEntry
 from antdsl.outputs.cache.pose_arrays import read_all_machine_clips, read_driven_pose, read_feet, read_layer_masks
@@ -91,7 +92,7 @@ class Gallery:
         missing = [name for name in REQUIRED_ATTRIBUTES if name not in self.manifest.attributes]
         if missing:
             raise PictureUnavailable(f"the cache has no attribute `{missing[0]}`, which pictures need")
-        strange = [name for name in full_strengths or () if name not in {field.name for field in self.manifest.fields}]
+        strange = [name for name in full_strengths or () if name not in list_program_fields(self.manifest)]
         if strange:
             raise PictureUnavailable(f"the cache has no field `{strange[0]}`")
         self._has_motion_blur, self._requested_strengths = has_motion_blur, dict(full_strengths or {})
@@ -110,7 +111,7 @@ class Gallery:
         self.bodies = CacheBodies(self.manifest, self.static)
         self._first_frame: Arrays | None = None
         self._computed_strengths: dict[str, float] | None = None
-        self._field_positions: dict[str, NDArray[np.float64]] = {}
+        self._field_reader = FieldReader(self.manifest, self.static)
 
     def make_picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
         """Return the picture of one frame. With `agents`, the overlays `ids`, `velocity` and `agent_paths` are limited to agents
@@ -331,21 +332,10 @@ class Gallery:
     def _make_trails(self, arrays: Arrays) -> tuple[Trail, ...]:
         """Return the fields of a frame."""
         trails = []
-        for number, field in enumerate(self.manifest.fields):
-            cells, values = arrays.get(f"field.{field.name}.cells"), arrays.get(f"field.{field.name}.values")
-            if cells is not None and values is not None and len(cells):
-                positions = self._field_positions.setdefault(
-                    field.name, np.asarray(self.static[f"field.{field.name}.P"], np.float64)
-                )
-                added = arrays.get(f"field.{field.name}.added")
-                if added is not None:
-                    positions = np.concatenate([positions, np.asarray(added, np.float64)])
-                strength = np.zeros(len(positions))
-                strength[cells] = values
-                full = self._requested_strengths.get(field.name) or self._find_full_strengths().get(field.name) or None
-                trails.append(
-                    Trail(field.name, positions, strength, field.cell, _FIELD_COLOURS[number % len(_FIELD_COLOURS)], full)
-                )
+        for number, field in self._field_reader.read_frame(arrays):
+            full = self._requested_strengths.get(field.name) or self._find_full_strengths().get(field.name) or None
+            colour = _FIELD_COLOURS[number % len(_FIELD_COLOURS)]
+            trails.append(Trail(field.name, field.positions, field.strengths, field.cell, colour, full))
         return tuple(trails)
 
     def _find_full_strengths(self) -> dict[str, float]:
@@ -364,11 +354,9 @@ class Gallery:
                     arrays = self.cache.frame(frame)
                 except CacheError:  # a damaged frame does not prevent drawing others
                     continue
-                for field in self.manifest.fields:
-                    values = np.asarray(arrays.get(f"field.{field.name}.values", ()), np.float64)
-                    self._computed_strengths[field.name] = max(
-                        self._computed_strengths.get(field.name, 0.0), estimate_full_strength(values)
-                    )
+                for _, field in self._field_reader.read_frame(arrays):
+                    strength = estimate_full_strength(field.strengths)
+                    self._computed_strengths[field.name] = max(self._computed_strengths.get(field.name, 0.0), strength)
         return self._computed_strengths
 
     def _measure_grain(self, first: Arrays) -> float | None:

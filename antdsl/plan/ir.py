@@ -350,9 +350,8 @@ class SpeciesPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """The plan of a field. Its nodes have the rate RUN. `cell`: the cell size in mm. `retained_share`: the factor per step from
-    half_life, evaporate or keeps. `stencil`: the number of neighbour cells to which a cell diffuses, 4 or 8. `deposits`: "first"
-    if deposits are added before diffusion and evaporation, "last" if after."""
+    """The plan of a field. Its nodes have the rate RUN. `cell`: mm. `retained_share`: factor per step. `deposits`: "first" if
+    deposits are added before diffusion and evaporation, "last" if after. `stencil`: the cells to which one diffuses, 4 or 8."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -364,6 +363,7 @@ class FieldPlan:
     span: Span
     stencil: int = 4
     deposits: str = "last"
+    vector_field: str = ""  # the field of vectors of which this is one component
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -233,7 +233,7 @@ class Session:
     def switch_field(self, name: str, is_on: bool) -> Outcome:
         """Switch a field on or off. While it is off, deposits are scaled to less than a millionth and vanish after one step."""
         off = make_silencing_settings(name)
-        if name not in self.shot.plan.fields:
+        if name not in self.shot.program.fields:
             return make_error_outcome(f"no program has a field `{name}`")
         chosen = self.choices.params
         if not is_on and not chosen.items() >= off.items():

@@ -11,10 +11,11 @@ from antdsl.program import model
 from antdsl.program.cascading_errors import add_all_locations, drop_cascading_errors
 from antdsl.program.checks import CHECKS, ERROR_FREE_CHECKS, PER_SPECIES_CHECKS, PER_STATE_CHECKS, Check, CheckContext
 from antdsl.program.declarations.behaviours import check_behaviour
+from antdsl.program.declarations.fields import check_field, declare_fields
 from antdsl.program.declarations.measures import check_measures, declare_measures
 from antdsl.program.declarations.species import begin_species, complete_species
 from antdsl.program.declarations.specs import check_spec
-from antdsl.program.declarations.world import check_field, check_world_species, declare_fields, declare_world
+from antdsl.program.declarations.world import check_world_species, declare_world
 from antdsl.program.memo import CheckResultCache, get_or_compute_part, update_outside_number
 from antdsl.program.names.bindings import NameBindings
 from antdsl.program.names.collect import FileLoader, LibraryFinder, declare_names

@@ -32,6 +32,7 @@ class TypeKind(Enum):
     # Only as arguments, never stored:
     SET = "set"  # `of` names the items or species, or "hit"
     FIELD = "field"
+    VECTOR_FIELD = "field of vectors"  # also a flow
     OBSTACLE = "obstacle"
     for word, row in KIND_BY_WORD.items():
         if not row.has_values and word != OBSTACLE:

@@ -358,7 +358,8 @@ class Field:
     - `cell`: the cell size. `keeps`: the factor per step. `limit`: the largest value of a cell.
     - `combine`: how deposits combine with the value of a cell, add or max.
     - `stencil`: the number of neighbour cells that diffusion uses, 4 or 8.
-    - `deposits`: whether deposits are added first or last, relative to diffusion and evaporation."""
+    - `deposits`: whether deposits are added first or last, relative to diffusion and evaporation.
+    - `has_vectors`: whether the cells hold vectors. Then `limit` is the largest length."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -372,6 +373,7 @@ class Field:
     stencil: int
     deposits: str
     span: Span
+    has_vectors: bool = False
 
 
 @expression_class

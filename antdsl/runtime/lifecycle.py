@@ -66,6 +66,8 @@ def settle_newborn(world: World) -> None:
     apply_deposits(world)
     for name in fields:
         world.fields[name].advance(1.0, 0.0, world.dt)
+    for vectors in world.vector_fields.values():
+        vectors.limit_lengths()
     for population in world.populations.values():
         population.effects.claims = []  # claims at birth are not possible: no decision could use the result
 

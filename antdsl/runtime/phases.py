@@ -114,6 +114,8 @@ def advance_fields(world: World) -> None:
     for name, field in world.fields.items():
         keep, diffusion = world.field_rates[name]
         field.advance(float(keep), diffusion, world.dt, world.options.threads)
+    for vectors in world.vector_fields.values():
+        vectors.limit_lengths()
 
 
 def move_all_agents(world: World) -> None:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from antdsl.fields.cells import CellLookupState
     from antdsl.fields.flow import PaintedMap, SurfaceFlow
     from antdsl.fields.pheromone import PheromoneField
+    from antdsl.fields.vector_field import VectorField
     from antdsl.ground.solid import Volume
     from antdsl.runtime.binding.overcrowding import OvercrowdedLine
     from antdsl.runtime.faults import FaultLog
@@ -236,6 +237,7 @@ class World:
     populations: dict[str, Population]
     items: dict[str, Items]
     fields: dict[str, PheromoneField]
+    vector_fields: dict[str, VectorField]  # fields of vectors; `fields` has their components
     field_rates: dict[str, tuple[np.float32, float]]  # decay factor per step, diffusion (mm²/s)
     obstacles: dict[str, Obstacle]  # by name; includes surfaces and solids
     curves: dict[str, SampledCurve]

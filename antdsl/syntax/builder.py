@@ -119,8 +119,8 @@ class Builder:
         return n.WorldItem(self.make_name(kind), self.make_name(name), attributes, self.text(help), self.join_spans(parts))
 
     def field(self, parts: list[Any]) -> n.FieldDecl:
-        _, name, _, surfaces, help, body = parts
-        return n.FieldDecl(self.make_name(name), surfaces, body.lines, self.join_spans([parts[0], body]), self.text(help))
+        word, name, value_type, _, surfaces, help, body = parts
+        return n.FieldDecl(self.make_name(name), surfaces, body.lines, self.join_spans([word, body]), self.text(help), value_type)
 
     def setting(self, parts: list[Any]) -> n.Setting:
         return n.Setting(self.make_name(parts[0]), parts[1], self.join_spans(parts))

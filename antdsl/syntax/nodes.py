@@ -10,6 +10,7 @@ from typing import TypeVar, dataclass_transform
 
 from antdsl.source import Source, Span
 from antdsl.syntax.editions import EDITIONS, NEWEST_EDITION
+from antdsl.syntax.words import FIELD_VALUE_WORDS
 
 NodeType = TypeVar("NodeType")
 
@@ -534,11 +535,19 @@ class Setting:
 
 @make_node_class
 class FieldDecl:
+    """`field way: push on floor { … }`. `value_type`: what a cell holds; None for a number."""
+
     name: Name
     surfaces: tuple[Name, ...]
     settings: tuple[Setting, ...]
     span: Span
     help: Text | None = None
+    value_type: TypeName | None = None
+
+    @property
+    def has_vectors(self) -> bool:
+        """Return whether the cells hold vectors. Unknown types are reported elsewhere and count as vectors."""
+        return self.value_type is not None and self.value_type.name.text != FIELD_VALUE_WORDS[0]
 
 
 @make_node_class

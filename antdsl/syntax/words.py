@@ -80,6 +80,7 @@ FOREIGN_FIRST_WORDS: dict[str, str] = {
 # Words after which `NAME …` follows in `world`, listed if the word is missing.
 WORLD_KIND_WORDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "camera", "lamp", "species")
 FIELD_SETTING_WORDS = ("cell", "half_life", "evaporate", "keeps", "diffuse", "stencil", "combine", "deposits", "limit")
+FIELD_VALUE_WORDS = ("number", "push")  # what the cells of a field hold, the default first
 FIXED_FIELD_SETTINGS = ("cell", "stencil", "combine", "deposits")  # a changed value makes it another field
 WORD_SETTING_VALUES = {"combine": ("add", "max"), "deposits": ("last", "first")}  # words as values, the default first
 

@@ -41,9 +41,17 @@ def test_cells_spread_fade_and_receive_deposits(spreads: bool, lands: int) -> No
     amount = np.minimum([amount, amount + deposit, np.maximum(amount, deposit)][lands], limit)
     expected, left = np.where(amount < least, 0, amount), pending.copy() if lands == 0 else 0 * pending
     for part in ((0, 101), (101, n)):
-        advance_cells(held, change, pending, spread, keep, unit, limit, least, lands, *part)
+        advance_cells(held, change, pending, spread, keep, unit, limit, -np.inf, least, lands, *part)
     np.testing.assert_allclose(held, expected, rtol=1e-14, atol=1e-15)
     assert np.array_equal(pending, left) and (held == limit).any() and (held == 0).any()
+
+
+def test_signed_cells_keep_negative_amounts_but_the_smallest() -> None:
+    held = np.array([-3.0, -0.04, -0.06, 0.04, 0.06, 7.0])
+    pending = np.array([8, 0, 0, 0, 0, -8], np.int64)
+    advance_cells(held, np.empty(0), pending, 0.0, 1.0, 0.125, np.inf, -0.05, 0.05, 1, 0, 6)
+    np.testing.assert_array_equal(held, [-2.0, 0, -0.06, 0, 0.06, 6.0])
+    assert not pending.any()
 
 
 def test_the_strongest_cell_of_a_block_is_its_first_greatest() -> None:

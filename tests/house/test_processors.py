@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SCENES = (
     "alarm/scene", "anthill/scene", "arena/scene", "battle/scene", "bridge/scene", "evacuation/scene", "flocking/scene",
     "flow/scene", "foraging/scene", "foraging_study/default", "minimal/scene", "moods/scene", "roaches/scene",
-    "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "walker/scene", "worth/scene",
+    "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "tunnel/vectors", "walker/scene", "worth/scene",
 )  # fmt: skip
 SAMPLE_SCENES = ("moods/scene",)
 # What NumPy chooses between at run time, libm's versions with AVX2 and FMA, and BLAS for the oldest processor that it knows.

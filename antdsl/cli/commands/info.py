@@ -35,6 +35,7 @@ def run_info_command(
 
 def describe_cache(cache: Cache) -> list[str]:
     """Return the lines that describe a cache."""
+    from antdsl.outputs.cache.field_strengths import list_program_fields
     from antdsl.outputs.edits.edited_cache import EditedCache
     from antdsl.outputs.provenance import make_resume_command
     from antdsl.scene.geometry.import_notes import MeshImport, format_import_report
@@ -63,7 +64,9 @@ def describe_cache(cache: Cache) -> list[str]:
             lines.append(f"body         {species.name}: {manifest.bodies[species.definition].name}")
         if species.bodies:
             lines.append(f"bodies       {species.name}: {', '.join(f'{each.body} × {each.weight:g}' for each in species.bodies)}")
-    lines += [f"field        {field.name}, cells of {field.cell:g} {manifest.units}" for field in manifest.fields]
+    cells = {field.name: f"cells of {field.cell:g} {manifest.units}" for field in manifest.fields}
+    for name, parts in list_program_fields(manifest).items():
+        lines.append(f"field        {name}, {'vectors, ' if len(parts) > 1 else ''}{cells[parts[0]]}")
     lines += [f"items        {items.name}: {' '.join(items.names)}" for items in manifest.items]
     for mesh in manifest.meshes:
         lines.append(f"mesh         {mesh.name} ({mesh.kind}){_describe_patches(mesh, manifest.units)}")

@@ -107,7 +107,8 @@ def _describe_item_attribute(symbol: SymbolDeclaration, node: Any) -> str:
 def _describe_field(symbol: SymbolDeclaration, node: nodes.FieldDecl) -> str:
     surfaces = ", ".join(name.text for name in node.surfaces)
     settings = "; ".join(collapse_whitespace(each.span.text) for each in node.settings)
-    form = f"field {symbol.key[1]} on {surfaces} {{ {settings} }}"
+    value_type = "" if node.value_type is None else f": {collapse_whitespace(node.value_type.span.text)}"
+    form = f"field {symbol.key[1]}{value_type} on {surfaces} {{ {settings} }}"
     return format_markdown(form, "a field; its name is its value here", find_help_text(node))
 
 

@@ -7,12 +7,14 @@ from typing import Any
 
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanError
+from antdsl.plan.field_components import name_field_components
 from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import appearance, clips, pair_values, values
 from antdsl.plan.lowering.expressions import convert_to_node, lower_expression, lower_scalar, lower_vector, read_own_attribute
 from antdsl.plan.lowering.values import EntityRef, NamedThing, OwnPosition, VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.vocabulary import is_limit_attribute
 from antdsl.source import Span
 
@@ -111,6 +113,10 @@ def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
 
 def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
     """Write a request as its row defines. The operands are the arguments, or are computed from them."""
+    field = w.program.fields.get(s.target) if EFFECT_BY_OPERATION[s.op].target == "field" else None
+    if field is not None and field.has_vectors:
+        _lower_vector_deposit(w, s)
+        return
     rule = OPERAND_LOWERERS.get(s.op)
     if rule is not None:
         operands = rule(w, *s.args)
@@ -122,6 +128,15 @@ def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
     w.add_statement(
         ir.Request(s.op, s.target, operands, s.span, register=s.result_attribute, site=s.draw_key, target_species=target_species)
     )
+
+
+def _lower_vector_deposit(w: PlanWriter, s: model.EffectRequest) -> None:
+    """Write a deposit of a vector: one for each component, into a plain field."""
+    (vector_expr,) = s.args
+    assert vector_expr is not None
+    vector = lower_vector(w, vector_expr)
+    for name, component in zip(name_field_components(s.target), vector, strict=True):
+        w.add_statement(ir.Request(s.op, name, (_scale_by_step(w, component, s.per_second),), s.span))
 
 
 def _lower_operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode:

@@ -9,12 +9,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from math import log
 
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanBuilder
+from antdsl.plan.field_components import name_field_components
 from antdsl.plan.ir import Block, PlanNode, ValueKind
 from antdsl.plan.lowering import appearance, birth, blending, clips, pair_values
 from antdsl.plan.lowering.actions import STEER_TEMP, report_unsupported, write_statements
@@ -67,7 +69,7 @@ def lower(
 
     with _allow_deep_recursion():
         species = {s.name: species_plan(s) for s in program.species.values()}
-        fields = {f.name: _lower_field(builder, program, f, report) for f in program.fields.values()}
+        fields = {f.name: f for declared in program.fields.values() for f in _lower_field(builder, program, declared, report)}
         params = {
             p.name: ir.ParamPlan(p.name, _lower_run_constant(builder, program, p.default, report))
             for p in program.params.values()
@@ -219,7 +221,11 @@ def _lower_run_constant(builder: PlanBuilder, program: model.Program, e: model.E
     return lower_scalar(PlanWriter(builder, program, empty_species, report, LOWERING_RULES), e)
 
 
-def _lower_field(builder: PlanBuilder, program: model.Program, declared_field: model.Field, report: Report) -> ir.FieldPlan:
+def _lower_field(
+    builder: PlanBuilder, program: model.Program, declared_field: model.Field, report: Report
+) -> tuple[ir.FieldPlan, ...]:
+    """Return the plan of a field; three plans, one for each component, if its cells hold vectors."""
+
     def lower_optional(e: model.Expr | None) -> PlanNode | None:
         return None if e is None else _lower_run_constant(builder, program, e, report)
 
@@ -235,7 +241,7 @@ def _lower_field(builder: PlanBuilder, program: model.Program, declared_field: m
         lower_optional(declared_field.diffuse),
         lower_optional(declared_field.limit),
     )
-    return ir.FieldPlan(
+    plan = ir.FieldPlan(
         declared_field.name,
         declared_field.surfaces,
         cell,
@@ -247,6 +253,9 @@ def _lower_field(builder: PlanBuilder, program: model.Program, declared_field: m
         declared_field.stencil,
         declared_field.deposits,
     )
+    if not declared_field.has_vectors:
+        return (plan,)
+    return tuple(replace(plan, name=name, vector_field=plan.name) for name in name_field_components(plan.name))
 
 
 def _compute_decay_factor(b: PlanBuilder, declared_field: model.Field, lower_node: object) -> PlanNode | None:

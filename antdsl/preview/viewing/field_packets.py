@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.body import compute_vertex_normals
 from antdsl.fields.growing import GrowingCells
+from antdsl.fields.vector_field import list_program_fields
+from antdsl.plan.field_components import name_field_components
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 from antdsl.runtime import World
@@ -55,7 +57,7 @@ class FieldPackets:
     def make_packets(self, view_state: ViewState) -> SlotPackets:
         """Yield the meshes and values that changed, at a limited rate."""
         world = view_state.world
-        field_names = sorted(view_state.interest.fields & world.fields.keys())
+        field_names = sorted(view_state.interest.fields & list_program_fields(world).keys())
         if world is not self._world:  # the same cells, often, and other values
             self._world = world
             self._last_frame_by_field = dict.fromkeys(self._last_frame_by_field, -1)
@@ -78,7 +80,7 @@ class FieldPackets:
             yield from self._make_field_packets(view_state, name)
 
     def _make_field_packets(self, view_state: ViewState, name: str) -> SlotPackets:
-        world, field = view_state.world, view_state.world.fields[name]
+        world, field = view_state.world, list_program_fields(view_state.world)[name]
         made_of, count, when = self._mesh_source_by_field.get(name, (None, 0, -_MESH_INTERVAL_SECONDS))
         grown = count != count_used_cells(field) and (
             view_state.time - when >= _MESH_INTERVAL_SECONDS or not view_state.is_advancing
@@ -147,8 +149,8 @@ def count_used_cells(field: Any) -> int:
 
 def make_field_mesh(world: World, name: str) -> FieldMesh:
     """Return the mesh of a field in the current state of the world."""
-    cells = world.fields[name].cells
-    count = count_used_cells(world.fields[name])
+    field = list_program_fields(world)[name]
+    cells, count = field.cells, count_used_cells(field)
     positions, normals = cells.position[:count], cells.normal[:count]
     points, faces, carried, edge = _cut_ground(world, name, cells.cell)
     if len(points) and count:
@@ -174,7 +176,8 @@ def _cut_ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[n
     """Return the field's meshes at the first frame, cut to edges of about one cell.
 
     The results are the vertices, the faces, the moving vertices, and the length of the longest edge."""
-    requested_names, setting = world.plan.fields[name].surfaces, world.setting
+    stored_name = name if name in world.plan.fields else name_field_components(name)[0]
+    requested_names, setting = world.plan.fields[stored_name].surfaces, world.setting
     mesh_names = [each for each in setting.surfaces if not requested_names or each in requested_names]
     rest = [setting.surfaces[each].vertices - world.origin for each in mesh_names]
     faces = [setting.surfaces[each].faces.astype(np.int64) for each in mesh_names]

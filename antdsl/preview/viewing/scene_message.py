@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from antdsl.fields.vector_field import list_program_fields
 from antdsl.outputs.feelers import list_feelers
 from antdsl.preview.outcomes import make_silencing_settings
 from antdsl.preview.session import Session
@@ -161,7 +162,7 @@ def _list_fields(session: Session) -> list[dict[str, Any]]:
             "on": not chosen.items() >= make_silencing_settings(name).items(),
             "full": choose_full_value(field.limit),
         }
-        for number, (name, field) in enumerate(session.world.fields.items())
+        for number, (name, field) in enumerate(list_program_fields(session.world).items())
     ]  # fmt: skip
 
 

@@ -3,5 +3,5 @@
 - `species`: params, attributes, latches, handlers, machines and layers, in this order.
 - `statements`: the lines of a state or an action.
 - `behaviours`: replaces each call of a behaviour by its expansion.
-- `world`: things and their fields.
+- `world`: things. `fields`: the fields on them.
 - `specs`: the expectations about runs."""

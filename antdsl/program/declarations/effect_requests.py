@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from antdsl.program import model
 from antdsl.program.declarations.amounts import StatementContext, type_amount_or_rate
-from antdsl.program.kinds import BAD_TYPE, TypeKind, ValueType
+from antdsl.program.kinds import BAD_TYPE, PUSH_TYPE, TypeKind, ValueType
 from antdsl.program.names.collect import BUILTIN_EVENTS
 from antdsl.program.names.scope import NameScope, is_known_missing, make_bad_expression, parse_type_words, suggest_name
 from antdsl.program.tables.defaults import parse_default_values
@@ -56,7 +56,7 @@ def check_request(scope: NameScope, line: nodes.VerbLine, block: StatementContex
         block.is_state_body
         and line.amount is not None
         and args[0] is not None
-        and args[0].type != find_argument_type(row.computed_arguments[0])
+        and args[0].type.dimension != find_argument_type(row.computed_arguments[0]).dimension
     )
     key = scope.keys.make_key(row.op) if row.uses_draws else ""
     return model.EffectRequest(row.op, of, tuple(args), line.span, own, per_second, key)
@@ -104,9 +104,10 @@ def _type_argument(
         return _type_recipient(scope, row, line, node)
     if not arg.type.startswith("added "):
         return type_value_as(scope, node, find_argument_type(arg), f"`{arg.name}` of `{row.op}`")
-    level = row.target == "field" and line.name is not None and _has_max_combination(scope, line.name.text)
+    field = scope.declarations.fields.get(line.name.text) if row.target == "field" and line.name is not None else None
+    type = PUSH_TYPE if field is not None and field.has_vectors else find_argument_type(arg)
     return type_amount_or_rate(
-        scope, node, find_argument_type(arg), block, f"{form} ", is_always_amount=level
+        scope, node, type, block, f"{form} ", is_always_amount=field is not None and _has_max_combination(field)
     ) or make_bad_expression(node.span)
 
 
@@ -193,10 +194,9 @@ def _is_declared(scope: NameScope, row: EffectRow, name: nodes.Name | None) -> b
     return text in known
 
 
-def _has_max_combination(scope: NameScope, name: str) -> bool:
+def _has_max_combination(field: nodes.FieldDecl) -> bool:
     """Return whether a field has `combine max`.
 
     Such a field adds no amounts, so a state's line may give a minimum for the agent's cell."""
-    field = scope.declarations.fields.get(name)
-    said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
+    said = [s.value for s in field.settings if s.name.text == "combine"]
     return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from antdsl.diagnostics import Report
-from antdsl.program.declarations.world import SETTING_RULES, is_run_constant, make_outer_scope
+from antdsl.program.declarations.fields import SETTING_RULES, is_run_constant
+from antdsl.program.declarations.world import make_outer_scope
 from antdsl.program.expectations import (
     AggregateExpr,
     BodyMeasure,

@@ -180,7 +180,7 @@ OTHER_COLUMNS = (
         ("items.NAME.P", "f4", (3,), "positions of items that move")),
     *_make_columns(
         "", "part",
-        ("field.NAME.cells", "i4", (), "the cells that are not empty"),
+        ("field.NAME.cells", "i4", (), "the cells that are not empty; a field of vectors has `NAME.x`, `NAME.y`, `NAME.z`"),
         ("field.NAME.values", "f4", (), "their values"),
         ("field.NAME.added", "f4", (3,), "positions of cells dug since the start; their numbers continue those of `static.npz`"),
         ("mesh.SURFACE.vertices", "f4", (3,), "positions of the vertices of a mesh that moves"),

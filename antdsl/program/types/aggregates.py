@@ -152,9 +152,17 @@ class SpecRules:
                 return make_bad_expression(node.span)
         return expressions.type_member(scope, node, expected_type)
 
+    @staticmethod
+    def _report_vectors(scope: NameScope, node: nodes.Expr, field: str) -> Expr:
+        message = f"{quote_source(node.span)} needs numbers, but the cells of `{field}` hold vectors"
+        advice = f"use the vectors at agents: `mean(a in walker: length({field}))`"
+        return scope.report_error("wrong-kind", message, node.span, advice)
+
     def _type_cell(self, scope: NameScope, node: nodes.Member, field: str) -> Expr:
         scope.mark_used("field", field)
         scope.record_name_use(node.owner.span, "field", field)
+        if scope.declarations.fields[field].has_vectors:
+            return self._report_vectors(scope, node, field)
         if self.cells == field:
             return CellValue(NUMBER_TYPE, ChangeRate.ELEMENT, node.span, field)
         return scope.report_error(
@@ -253,6 +261,8 @@ class SpecRules:
             bare = bare if name in _TRUTH_AGGREGATES else field
         if bare in scope.declarations.fields and name in (*_CELL_AGGREGATES, "count"):
             scope.mark_used("field", bare)
+            if scope.declarations.fields[bare].has_vectors:
+                return self._report_vectors(scope, node, bare)
             scope.record_name_use(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
             field_type = ValueType(TypeKind.FIELD, referent=bare)
             return AggregateExpr(NUMBER_TYPE, ChangeRate.STEP, node.span, how, field_type, (), None, None)

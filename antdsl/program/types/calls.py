@@ -28,6 +28,7 @@ from antdsl.syntax import nodes
 TypeVariables = dict[str, tuple[nodes.Expr, Expr]]
 # Kinds of things with a bare name that is a value.
 _VALUE_WORDS = {TypeKind(each.args[0].type): (parse_type_words(each.result) or BAD_TYPE).kind for each in find_words("value")}
+_VALUE_WORDS[TypeKind.VECTOR_FIELD] = TypeKind.VECTOR
 
 
 def _make_use_fix(file: nodes.File, library: str) -> Fix | None:

@@ -70,6 +70,8 @@ def is_compatible(actual: ValueType, expected_type: ValueType) -> bool:
     allowed."""
     if TypeKind.BAD in (actual.kind, expected_type.kind):
         return True
+    if actual.kind is TypeKind.VECTOR_FIELD:
+        return expected_type.kind in (actual.kind, _FLOW_KIND)
     if actual.kind is not expected_type.kind:
         return actual.kind.value in list_replacements(expected_type.kind.value)
     if actual.kind in (TypeKind.NUMBER, TypeKind.VECTOR) and actual.dimension != expected_type.dimension:
@@ -179,6 +181,8 @@ def _choose_advice(node: nodes.Expr, actual: ValueType, expected_type: ValueType
         if actual.kind is TypeKind.NUMBER:
             sample = f": `heading * {short}`" if actual.dimension == Dimension() else ", such as `heading`"
             return f"a push needs a direction{sample}"
+    if actual.kind is TypeKind.VECTOR_FIELD:
+        return f"`along({short})` follows it, `{short}` is its vector at the agent, `length({short})` its strength there"
     if expected_type.kind is TypeKind.NUMBER and actual.kind is TypeKind.VECTOR:
         return f"`length({short})` is a number"
     if expected_type.kind is TypeKind.NUMBER and actual.kind in (TypeKind.ITEM, TypeKind.AGENT, TypeKind.PLACE):

@@ -50,7 +50,7 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.words import UNIT_NAMES
 
-THING_KINDS = frozenset((TypeKind.FIELD, *(TypeKind(word) for word in KIND_BY_WORD)))
+THING_KINDS = frozenset((TypeKind.FIELD, TypeKind.VECTOR_FIELD, *(TypeKind(word) for word in KIND_BY_WORD)))
 OPTIONAL_KINDS = frozenset({TypeKind.ITEM, TypeKind.AGENT, TypeKind.HIT})
 
 
@@ -235,7 +235,8 @@ def _type_world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     if name in declared.fields:
         scope.mark_used("field", name)
         scope.record_name_use(span, "field", name)
-        return ThingRef(ValueType(TypeKind.FIELD), ChangeRate.CONST, span, name)
+        kind = TypeKind.VECTOR_FIELD if declared.fields[name].has_vectors else TypeKind.FIELD
+        return ThingRef(ValueType(kind), ChangeRate.CONST, span, name)
     if name in declared.species:
         scope.mark_used("species", name)
         scope.record_name_use(span, "species", name)
@@ -256,9 +257,7 @@ def _type_world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 def list_visible_names(scope: NameScope) -> set[str]:
     """Return every name that may be used as a value at a place."""
-    names = (
-        set(scope.local_names) | set(scope.builtins) | set(RUN_VALUE_TYPES) | set(SENSE_TYPE_BY_NAME) | {"self", "true", "false"}
-    )
+    names = {*scope.local_names, *scope.builtins, *RUN_VALUE_TYPES, *SENSE_TYPE_BY_NAME, "self", "true", "false"}
     declared = scope.declarations
     names |= {*declared.fields, *declared.things, *declared.species, *declared.events}
     if scope.species is not None and scope.behaviour is None:

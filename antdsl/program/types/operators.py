@@ -20,6 +20,7 @@ _ORDER_SIGNS = ("<", "<=", ">", ">=")
 _EQUALITY_SIGNS = ("==", "!=")
 # The operation for the bare name of a thing where a value is expected, by its kind.
 _VALUE_AT_AGENT = {TypeKind(row.args[0].type): (row.op, parse_type_words(row.result) or BAD_TYPE) for row in find_words("value")}
+_VALUE_AT_AGENT[TypeKind.VECTOR_FIELD] = _VALUE_AT_AGENT[TypeKind("flow")]
 
 
 def make_operation(name: str, type: ValueType, span: Span, *args: Expr | None, site: str = "") -> OperationExpr:

@@ -13,7 +13,9 @@ from antdsl.fields.cells import FieldTooFineError, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.periodic_cells import CellsDoNotFit, PeriodicCells
 from antdsl.fields.pheromone import PheromoneField
+from antdsl.fields.vector_field import VectorField
 from antdsl.plan import ir
+from antdsl.plan.field_components import name_field_components
 from antdsl.runtime.binding.binding_cache import BindingCache
 from antdsl.scene.field_settings import compute_max_diffusion
 from antdsl.scene.setting import FieldStartData, MeshData
@@ -60,13 +62,22 @@ def bind_fields(
                 report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
                 continue
         field = PheromoneField(
-            cells[key], "max" if plan.combine == "max" else "add", limit, plan.stencil, deposits_first=plan.deposits == "first"
+            cells[key],
+            "max" if plan.combine == "max" else "add",
+            np.inf if plan.vector_field else limit,
+            plan.stencil,
+            deposits_first=plan.deposits == "first",
+            has_signed_amounts=bool(plan.vector_field),
         )
         start = world.setting.field_start.get(plan.name)
         if start is not None:
             _set_start_amounts(field, start, world)
         world.fields[plan.name] = field
         world.field_rates[plan.name] = (np.float32(keep), diffuse)
+        components = name_field_components(plan.vector_field)
+        if plan.name == components[-1] and world.fields.keys() >= set(components):
+            x, y, z = (world.fields[name] for name in components)
+            world.vector_fields[plan.vector_field] = VectorField((x, y, z), limit)
 
 
 def _check_settings(

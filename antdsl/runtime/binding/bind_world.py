@@ -109,6 +109,7 @@ def bind_empty(
         populations={name: make_empty_population(species, ground) for name, species in plan.species.items()},
         items={name: _make_items(setting, items, origin) for name, items in plan.items.items()},
         fields={},
+        vector_fields={},
         field_rates={},
         obstacles=_make_ray_scenes(extended, solids, binding_cache),
         curves={

@@ -45,9 +45,9 @@ class UnexpectedToken:
 # Terminals that a line needs after a complete value, the most informative first.
 _REQUIRED_TERMINALS = (
     ("ARROW", "`->`"), ("_THEN", "`then`"), ("_ELSE", "`else`"), ("UNTIL", "`until`"), ("_OVER", "`over`"),
-    ("FROM", "`from`"), ("RPAR", "`)`"), ("RSQB", "`]`"), ("_DOTS", "`..`"), ("LBRACE", "`{`"), ("EQUAL", "`=`"),
+    ("FROM", "`from`"), ("RPAR", "`)`"), ("RSQB", "`]`"), ("_DOTS", "`..`"), ("LBRACE", "`{`"), ("EQUAL", "`=`"), ("ON", "`on`"),
     ("_COLON", "`:`"), ("_STRONGEST", "`strongest`"), ("_TO", "`to`"), ("_IN", "`in`"), ("WHEN", "`when`"), ("ANY", "`any`"),
-    ("AT", "`at`"), ("_LEAST", "`least`"), ("EACH", "`each`"), ("AS", "`as`"), ("ON", "`on`"), ("_COMMA", "`,`"),
+    ("AT", "`at`"), ("_LEAST", "`least`"), ("EACH", "`each`"), ("AS", "`as`"), ("_COMMA", "`,`"),
 )  # fmt: skip
 # Words that join the parts of a line. Another word there may be a misspelling of one of these.
 _JOINING_WORDS = frozenset(

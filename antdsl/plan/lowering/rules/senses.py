@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.plan.builder import PlanError
+from antdsl.plan.field_components import name_field_components
 from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower_expression, lower_scalar, lower_vector
@@ -89,6 +90,29 @@ def _read_world_up(w: PlanWriter) -> VectorNodes:
     return VectorNodes(w.read_run_value("up_x"), w.read_run_value("up_y"), w.read_run_value("up_z"))
 
 
+def _lower_flow_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    """Return the vector of a flow here. That of a field of vectors is projected onto the ground that the agent stands on."""
+    name = _get_thing_name(w, e)
+    if not _is_vector_field(w, name):
+        return _READ_FLOW(w, e)
+    stored = VectorNodes(*(w.b("field.value", attrs=(each,)) for each in name_field_components(name)))
+    up = w.read_vector("up")
+    return values.subtract_vectors(w.b, stored, values.scale_vector(w.b, up, values.compute_dot_product(w.b, up, stored)))
+
+
+def _lower_reachable(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    """Return whether a flow reaches its target from here. A field of vectors is reachable where its vector here is not 0."""
+    if not _is_vector_field(w, _get_thing_name(w, e)):
+        return _TEST_REACHABLE(w, e)
+    vector = _lower_flow_value(w, e)
+    assert isinstance(vector, VectorNodes)
+    return w.b("gt", values.compute_dot_product(w.b, vector, vector), w.b.add_number(0))
+
+
+def _is_vector_field(w: PlanWriter, name: str) -> bool:
+    return name in w.program.fields and w.program.fields[name].has_vectors
+
+
 def _lower_run_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     name = _get_thing_name(w, e)
     return w.read_run_value(name) if name == "dt" else w.b("step", attrs=(name,))
@@ -110,9 +134,13 @@ def _lower_match(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     )
 
 
+_READ_FLOW, _TEST_REACHABLE = (
+    _make_sense_rule(SENSE_BY_OPERATION[op], SENSE_BY_OPERATION[op].words[0]) for op in ("flow.value", "flow.reachable")
+)
 _COMPUTED_SENSES = {
     "field_max": _lower_field_max, "strongest": _lower_strongest, "ray": _lower_ray, "slope": _lower_slope,
     "uphill": _lower_uphill, "run": _lower_run_value, "event": _lower_event, "match": _lower_match,
+    "flow_value": _lower_flow_value, "reachable": _lower_reachable,
 }  # fmt: skip
 SENSE_RULES = {
     word.op: _make_sense_rule(sense, word)
